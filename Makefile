@@ -1,0 +1,57 @@
+# Everything runs in .venv, which the first target makes: Python 3.11 or newer and make are all that is needed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+QUICK ?= --quick
+
+.DEFAULT_GOAL := help
+.PHONY: help setup fit test lint types tests notebooks experiments measured benchmarks package records clean
+
+help:  ## this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+setup: $(VENV)/.installed  ## make .venv with hystfit and all that its tests need
+
+fit: setup  ## fit a bundled record and print the report
+	$(BIN)/hystfit fit stage-sweep --out fit
+
+test: lint types tests package notebooks experiments  ## all checks, in the quick form
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/basedpyright
+
+tests: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile -q
+
+notebooks: setup  ## run every notebook (QUICK= for the full form)
+	$(BIN)/python notebooks/run.py $(QUICK)
+
+experiments: setup  ## run every experiment and check its numbers (QUICK= for the full form)
+	@for run in experiments/*/run.py; do echo "== $$run"; $(BIN)/python $$run $(QUICK) || exit 1; done
+
+benchmarks: setup  ## speed, as ratios within one run
+	@for run in benchmarks/*.py; do echo "== $$run"; $(BIN)/python $$run || exit 1; done
+
+package: setup  ## build the wheel and check that what it carries is found without the checkout
+	rm -rf build/wheel && mkdir -p build/wheel/site
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	$(BIN)/python -m pip install --quiet --no-deps --target build/wheel/site build/wheel/hystfit-*.whl
+	cd build/wheel && PYTHONPATH=site ../../$(BIN)/python -c "import hystfit, pathlib; \
+	  assert pathlib.Path(hystfit.__file__).is_relative_to(pathlib.Path('site').resolve()), hystfit.__file__; \
+	  print('wheel:', len(hystfit.datasets.load('stage-sine')), 'samples of stage-sine')"
+
+records: setup  ## make the bundled records anew
+	$(BIN)/python data/make.py
+
+clean:  ## remove what was built
+	rm -rf $(VENV) build fit
