@@ -1,0 +1,103 @@
+"""The command line: `hystfit fit loop.csv` and the other verbs."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError, Parameter
+
+_HELP = """Fit hysteresis models to measured loops, say what the data determine, and use what was fitted.
+
+LOOP is a file (csv, txt, dat, mat, npz, xlsx, h5) or the name of a data set (hystfit datasets).
+Start with: hystfit fit LOOP --out fit
+Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
+"""
+_VERBS = {
+    "fit": ("hystfit.cli.fitting:fit", "Fit a model to a measured loop and say what the data determine."),
+    "compare": ("hystfit.cli.fitting:compare", "Fit several models and rank them by their error on data left out."),
+    "check": ("hystfit.cli.using:check", "Say what a record holds and which models it can determine."),
+    "predict": ("hystfit.cli.using:predict", "Run a fitted model over another record."),
+    "invert": ("hystfit.cli.control:invert", "Find the input that makes a fitted model follow a reference."),
+    "export": ("hystfit.cli.control:export", "Write a fitted model and its inverse as C code."),
+    "sample": ("hystfit.cli.uncertainty:sample", "Draw from the posterior of a fit, with a verdict on convergence."),
+    "profile": (
+        "hystfit.cli.uncertainty:profile",
+        "Limits of each parameter by profile likelihood, or where there are none.",
+    ),
+    "calibrate": ("hystfit.cli.uncertainty:calibrate", "Check by simulation that the error bars of a set-up hold."),
+    "design": ("hystfit.cli.uncertainty:design", "Propose the input that shrinks the errors most."),
+    "report": ("hystfit.cli.using:report", "Print and draw the report of a saved fit anew."),
+    "simulate": ("hystfit.cli.making:simulate", "Make a record with the simulated stage, a model or a fit."),
+    "models": ("hystfit.cli.listing:models", "List the models, or the parameters of one."),
+    "datasets": ("hystfit.cli.listing:datasets", "List the data sets known by name, or write one."),
+}
+
+
+def _version() -> str:
+    import importlib.metadata
+
+    return importlib.metadata.version("hystfit")
+
+
+app = App(
+    name="hystfit",
+    help=_HELP,
+    help_format="plaintext",
+    version=_version,
+    default_parameter=Parameter(negative=""),
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+for _name, (_place, _about) in _VERBS.items():
+    app.command(_place, name=_name, help=_about)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one verb and return its exit status; what a user can put right goes to stderr in one message."""
+    from hystfit.errors import HystfitError
+
+    try:
+        status = app(list(arguments), exit_on_error=False, print_error=False)
+        return status if isinstance(status, int) else 0
+    except CycloptsError as error:
+        return _refuse(str(error))
+    except HystfitError as error:
+        return _refuse(as_options(str(error)))
+    except KeyboardInterrupt:
+        print("hystfit: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    except MemoryError:
+        return _refuse("not enough memory: fit a window, or a record of fewer samples")
+    except OSError as error:
+        return _refuse(f"{error.filename or 'file system'}: {error.strerror or error}")
+
+
+_ARGUMENT = re.compile(
+    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|level|low|high)=(?:'([^']*)')?"
+)
+
+
+def as_options(message: str) -> str:
+    """A message of the library in the words of the shell: gaps='split' is --gaps split."""
+    return _ARGUMENT.sub(lambda found: f"--{found[1]}" + (f" {found[2]}" if found[2] else ""), message)
+
+
+def _refuse(message: str) -> int:
+    print(f"hystfit: {message}", file=sys.stderr)
+    return 2
+
+
+def main() -> None:
+    """Entry point of the `hystfit` command."""
+    os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # scans over samples are faster there
+    logging.getLogger("jax._src.xla_bridge").setLevel(logging.ERROR)
+    if "jax" in sys.modules:
+        from hystfit.config import enable_x64
+
+        enable_x64()
+    sys.exit(run(sys.argv[1:]))

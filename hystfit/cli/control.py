@@ -1,0 +1,146 @@
+"""`hystfit invert` and `hystfit export`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from hystfit.cli.options import Reading, limits
+from hystfit.cli.output import refuse_unwritable, show
+from hystfit.errors import DataError
+
+if TYPE_CHECKING:
+    from hystfit.control.inverse import Inverse
+    from hystfit.data.record import Record
+
+Json = Annotated[bool, Parameter(name="--json")]
+Between = Annotated[str | None, Parameter(name="--limits")]
+
+
+def invert(
+    fitdir: Path,
+    reference: str,
+    /,
+    *,
+    between: Between = None,
+    reading: Reading = Reading(),  # noqa: B008  (frozen)
+    out: Path | None = None,
+    json: Json = False,
+) -> int:
+    """Find the input that makes a fitted model follow a reference, with a status for every sample.
+
+    Args:
+        fitdir: what `hystfit fit --out` wrote.
+        reference: file with the wanted output (--output names its column) and, where the model needs it, time.
+        between: lowest and highest input as low:high; the range of the fit where not given.
+        reading: how the file is read.
+        out: folder for result.json and inverse.csv.
+        json: print result.json alone.
+    """
+    from hystfit.control.inverse import invert as solve
+    from hystfit.data.record import Dataset
+    from hystfit.results import provenance
+    from hystfit.saved import load_fit
+
+    result = load_fit(fitdir)
+    refuse_unwritable(out)
+    data = _wanted(reference, reading)
+    edges = _edges(between)
+    found = solve(result, data.y, data.dt if data.t is not None else None, limits=edges)
+    content = {
+        "schema": "hystfit.invert/1",
+        "model": result.name,
+        "status": "ok" if found.ok else "missed",
+        "notes": list(found.notes()),
+        "counts": found.counts(),
+        "input": {"lowest": float(found.u.min()), "highest": float(found.u.max())},
+        "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
+        "provenance": provenance(Dataset.of(data), None),
+    }
+    counts = ", ".join(f"{count} {name}" for name, count in found.counts().items() if count)
+    words = [f"{result.name} inverted over {data.name}: {counts}; input {found.u.min():.4g} to {found.u.max():.4g}"]
+    words += [f"  - {note}" for note in found.notes()]
+    if out is not None:
+        _write_inverse(out, data, found, content)
+        words.append(f"Written to {out}: inverse.csv, result.json")
+    show("\n".join(words), content, json)
+    return 0 if found.ok else 1
+
+
+def _edges(between: str | None) -> tuple[float, float] | None:
+    found = limits(between)
+    if found is None:
+        return None
+    low, high = found
+    if low is None or high is None:
+        raise DataError(f"--limits needs both ends, low:high; got {between!r}")
+    return low, high
+
+
+def _wanted(reference: str, reading: Reading) -> Record:
+    """The one record of a file with a reference: its input column is not there, and counts for nothing."""
+    import numpy as np
+
+    from hystfit.data.read import assemble, table_of
+    from hystfit.data.record import Dataset
+
+    if reading.input is not None:
+        raise DataError("a reference has no input: name its column with --output")
+    if not Path(reference).is_file():
+        raise DataError(f"no file {reference!r} with a reference")
+    options = dataclasses.asdict(reading)
+    table = table_of(reference, **{key: options.pop(key) for key in ("sheet", "delimiter", "decimal", "encoding")})
+    blank = "no input"
+    columns = (*table.columns, np.arange(float(table.rows)))
+    table = dataclasses.replace(table, names=(*table.names, blank), units=(*table.units, ""), columns=columns)
+    data = Dataset.of(assemble(table, **{**options, "input": blank}))
+    if len(data) != 1:
+        raise DataError(f"{reference!r} holds {len(data)} curves: choose one with --only")
+    return data[0]
+
+
+def _write_inverse(out: Path, data: Record, found: Inverse, content: dict[str, Any]) -> None:
+    import csv
+
+    from hystfit.saved import dump_json, writing
+
+    timed = data.t is not None
+    with writing(out) as scratch:
+        dump_json(scratch / "result.json", content)
+        with (scratch / "inverse.csv").open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow([*(["t"] if timed else []), "reference", "u", "y", "status"])
+            for k, status in enumerate(found.status):
+                numbers = [data.y[k], found.u[k], found.y[k]]
+                when = [repr(float(data.t[k]))] if data.t is not None else []
+                writer.writerow([*when, *(repr(float(x)) for x in numbers), status])
+
+
+def export(
+    fitdir: Path,
+    /,
+    *,
+    c: Path,
+    name: str = "hysteresis",
+    between: Between = None,
+) -> int:
+    """Write a fitted model and its inverse as C99 with fixed memory, and a test harness.
+
+    Args:
+        fitdir: what `hystfit fit --out` wrote.
+        c: folder for the C files.
+        name: prefix of files and functions.
+        between: lowest and highest input of the inverse as low:high; the range of the fit where not given.
+    """
+    from hystfit.control.export import export_c
+    from hystfit.saved import load_fit
+
+    edges = _edges(between)
+    refuse_unwritable(c)
+    files = export_c(load_fit(fitdir), c, name=name, limits=edges)
+    print(f"Written to {c}: {', '.join(file.name for file in files)}")
+    print(f"Try it: cc -std=c99 -O2 {files[1]} {files[2]} -lm -o {name}")
+    return 0

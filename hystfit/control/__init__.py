@@ -1,0 +1,22 @@
+"""Inverses, feedback, loops and C code for what was fitted."""
+
+from hystfit.control.export import export_c as export_c
+from hystfit.control.feedback import Controller as Controller
+from hystfit.control.feedback import Design as Design
+from hystfit.control.feedback import assess as assess
+from hystfit.control.feedback import design as design
+from hystfit.control.feedback import pd_lead_lag as pd_lead_lag
+from hystfit.control.inverse import Inverse as Inverse
+from hystfit.control.inverse import InverseStep as InverseStep
+from hystfit.control.inverse import Status as Status
+from hystfit.control.inverse import invert as invert
+from hystfit.control.lead import lead as lead
+from hystfit.control.loop import LoopResult as LoopResult
+from hystfit.control.loop import run_loop as run_loop
+from hystfit.control.plant import LinearPlant as LinearPlant
+from hystfit.control.plant import identify_plant as identify_plant
+from hystfit.control.transfer import Margins as Margins
+from hystfit.control.transfer import TransferFunction as TransferFunction
+from hystfit.control.transfer import margins as margins
+from hystfit.control.transfer import root_locus as root_locus
+from hystfit.control.transfer import second_order as second_order

@@ -1,0 +1,65 @@
+/* Prandtl-Ishlinskii: weighted plays or stops of envelopes of the input, and a polynomial. */
+static double @f@_envelope(int kind, double x)
+{
+    if (kind == 0)
+        return x;
+    if (kind == 1)
+        return x * fabs(x);
+    return 1 - (1 - x) * fabs(1 - x);
+}
+
+static double @f@_position(double u)
+{
+    return (u - @M@_LOW) / (@M@_HIGH - @M@_LOW);
+}
+
+static double @f@_move(double play, double target, double r)
+{
+    return fmax(target - r, fmin(target + r, play));
+}
+
+static void @f@_init(double *s, double u0)
+{
+    const double rest = @f@_position(@M@_FIRST ? u0 : @M@_LEVEL), x = @f@_position(u0);
+    int e, j;
+    for (e = 0; e < @M@_ENVELOPES; e++)
+        for (j = 0; j < @M@_PLAYS; j++)
+            s[e * @M@_PLAYS + j] =
+                @f@_move(@f@_envelope(@f@_kinds[e], rest), @f@_envelope(@f@_kinds[e], x), @f@_r[j]);
+#if @M@_HARDENS
+    s[@M@_ENVELOPES * @M@_PLAYS] = fabs(x - rest);
+#endif
+}
+
+static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
+{
+    const double x = @f@_position(u1);
+    double y = @M@_OFFSET + legendre(@f@_b, @M@_B, 2 * x - 1);
+    int e, j;
+#if @M@_HARDENS
+    const double path = s[@M@_ENVELOPES * @M@_PLAYS] + fabs(x - @f@_position(u0));
+    const double fading = exp(-path / @M@_S0);
+#else
+    (void)u0;
+#endif
+    (void)dt;
+    for (e = 0; e < @M@_ENVELOPES; e++) {
+        const double target = @f@_envelope(@f@_kinds[e], x);
+        for (j = 0; j < @M@_PLAYS; j++) {
+            const double play = @f@_move(s[e * @M@_PLAYS + j], target, @f@_r[j]);
+            const double element = @M@_STOPS ? target - play : play;
+            if (next)
+                next[e * @M@_PLAYS + j] = play;
+            y += @f@_w[e * @M@_PLAYS + j] * element;
+#if @M@_HARDENS
+            if (e == 0)
+                y += fading * @f@_hardening[j] * element;
+#endif
+        }
+    }
+#if @M@_HARDENS
+    if (next)
+        next[@M@_ENVELOPES * @M@_PLAYS] = path;
+#endif
+    return y;
+}

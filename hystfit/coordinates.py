@@ -1,0 +1,89 @@
+"""The traced half of a parameter space: maps between physical and unconstrained coordinates.
+
+no bound      x = scale z                one bound   x = lower + scale exp(z)   (or upper - scale exp(z))
+two bounds    x = lower + (upper - lower) / (1 + exp(-z))
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+REAL, LOWER, UPPER, BOTH = range(4)
+
+
+class Coordinates(eqx.Module):
+    """The traced half of a `ParameterSpace`: arrays and structure, no labels, so that no label can cost a compilation.
+
+    Attributes:
+        leaves: all leaves of the template tree.
+        lower, upper, scale: of each free element, shape (p,).
+        kinds: which map each free element uses.
+        layout: for each leaf with free elements (leaf index, flat positions, whether each record has its own).
+    """
+
+    leaves: tuple[Any, ...]
+    lower: Float[Array, " p"]
+    upper: Float[Array, " p"]
+    scale: Float[Array, " p"]
+    kinds: tuple[int, ...] = eqx.field(static=True)
+    layout: tuple[tuple[int, tuple[int, ...], bool], ...] = eqx.field(static=True)
+    treedef: Any = eqx.field(static=True)
+    n_records: int = eqx.field(static=True)
+
+    def _kind(self) -> Array:
+        return jnp.asarray(self.kinds, dtype=int)
+
+    def physical(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
+        """x from z."""
+        kind = self._kind()
+        # One exponential for all maps; for two bounds it is exp(-|z|), measured from the nearer bound, so that the slope keeps
+        # its digits next to either. Without a bound its argument is 0, as a branch not taken must not overflow in the gradient.
+        away = jnp.where(kind == BOTH, jnp.where(z < 0, z, -z), z)
+        grown = jnp.exp(jnp.where(kind == REAL, 0.0, away))
+        low = jnp.where(jnp.isfinite(self.lower), self.lower, 0.0)
+        high = jnp.where(jnp.isfinite(self.upper), self.upper, 0.0)
+        x = jnp.where(kind == REAL, self.scale * z, low + self.scale * grown)
+        x = jnp.where(kind == UPPER, high - self.scale * grown, x)
+        part = (high - low) * grown / (1.0 + grown)
+        both = jnp.where(z < 0, low + part, high - part)
+        return jnp.where(kind == BOTH, both, x)
+
+    def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
+        """dx/dz, element by element (the maps do not mix parameters)."""
+        return jax.jvp(self.physical, (z,), (jnp.ones_like(z),))[1]
+
+    def log_jacobian(self, z: Float[Array, " p"]) -> Float[Array, ""]:
+        """log |det dx/dz|."""
+        kind = self._kind()
+        free = jnp.log(self.scale)
+        width = jnp.where(kind == BOTH, self.upper - self.lower, 1.0)
+        both = jnp.log(width) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
+        return jnp.sum(jnp.where(kind == REAL, free, jnp.where(kind == BOTH, both, free + z)))
+
+    def assemble(self, x: Float[Array, " p"], record: Any = 0) -> Any:
+        """The tree with the free elements set from x, as record number `record` sees it."""
+        leaves, start = list(self.leaves), 0
+        for index, positions, own in self.layout:
+            count = len(positions)
+            if own:
+                block = x[start : start + count * self.n_records].reshape(self.n_records, count)
+                values = jnp.take(block, jnp.asarray(record), axis=0)
+                start += count * self.n_records
+            else:
+                values = x[start : start + count]
+                start += count
+            leaf = jnp.asarray(leaves[index])
+            flat = leaf.reshape(-1)
+            flat = values if count == flat.size else flat.at[np.asarray(positions)].set(values)
+            leaves[index] = flat.reshape(leaf.shape)
+        return jax.tree_util.tree_unflatten(self.treedef, leaves)
+
+    def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:
+        """The tree at unconstrained coordinates z, as record number `record` sees it."""
+        return self.assemble(self.physical(z), record)

@@ -1,0 +1,61 @@
+"""Records as the arrays that compiled code sees: padded to common lengths, so that new data rarely cost a compilation."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Dataset, Record
+
+_SMALLEST = 64
+
+
+def bucket(length: int) -> int:
+    """Smallest length of the form 2^k or 3 * 2^(k-1), at least 64, that holds so many samples."""
+    size = _SMALLEST
+    while size < length:
+        if 3 * size // 2 >= length:
+            return 3 * size // 2
+        size *= 2
+    return size
+
+
+class Batch(eqx.Module):
+    """Arrays of one or more records; no labels, which would be keys of the compilation cache.
+
+    Attributes:
+        u, y, dt: shape (R, T); u is padded with its last value, dt and y with 0, missing y are 0.
+        weight: shape (R, T), 0 where a sample does not count (outside the window, missing, padding).
+    """
+
+    u: Float[Array, "R T"]
+    y: Float[Array, "R T"]
+    dt: Float[Array, "R T"]
+    weight: Float[Array, "R T"]
+
+    @classmethod
+    def of(cls, data: Record | Dataset) -> Batch:
+        """Arrays of a data set."""
+        records = list(Dataset.of(data))
+        length = bucket(max(len(record) for record in records))
+        rows = [_pad(record, length) for record in records]
+        return cls(*(jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True)))
+
+    @property
+    def count(self) -> int:
+        """Number of samples that count."""
+        return int(np.count_nonzero(np.asarray(self.weight)))
+
+
+def _pad(record: Record, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    extra = length - len(record)
+    used = record.used
+    zeros = lambda values: np.pad(values, (0, extra))
+    return (
+        np.pad(record.u, (0, extra), mode="edge"),
+        zeros(np.where(used, record.y, 0.0)),
+        zeros(record.dt),
+        zeros(np.where(used, record.weight, 0.0)),
+    )

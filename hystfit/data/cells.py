@@ -1,0 +1,201 @@
+"""Single cells of a text file: is it a number, a missing value, a time stamp or text, and which number is it."""
+
+from __future__ import annotations
+
+import datetime
+import functools
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.errors import DataError
+
+NUMBER, MISSING, STAMP, TEXT = "N", "M", "D", "T"
+
+_MISSING_WORDS = frozenset(
+    """nan +nan -nan nan(ind) -nan(ind) na n/a #n/a #na null none nil - -- --- ---- . .. ... ? * ** *** **** missing
+    #value! #div/0! #ref! #num! #name? #null! 1.#qnan -1.#qnan 1.#ind -1.#ind 1.#nan ol over overflow overload overrange
+    ovld ovrflw err error bad invalid nodata""".split()
+) | {""}
+_INFINITE = {"inf": np.inf, "infinity": np.inf, "∞": np.inf, "1.#inf": np.inf}
+
+_STAMP = re.compile(
+    r"""(?:(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})
+            |(?P<p>\d{1,2})[-/.](?P<q>\d{1,2})[-/.](?P<yy>\d{4}|\d{2})))?
+        (?P<gap>[T ,]*)
+        (?:(?P<hh>\d{1,3}):(?P<mm>\d{2})(?::(?P<ss>\d{2}(?:[.,]\d*)?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?
+           |(?P<min>\d{1,3}):(?P<sec>\d{2}[.,]\d+))?
+        (?P<zone>Z|[+-]\d{2}:?\d{2})?""",
+    re.VERBOSE | re.ASCII,
+)
+
+
+@functools.cache
+def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern[str]]:
+    """Patterns of a plain number, one with the other mark between thousands, and one with spaces between them."""
+    mark, group = re.escape(decimal), re.escape("," if decimal == "." else ".")
+    tail = rf"(?:{mark}\d*)?(?:[eE][+-]?\d+)?"
+    plain = rf"[+-]?(?:\d+{mark}?\d*|{mark}\d+)(?:[eEdD][+-]?\d+)?"
+    grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{group}\d{{3}})+{tail}"
+    spaced = rf"[+-]?[1-9]\d{{0,2}}(?:[ '’\u00a0\u2009\u202f]\d{{3}})+{tail}"
+    return re.compile(plain, re.ASCII), re.compile(grouped, re.ASCII), re.compile(spaced, re.ASCII)
+
+
+def clean(cell: str) -> str:
+    """A cell without the blanks and quotes around it, with an ASCII minus sign."""
+    cell = cell.strip(" \t\r\f\v\u00a0\ufeff")
+    if len(cell) >= 2 and cell[0] == cell[-1] and cell[0] in "\"'":
+        cell = cell[1:-1].strip()
+    return cell.replace("\u2212", "-")
+
+
+def is_stamp(cell: str) -> bool:
+    """Whether a cleaned cell is a date, a time of day or both."""
+    found = _STAMP.fullmatch(cell)
+    if not found:
+        return False
+    clock = found["min"] is not None or (found["hh"] is not None and found["ss"] is not None)
+    date = found["y"] is not None or found["p"] is not None
+    return clock or date
+
+
+def number(cell: str, decimal: str) -> float | None:
+    """The number in a cleaned cell, None where there is none (missing values included)."""
+    plain, grouped, spaced = patterns(decimal)
+    if plain.fullmatch(cell):
+        return float(cell.replace(decimal, ".").replace("D", "e").replace("d", "e"))
+    if grouped.fullmatch(cell):
+        return float(cell.replace("," if decimal == "." else ".", "").replace(decimal, "."))
+    if spaced.fullmatch(cell):
+        return float(re.sub(r"[^\d.,eE+-]", "", cell).replace(decimal, "."))
+    lower = cell.lower()
+    if lower.lstrip("+-") in _INFINITE:
+        return -np.inf if lower.startswith("-") else np.inf
+    return None
+
+
+def kind(cell: str, decimal: str) -> str:
+    """What a cell holds: NUMBER, MISSING, STAMP or TEXT."""
+    cell = clean(cell)
+    if cell.lower() in _MISSING_WORDS:
+        return MISSING
+    if number(cell, decimal) is not None:
+        return NUMBER
+    return STAMP if is_stamp(cell) else TEXT
+
+
+def parse(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of a column, NaN where there is none, and the kind of every cell; both of shape (rows,)."""
+    parts = [_parse_chunk(cells[k : k + 2048], decimal) for k in range(0, len(cells), 2048)]
+    return np.concatenate([values for values, _ in parts]), np.concatenate([kinds for _, kinds in parts])
+
+
+def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.ndarray]:
+    joined = "\x00".join(cells)
+    if "_" not in joined and not (decimal == "," and "." in joined):  # float() takes 1_0; 1.234 may be a thousand
+        try:
+            values = np.array([float(cell) for cell in joined.replace(decimal, ".").split("\x00")])
+        except ValueError:
+            pass  # a header, a missing value or a number in another notation: one by one
+        else:
+            return values, np.where(np.isnan(values), MISSING, NUMBER)
+    cleaned = [clean(cell) for cell in cells]
+    found = [number(cell, decimal) for cell in cleaned]
+    values = np.array([np.nan if value is None else value for value in found])
+    kinds = [
+        NUMBER if value is not None else MISSING if cell.lower() in _MISSING_WORDS else TEXT
+        for cell, value in zip(cleaned, found, strict=True)
+    ]
+    return values, np.array(kinds)
+
+
+def whole_from_first(cells: Sequence[str]) -> np.ndarray | None:
+    """Differences to the first of a column of whole numbers too large for a double; None if it is no such column."""
+    try:
+        whole = [int(clean(cell)) for cell in cells]
+    except ValueError:
+        return None
+    return np.array([float(value - whole[0]) for value in whole])
+
+
+def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, bool]:
+    """Evidence on the separators in a column: (other mark doubtful, comma doubtful, proven, comma is decimal).
+
+    The mark that is not the decimal one is doubtful in "1.234" beside decimal commas. A decimal comma is doubtful in
+    "1,234", and certain once there is a "0,5" or a "12,34". "1.234,5" and "1,234,567" prove that thousands are set apart.
+    """
+    other = "," if decimal == "." else "."
+    joined = "\x00".join(cells)
+    grouped = [clean(cell) for cell in cells if other in cell] if other in joined else []
+    proven = any(decimal in cell or cell.count(other) > 1 for cell in grouped)
+    if decimal == "." or "," not in joined:
+        return bool(grouped), False, proven, False
+    maybe = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
+    commas = [cell for cell in cells if "," in cell]
+    certain = any(not maybe.fullmatch(clean(cell)) for cell in commas)
+    return bool(grouped), not certain, proven, certain
+
+
+def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[str]]:
+    """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed.
+
+    Raises:
+        DataError: day and month cannot be told apart, or a date does not exist.
+    """
+    found = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
+    stamps = [stamp for stamp in found if stamp]
+    notes: list[str] = []
+    day_first = _day_first(stamps, where)
+    try:
+        pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in found]
+    except ValueError as error:
+        raise DataError(f"{where}: a time stamp is not a date that exists ({error}); correct it") from error
+    days = np.array([day for day, _ in pairs]) - next((day for day, clock in pairs if clock == clock), 0)
+    values = 86400.0 * days + np.array([clock for _, clock in pairs])
+    if not any(stamp["y"] or stamp["p"] for stamp in stamps):
+        turns = np.concatenate([[0.0], np.cumsum(np.diff(values) < -43200.0)])
+        if turns[-1]:
+            notes.append(f"{where}: the clock passes midnight {int(turns[-1])} time(s); a day was added each time")
+        values = values + 86400.0 * turns
+    first = values[np.isfinite(values)]
+    return values - (first[0] if first.size else 0.0), notes
+
+
+def _day_first(stamps: Sequence[re.Match[str]], where: str) -> bool:
+    dates = {(int(stamp["p"]), int(stamp["q"])) for stamp in stamps if stamp["p"]}
+    if any(first > 12 for first, _ in dates) or len(dates) <= 1:
+        return not any(second > 12 for _, second in dates)
+    if any(second > 12 for _, second in dates):
+        return False
+    raise DataError(
+        f"{where}: dates such as {'/'.join(map(str, min(dates)))} are ambiguous (day or month first); write them as 2025-01-31"
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _day(year: int, month: int, day: int) -> int:
+    return datetime.date(year, month, day).toordinal()
+
+
+def _instant(stamp: re.Match[str], day_first: bool) -> tuple[int, float]:
+    """Day number and seconds of that day."""
+    clock = 0.0
+    if stamp["min"] is not None:
+        clock = 60.0 * int(stamp["min"]) + float(stamp["sec"].replace(",", "."))
+    elif stamp["hh"] is not None:
+        hour = int(stamp["hh"])
+        if stamp["half"]:
+            hour = hour % 12 + (12 if stamp["half"][0] in "pP" else 0)
+        clock = 3600.0 * hour + 60.0 * int(stamp["mm"]) + float((stamp["ss"] or "0").replace(",", "."))
+    zone = stamp["zone"]
+    if zone and zone != "Z":
+        clock -= (1 if zone[0] == "+" else -1) * 60.0 * (60 * int(zone[1:3]) + int(zone[-2:]))
+    if stamp["y"]:
+        return _day(int(stamp["y"]), int(stamp["m"]), int(stamp["d"])), clock
+    if stamp["p"]:
+        day, month = int(stamp["p"]), int(stamp["q"])
+        if not day_first:
+            day, month = month, day
+        return _day(int(stamp["yy"]) + (2000 if len(stamp["yy"]) == 2 else 0), month, day), clock
+    return 0, clock

@@ -1,0 +1,216 @@
+"""Delay of the output behind the input, and dependence on speed, told apart from hysteresis.
+
+Rate-independent hysteresis lags in the input, not in time: its output turns with the input, however wide the loop. So
+around every turning point the output is fitted by one polynomial of the delayed input before the turn and another
+after it, joined at the turn; the delay at which all turns fit best is the lag.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
+NEAR = (0.12, 0.2, 0.35)  # of the shorter neighboring branch: how far a fit reaches; the first that has samples
+MOST_TURNS = 40
+
+
+@dataclasses.dataclass(frozen=True)
+class Lag:
+    """How long the output keeps moving after the input turned.
+
+    Attributes:
+        samples: delay in samples; negative where the output turns first (a force that depends on velocity does that).
+        stderr: its standard error [samples]: scatter over the turns, upper against lower turns, a nearer against a
+            farther reach of the fit, and 0.1 of method.
+        seconds: delay in the unit of time; None without time.
+        turns: number of turning points used.
+    """
+
+    samples: float
+    stderr: float
+    seconds: float | None
+    turns: int
+
+
+@dataclasses.dataclass(frozen=True)
+class _Turn:
+    """Samples around one turning point: where it is, its direction and the input's distance from it."""
+
+    index: np.ndarray
+    at: float
+    upper: bool
+    scale: float
+
+
+def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
+    from scipy.signal import savgol_filter
+
+    noisy = noise is not None and noise > 3e-4 * np.ptp(u)
+    return np.asarray(savgol_filter(u, 7, 2)) if noisy and u.size > 7 else u
+
+
+def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
+    knots = np.concatenate([[0], reversals, [u.size - 1]])
+    found = []
+    for before, turn, after in zip(knots[:-2], knots[1:-1], knots[2:], strict=True):
+        stroke = float(min(abs(u[turn] - u[before]), abs(u[after] - u[turn])))
+        if stroke < 0.3 * np.ptp(u):
+            continue
+        far = near * stroke
+        left, right = np.abs(u[turn:before:-1] - u[turn]) > far, np.abs(u[turn:after] - u[turn]) > far
+        start = turn - (int(np.argmax(left)) if left.any() else turn - before)
+        stop = turn + (int(np.argmax(right)) if right.any() else after - turn)
+        index = np.arange(start, stop + 1)
+        rests = np.mean(np.abs(np.diff(u[index])) < 1e-6 * stroke) > 0.2 if index.size > 1 else True
+        if turn - start < 5 or stop - turn < 5 or start < reach or stop + reach >= u.size or rests:
+            continue
+        upper = bool(u[turn] > u[before])
+        grid = np.linspace(turn - 1, turn + 1, 41)
+        at = float(grid[np.argmax(spline(grid) * (1 if upper else -1))])  # type: ignore[operator]
+        found.append(_Turn(index, at, upper, far))
+    keep = np.unique(np.linspace(0, len(found) - 1, min(len(found), MOST_TURNS)).round().astype(int))
+    return [found[k] for k in keep]
+
+
+def _misfit(turn: _Turn, y: np.ndarray, spline: object, delays: np.ndarray) -> np.ndarray:
+    """Sum of squares left by the two polynomials at every delay, shape (D,)."""
+    value = y[turn.index]
+    left = []
+    for delay in delays:
+        when = turn.index - delay
+        s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
+        after = when > turn.at
+        columns = [np.ones_like(s)]
+        columns += [np.where(after, 0.0, s) ** power for power in range(1, SIDES[0] + 1)]
+        columns += [np.where(after, s, 0.0) ** power for power in range(1, SIDES[1] + 1)]
+        design = np.stack(columns, axis=1)
+        solution = np.linalg.lstsq(design, value, rcond=1e-9)[0]
+        left.append(np.sum((value - design @ solution) ** 2))
+    return np.array(left)
+
+
+def _lowest(delays: np.ndarray, misfit: np.ndarray) -> float | None:
+    """Delay of the least misfit, by a parabola through the three lowest points; None at an end of the range."""
+    k = int(np.argmin(misfit))
+    if k in (0, delays.size - 1):
+        return None
+    low, mid, high = misfit[k - 1 : k + 2]
+    bend = low - 2 * mid + high
+    return float(delays[k] + 0.5 * (low - high) / bend * (delays[1] - delays[0])) if bend > 0 else None
+
+
+def estimate_lag(
+    u: np.ndarray, y: np.ndarray, t: np.ndarray | None, reversals: np.ndarray, *, u_noise: float | None = None
+) -> Lag | None:
+    """Delay of y behind u, separated from rate-independent hysteresis.
+
+    A pure delay, a fast first-order lag and creep just after the turn look alike here: the number says how long the
+    output keeps moving, not why.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+        t: time, shape (T,), evenly spaced; None where there is none.
+        reversals: turning points of u, see `loops.reversals`.
+        u_noise: rms of the noise on u [unit of u]; a noisy input is smoothed first.
+
+    Returns:
+        The lag, or None where it is not known: fewer than three usable turns, branches too short or resting at the
+        turn, or no best delay within a quarter of a branch and 20 samples.
+    """
+    from scipy.interpolate import CubicSpline
+
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    if reversals.size < 3 or u.size < 40:
+        return None
+    reach = int(min(20, np.median(np.diff(reversals)) // 4))
+    if reach < 2:
+        return None
+    spline = CubicSpline(np.arange(u.size), _smooth(u, u_noise))
+    delays = np.arange(-reach, reach + 0.25, 0.5)
+    found = []
+    for near in NEAR:
+        turns = [turn for turn in _turns(u, spline, reversals, reach, near) if np.isfinite(y[turn.index]).all()]
+        if len(turns) >= 3:
+            found.append(_over_turns(turns, y, spline, delays))
+        if len(found) == 2:
+            break
+    if not found or found[0] is None:
+        return None
+    best, stderr, count = found[0]
+    if len(found) > 1 and found[1] is not None:
+        stderr = float(np.hypot(stderr, 0.5 * (found[1][0] - best)))
+    if stderr > max(2.0, 0.5 * abs(best)):
+        return None
+    step = None if t is None else float(np.median(np.diff(t)))
+    return Lag(best, stderr, None if step is None else best * step, count)
+
+
+def _over_turns(
+    turns: list[_Turn], y: np.ndarray, spline: object, delays: np.ndarray
+) -> tuple[float, float, int] | None:
+    """Best delay over all turns, its standard error by leaving turns out, and their number."""
+    misfit = np.array([_misfit(turn, y, spline, delays) for turn in turns])
+    best = _lowest(delays, misfit.sum(axis=0))
+    if best is None:
+        return None
+    without = [_lowest(delays, misfit.sum(axis=0) - one) for one in misfit]
+    known = np.array([value for value in without if value is not None])
+    if known.size < 3:
+        return None
+    scatter = np.sqrt((known.size - 1) / known.size * np.sum((known - known.mean()) ** 2))
+    upper = np.array([turn.upper for turn in turns])
+    sides = [_lowest(delays, misfit[side].sum(axis=0)) for side in (upper, ~upper) if side.any()]
+    both = len(sides) == 2 and None not in sides
+    gap = 0.5 * abs(sides[0] - sides[1]) if both else 0.5  # type: ignore[operator]
+    return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
+
+
+def plays(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+    """Backlash (play) of every threshold [unit of u], started at rest in the middle, shape (T, K)."""
+    u = np.asarray(u, dtype=float)
+    low, high = u[:, None] - thresholds, u[:, None] + thresholds
+    out = np.empty(low.shape)
+    state = np.full(len(thresholds), u[0])
+    for k in range(u.size):
+        state = np.minimum(np.maximum(state, low[k]), high[k])
+        out[k] = state
+    return out
+
+
+def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 6000) -> float | None:
+    """Share of what a rate-independent description leaves unexplained that terms in the velocity explain.
+
+    A generous rate-independent description (plays, their squares, a cubic, a trend) is fitted by least squares
+    without and with v and tanh(v / v_rms), v/3 v_rms alike. Near 1: the output depends on speed. One frequency alone
+    cannot tell this from a wrong shape of the loop near its ends, nor a lag from a viscous term.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+        t: time, shape (T,).
+        most: number of samples used, from the first.
+
+    Returns:
+        A number from 0 to 1; None with fewer than 100 samples.
+    """
+    used = np.isfinite(y[:most])
+    u, y, t = u[:most], y[:most], t[:most]
+    if used.sum() < 100 or np.ptp(u) == 0 or (np.diff(t) <= 0).any():
+        return None
+    x = 2 * (u - u.min()) / np.ptp(u) - 1
+    speed = np.gradient(x, t)
+    scale = np.sqrt(np.mean(speed**2))
+    play = plays(x, np.geomspace(0.02, 0.8, 8))
+    base = [np.ones_like(x), x, x**2, x**3, t - t[0], *play.T, *(play**2).T]
+    fast = [speed / scale, np.tanh(speed / scale), np.tanh(3 * speed / scale)]
+    left = [_unexplained(np.stack(columns, axis=1)[used], y[used]) for columns in (base, base + fast)]
+    return float(1 - left[1] / left[0]) if left[0] > 0 else 0.0
+
+
+def _unexplained(design: np.ndarray, y: np.ndarray) -> float:
+    design = design / np.linalg.norm(design, axis=0).clip(1e-300)
+    solution = np.linalg.lstsq(design, y, rcond=1e-6)[0]
+    return float(np.mean((y - design @ solution) ** 2))

@@ -1,0 +1,182 @@
+"""Geometry of loops: turning points of the input, closed loops, cycles, area, width and circulation."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+
+def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
+    """Turning points of u that stand out by more than a threshold.
+
+    A turning point counts once u has come back from it by more than `threshold` (so that chatter does not count).
+
+    Args:
+        u: input, shape (T,).
+        threshold: hysteresis of the detector, in the unit of u.
+
+    Returns:
+        Sample numbers in rising order, shape (R,), the ends of the record excluded; on a flat top the first sample.
+    """
+    u = np.asarray(u, dtype=float)
+    moves = np.flatnonzero(np.diff(u)) + 1
+    if moves.size == 0:
+        return np.empty(0, dtype=int)
+    direction = np.sign(np.diff(u))[moves - 1]
+    # only local extremes can be turning points: the value before each change of direction, first of its flat run
+    change = np.flatnonzero(direction[1:] != direction[:-1])
+    corners = np.concatenate([[0], moves[change], [moves[-1]]])
+    found: list[int] = []
+    extreme, rising = 0, 0  # rising: +1, -1 or 0 while the direction is not known yet
+    low = high = 0
+    for corner in corners:
+        if rising == 0:
+            low = corner if u[corner] < u[low] else low
+            high = corner if u[corner] > u[high] else high
+            if u[high] - u[low] > threshold:
+                rising, extreme = (1, high) if high > low else (-1, low)
+                first = low if rising > 0 else high
+                if first > 0 and abs(u[first] - u[0]) > threshold:
+                    found.append(first)
+        elif rising * (u[corner] - u[extreme]) > 0:
+            extreme = corner
+        elif rising * (u[extreme] - u[corner]) > threshold:
+            found.append(extreme)
+            rising, extreme = -rising, corner
+    return np.array(found, dtype=int)
+
+
+def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
+    """First and last sample of every stretch between turning points, shape (R + 1, 2); neighbors share a sample."""
+    knots = np.concatenate([[0], reversals(u, threshold), [len(u) - 1]])
+    return np.stack([knots[:-1], knots[1:]], axis=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """A stretch after which the input is back where it began: samples start..stop, with one far turning point.
+
+    Attributes:
+        start: sample of the turning point (or start of the record) where it begins.
+        turn: sample of its far turning point.
+        stop: first sample at which the input is back at the level of `start`.
+        low, high: extent of the input [unit of u].
+        depth: number of loops that it lies inside, in time.
+    """
+
+    start: int
+    turn: int
+    stop: int
+    low: float
+    high: float
+    depth: int = 0
+
+    @property
+    def stroke(self) -> float:
+        """Extent of the input [unit of u]."""
+        return self.high - self.low
+
+
+def closed_loops(u: np.ndarray, threshold: float = 0.0) -> list[Loop]:
+    """All loops that the input closes, nested ones included, in the order in which they begin.
+
+    Turning points are paired as in rainflow counting (ASTM E1049): a pair is a loop as soon as the input passes
+    the level where it began; it is then wiped out. A repeated cycle counts once.
+
+    Args:
+        u: input, shape (T,).
+        threshold: see `reversals`; a loop whose ends miss each other by less than this is closed.
+    """
+    u = np.asarray(u, dtype=float)
+    turns = reversals(u, threshold)
+    stack: list[int] = []
+    loops: list[Loop] = []
+    for knot in itertools.chain([0], turns, [len(u) - 1]):
+        stack.append(int(knot))
+        while len(stack) >= 3:
+            start, turn, now = stack[-3:]
+            stroke = abs(u[turn] - u[start])
+            if abs(u[now] - u[turn]) < stroke - threshold or stroke <= threshold:
+                break
+            back = np.sign(u[start] - u[turn]) * (u[turn:] - u[start])[: now - turn + 1] >= 0
+            stop = turn + int(np.argmax(back)) if back.any() else now
+            low, high = sorted((u[start], u[turn]))
+            loops.append(Loop(start, turn, stop, float(low), float(high)))
+            del stack[-3:-1]
+    return _with_depth(sorted(loops, key=lambda loop: (loop.start, -loop.stop)))
+
+
+def _with_depth(loops: list[Loop]) -> list[Loop]:
+    open_until: list[int] = []
+    placed = []
+    for loop in loops:
+        while open_until and open_until[-1] < loop.stop:
+            open_until.pop()
+        placed.append(dataclasses.replace(loop, depth=len(open_until)))
+        open_until.append(loop.stop)
+    return placed
+
+
+def cycles(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
+    """Whole cycles from one turning point to the next but one.
+
+    Args:
+        u: input, shape (T,).
+        threshold: see `reversals`.
+
+    Returns:
+        Shape (C, 3): sample of the first turning point, of the one between, and of the third, which begins the next
+        cycle. All cycles begin on the same side (at minima or at maxima).
+    """
+    turns = reversals(u, threshold)
+    count = max((turns.size - 1) // 2, 0)
+    return np.array([turns[2 * k : 2 * k + 3] for k in range(count)], dtype=int).reshape(-1, 3)
+
+
+def loop_area(u: np.ndarray, y: np.ndarray) -> float:
+    """Signed area inside one loop [unit of u times unit of y]: positive where it runs counter-clockwise.
+
+    u and y of shape (T,); the last point is joined to the first.
+    """
+    x, z = np.asarray(u, dtype=float) - u[0], np.asarray(y, dtype=float) - y[0]
+    return float(0.5 * np.sum(x * np.roll(z, -1) - np.roll(x, -1) * z))
+
+
+def branch_means(u: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Mean of y in bins of u, shape (len(edges) - 1,); bins without a sample by interpolation between neighbors."""
+    where = np.clip(np.digitize(u, edges) - 1, 0, edges.size - 2)
+    count = np.bincount(where, minlength=edges.size - 1)
+    filled = count > 0
+    mean_y = np.bincount(where, y, minlength=edges.size - 1)[filled] / count[filled]
+    mean_u = np.bincount(where, u, minlength=edges.size - 1)[filled] / count[filled]
+    return np.interp(0.5 * (edges[1:] + edges[:-1]), mean_u, mean_y)
+
+
+def loop_branches(u: np.ndarray, y: np.ndarray, bins: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Output on the rising and on the falling branch of one loop at common inputs.
+
+    Args:
+        u: input over one loop that begins at a turning point, shape (T,).
+        y: output, shape (T,).
+        bins: number of bins over the range of u; fewer where the branches have fewer samples.
+
+    Returns:
+        (centers [unit of u], rising [unit of y], falling [unit of y]), each of shape (B,).
+    """
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    begins_low = u[0] < 0.5 * (u.min() + u.max())
+    turn = int(np.argmax(u)) if begins_low else int(np.argmin(u))
+    parts = slice(0, turn + 1), slice(turn, None)
+    rising, falling = parts if begins_low else parts[::-1]
+    count = int(np.clip(min(turn, u.size - turn), 4, bins))
+    edges = np.linspace(u.min(), u.max(), count + 1)
+    centers = 0.5 * (edges[1:] + edges[:-1])
+    return centers, branch_means(u[rising], y[rising], edges), branch_means(u[falling], y[falling], edges)
+
+
+def loop_width(u: np.ndarray, y: np.ndarray, bins: int = 50) -> float:
+    """Largest vertical distance between the two branches of one loop [unit of y]; arguments as `loop_branches`."""
+    _, rising, falling = loop_branches(u, y, bins)
+    return float(np.max(np.abs(rising - falling)))

@@ -1,0 +1,251 @@
+"""Measured or simulated loops on the host: `Record` (one run) and `Dataset` (several)."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from hystfit.errors import DataError
+
+
+def _column(name: str, values: object) -> np.ndarray:
+    try:
+        array = np.array(values, dtype=np.float64)  # a copy: a record never changes behind its owner's back
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} must be numbers: {error}") from error
+    if array.ndim != 1:
+        raise DataError(f"{name} must be one-dimensional, got shape {array.shape}")
+    array.flags.writeable = False
+    return array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Record:
+    """One run of an experiment: input `u`, output `y`, maybe time `t`, and which samples count.
+
+    Attributes:
+        u: input, shape (T,), finite.
+        y: output, shape (T,); NaN marks a missing measurement (it is simulated, never fitted).
+        t: time of each sample [t_unit], shape (T,), non-decreasing; None where there is none.
+        weight: shape (T,), 1 where the sample counts in a fit or a metric and 0 where it does not.
+        u_unit, y_unit, t_unit: units as written in reports; "" if unknown.
+        u_name, y_name: what the columns were called.
+        name: what the record is called in reports and per-record parameters.
+        source: where it came from (a path, a data set, "simulated").
+        sha256: checksum of the file that it was read from; None if it was not read from a file.
+        notes: what the reader guessed, dropped or changed, one sentence each.
+
+    Raises:
+        DataError: lengths differ, fewer than two samples, no finite output, non-finite input or time that runs back.
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    t: np.ndarray | None = None
+    weight: Any = None  # an array once made
+    u_unit: str = ""
+    y_unit: str = ""
+    t_unit: str = "s"
+    u_name: str = "u"
+    y_name: str = "y"
+    name: str = "record"
+    source: str = ""
+    sha256: str | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        put = lambda field, value: object.__setattr__(self, field, value)
+        put("u", _column("input u", self.u))
+        put("y", _column("output y", self.y))
+        if self.t is not None:
+            put("t", _column("time t", self.t))
+        weight = np.ones(self.u.size) if self.weight is None else self.weight
+        put("weight", _column("weight", weight))
+        self._check()
+
+    def _check(self) -> None:
+        lengths = {"u": self.u.size, "y": self.y.size, "weight": self.weight.size}
+        if self.t is not None:
+            lengths["t"] = self.t.size
+        if len(set(lengths.values())) != 1:
+            told = ", ".join(f"{k} {n}" for k, n in lengths.items())
+            raise DataError(f"record {self.name!r}: the columns differ in length ({told})")
+        if self.u.size < 2:
+            raise DataError(f"record {self.name!r} has {self.u.size} sample(s); a loop needs at least two")
+        bad = ~np.isfinite(self.u)
+        if bad.any():
+            raise DataError(
+                f"record {self.name!r}: the input is not finite at {bad.sum()} samples, first at number "
+                f"{int(np.argmax(bad))}; a model cannot be driven through a gap: leave those rows out or split there"
+            )
+        if np.isinf(self.y).any():
+            raise DataError(f"record {self.name!r}: the output is infinite at {int(np.isinf(self.y).sum())} samples")
+        if not np.isfinite(self.y).any():
+            raise DataError(f"record {self.name!r}: the output has no finite value")
+        if self.t is not None:
+            step = np.diff(self.t)
+            if not np.isfinite(self.t).all() or (step < 0).any():
+                raise DataError(
+                    f"record {self.name!r}: time is not finite or runs back at sample {int(np.argmax(~(step >= 0))) + 1}"
+                )
+        if not np.isfinite(self.weight).all() or (self.weight < 0).any():
+            raise DataError(f"record {self.name!r}: weights must be finite and not negative")
+
+    def __len__(self) -> int:
+        return self.u.size
+
+    def __repr__(self) -> str:
+        told = [f"{len(self)} samples"]
+        if (left_out := len(self) - int(self.used.sum())) > 0:
+            told[0] += f" ({left_out} do not count)"
+        told += [
+            f"{name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}".rstrip()
+            for name, values, unit in (
+                (self.u_name, self.u, self.u_unit),
+                (self.y_name, self.y, self.y_unit),
+                ("time", self.t, self.t_unit),
+            )
+            if values is not None
+        ]
+        return f"<Record {self.name!r}: {', '.join(told)}>"
+
+    @property
+    def used(self) -> np.ndarray:
+        """Samples that count: positive weight and a measured output, shape (T,), bool."""
+        return (self.weight > 0) & np.isfinite(self.y)
+
+    @property
+    def dt(self) -> np.ndarray:
+        """Time over which each input acted before its sample was read [t_unit], shape (T,); all 0 where there is no time.
+
+        That is the time since the sample before, and for the first sample the typical sampling interval.
+        """
+        if self.t is None:
+            return np.zeros(len(self))
+        steps = np.diff(self.t)
+        return np.concatenate([[np.median(steps[steps > 0])] if (steps > 0).any() else [0.0], steps])
+
+    def replace(self, **changes: object) -> Record:
+        """Copy with some fields changed."""
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+    def window(self, start: float | None = None, stop: float | None = None) -> Record:
+        """The same record in which only samples with start <= t < stop count.
+
+        The input before the window still drives the model, so that the memory is right when the window begins.
+        Limits are seconds where the record has time, sample numbers where it has none.
+
+        Raises:
+            DataError: no sample lies in the window.
+        """
+        axis = np.arange(len(self)) if self.t is None else self.t
+        inside = (axis >= (-np.inf if start is None else start)) & (axis < (np.inf if stop is None else stop))
+        weight = np.where(inside, self.weight, 0.0)
+        if not (inside & self.used).any():
+            unit = "samples" if self.t is None else self.t_unit
+            raise DataError(
+                f"record {self.name!r}: no sample counts between {start} and {stop} {unit}; "
+                f"the record runs from {axis[0]:g} to {axis[-1]:g}"
+            )
+        return self.replace(weight=weight)
+
+    def segment(self, start: int, stop: int) -> Record:
+        """Rows start <= i < stop as a record of their own, with none of the input before them."""
+        t = None if self.t is None else self.t[start:stop]
+        return self.replace(u=self.u[start:stop], y=self.y[start:stop], t=t, weight=self.weight[start:stop])
+
+    def blocks(self, count: int) -> list[np.ndarray]:
+        """Split the samples that count into contiguous blocks of about equal size: one boolean mask (T,) each."""
+        parts = np.array_split(np.flatnonzero(self.used), count)
+        masks = []
+        for part in parts:
+            mask = np.zeros(len(self), dtype=bool)
+            mask[part] = True
+            masks.append(mask)
+        return masks
+
+    def digest(self) -> str:
+        """SHA-256 over the numbers themselves, the same however they were read."""
+        hasher = hashlib.sha256()
+        for column in (self.u, self.y, self.t, self.weight):
+            hasher.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
+        return hasher.hexdigest()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dataset:
+    """Several records that one model should explain, each with a name of its own.
+
+    Raises:
+        DataError: no records, or two of the same name.
+    """
+
+    records: tuple[Record, ...]
+    name: str = "data"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "records", tuple(self.records))
+        if not self.records:
+            raise DataError(f"data set {self.name!r} has no records")
+        names = [record.name for record in self.records]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise DataError(f"data set {self.name!r}: record names must differ, found {twice} more than once")
+
+    @classmethod
+    def of(cls, data: Record | Dataset | Iterable[Record]) -> Dataset:
+        """A data set from whatever holds records."""
+        if isinstance(data, Dataset):
+            return data
+        if isinstance(data, Record):
+            return cls((data,), name=data.name)
+        try:
+            records = tuple(data)
+        except TypeError as error:
+            raise DataError(f"expected a Record, a Dataset or a list of records, got {type(data).__name__}") from error
+        for record in records:
+            if not isinstance(record, Record):
+                raise DataError(
+                    f"expected records, got {type(record).__name__}: make them with hystfit.Record(u=..., y=..., t=...)"
+                )
+        return cls(records)
+
+    def __iter__(self) -> Iterator[Record]:
+        return iter(self.records)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __repr__(self) -> str:
+        return "\n".join(
+            [f"<Dataset {self.name!r}: {len(self)} records>", *(f"  {record!r}" for record in self.records)]
+        )
+
+    def __getitem__(self, key: int | str) -> Record:
+        if isinstance(key, int):
+            return self.records[key]
+        for record in self.records:
+            if record.name == key:
+                return record
+        raise DataError(f"no record {key!r}; there are {[r.name for r in self.records]}")
+
+    def select(self, names: Sequence[str]) -> Dataset:
+        """The records of these names, in this order."""
+        return Dataset(tuple(self[name] for name in names), name=self.name)
+
+    def map(self, change: object) -> Dataset:
+        """Apply a function Record -> Record to every record."""
+        return Dataset(tuple(change(record) for record in self.records), name=self.name)  # type: ignore[operator]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of u, y and t, from the first record that gives one."""
+        found = {}
+        for symbol in ("u", "y", "t"):
+            units = [getattr(record, f"{symbol}_unit") for record in self.records]
+            found[symbol] = next((unit for unit in units if unit), "")
+        return found

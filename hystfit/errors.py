@@ -1,0 +1,28 @@
+"""Errors that a user can act on: every message says what was found and what to do."""
+
+
+class HystfitError(ValueError):
+    """Base of all errors that hystfit raises on purpose; the command line turns one into exit status 2."""
+
+
+class DataError(HystfitError):
+    """A record or file cannot be used as it is."""
+
+
+class ParameterError(HystfitError):
+    """A parameter name, value, bound or unit is not usable."""
+
+
+class ModelError(HystfitError):
+    """A model is unknown, badly composed, or cannot serve the data."""
+
+
+class PrecisionError(HystfitError):
+    """Double precision is off."""
+
+
+class MissingExtraError(HystfitError):
+    """An optional package is not installed."""
+
+    def __init__(self, package: str, extra: str, purpose: str):
+        super().__init__(f"{purpose} needs the package {package!r}: pip install 'hystfit[{extra}]'")

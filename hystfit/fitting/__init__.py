@@ -1,0 +1,1 @@
+"""Batch estimators: from a problem and starts to a point in parameter space."""

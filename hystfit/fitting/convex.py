@@ -1,0 +1,246 @@
+"""Models that are linear in their weights: bounded, regularised least squares with the strength chosen on data left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array
+
+from hystfit.errors import ModelError
+from hystfit.fitting.estimate import AbstractEstimator, Estimate
+from hystfit.problem import Objective, Problem
+
+STRENGTHS = tuple(10.0**k for k in range(-10, 0))
+_BLOCKS = 5
+
+
+@eqx.filter_jit
+def _respond(objective: Objective, x: Array, at: Array) -> tuple[Array, Array]:
+    """Prediction with the linear parameters at zero, (R T,), and the response to each of them, (R T, p)."""
+    x = x.at[at].set(0.0)
+    predict = lambda w: objective.predict_physical(x.at[at].set(w)).reshape(-1)
+    zero = jnp.zeros(at.shape[0], x.dtype)
+    return predict(zero), jax.jacfwd(predict)(zero)
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearSystem:
+    """Responses of the samples that count to the linear parameters: what is left of a problem when the others are given.
+
+    Attributes:
+        columns: shape (n, p), weighted.
+        target: measured output less the response with all weights zero, weighted, shape (n,).
+        free: parameters without a lower bound, shape (p,), bool; the others are >= 0.
+        ridged: parameters that the regularisation holds back (all but the offsets of records), shape (p,), bool.
+        block: of each sample, which left-out block it belongs to, shape (n,).
+    """
+
+    columns: np.ndarray
+    target: np.ndarray
+    free: np.ndarray
+    ridged: np.ndarray
+    block: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Problem, x: np.ndarray, which: np.ndarray | None = None) -> LinearSystem:
+        """The system at given values of the other parameters; for all linear parameters, or those of `which`, shape (p,), bool.
+
+        Raises:
+            ModelError: a linear parameter with bounds other than none or (0, infinity).
+        """
+        at = linear_positions(problem) if which is None else np.flatnonzero(which)
+        lower, upper = (np.asarray(b)[at] for b in (problem.space.coordinates.lower, problem.space.coordinates.upper))
+        if np.isfinite(upper).any() or (np.isfinite(lower) & (lower != 0)).any():
+            names = [problem.space.names[k] for k in at]
+            raise ModelError(f"linear parameters must be free or >= 0 for a convex fit: {names}; use method='trf'")
+        base, columns = (np.asarray(v) for v in _respond(problem.objective, jnp.asarray(x), jnp.asarray(at)))
+        batch = problem.objective.batch
+        weight = np.sqrt(np.asarray(batch.weight)).reshape(-1)
+        used = weight > 0
+        target = (np.asarray(batch.y).reshape(-1) - base)[used] * weight[used]
+        ridged = np.array([not problem.space.infos[k].per_record for k in at])
+        return cls(
+            columns[used] * weight[used, None], target, ~np.isfinite(lower), ridged, _block_of(used, batch.u.shape)
+        )
+
+    def take(self, at: Sequence[int]) -> LinearSystem:
+        """The system with some of its columns only."""
+        k = np.asarray(at, dtype=int)
+        return dataclasses.replace(self, columns=self.columns[:, k], free=self.free[k], ridged=self.ridged[k])
+
+    def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Normal matrices of the blocks, (blocks, p + 1, p + 1), on columns divided by `scale`; the target comes last."""
+        scale = self.columns.std(axis=0)
+        scale = np.where(scale > 1e-9 * max(scale.max(initial=0.0), 1e-300), scale, np.inf)
+        constant = ~self.ridged  # an offset has no spread, and needs no common scale
+        scale[constant] = 1.0
+        joint = np.column_stack([self.columns / scale, self.target])
+        blocks = [joint[self.block == k] for k in range(self.block.max() + 1)]
+        return np.stack([part.T @ part for part in blocks]), scale, np.array([len(part) for part in blocks])
+
+
+def linear_positions(problem: Problem) -> np.ndarray:
+    """Positions in x of the parameters in which the output is linear."""
+    return np.flatnonzero([info.linear for info in problem.space.infos])
+
+
+def left_out_blocks(problem: Problem) -> list[np.ndarray]:
+    """For each record the block of every sample, shape (T_r,): -1 where it does not count."""
+    batch = problem.objective.batch
+    used = np.asarray(batch.weight).reshape(-1) > 0
+    flat = np.full(used.size, -1)
+    flat[used] = _block_of(used, batch.u.shape)
+    return [row[: len(record)] for row, record in zip(flat.reshape(batch.u.shape), problem.data, strict=True)]
+
+
+def _block_of(used: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Contiguous blocks: whole records where there are at least three of them, else five parts of each record."""
+    record = np.repeat(np.arange(shape[0]), shape[1])[used]
+    if shape[0] >= 3:
+        return record
+    block = np.zeros(record.size, dtype=int)
+    for k in range(shape[0]):
+        mine = np.flatnonzero(record == k)
+        for number, part in enumerate(np.array_split(mine, _BLOCKS)):
+            block[part] = number
+    return block
+
+
+def solve_normal(matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> np.ndarray:
+    """Minimise w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
+
+    Free unknowns are eliminated (Schur complement), the others solved by non-negative least squares on a square root.
+    """
+    p = len(matrix) - 1
+    A, b = matrix[:p, :p] + np.diag(ridge), matrix[:p, p]
+    A = A + 1e-12 * np.trace(A) / p * np.eye(p)
+    bound = ~free
+    if not bound.any():
+        return np.linalg.solve(A, b)
+    inner = np.linalg.solve(A[np.ix_(free, free)], np.column_stack([A[np.ix_(free, bound)], b[free]]))
+    S = A[np.ix_(bound, bound)] - A[np.ix_(bound, free)] @ inner[:, :-1]
+    c = b[bound] - A[np.ix_(bound, free)] @ inner[:, -1]
+    values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+    root = np.sqrt(np.maximum(values, 1e-13 * values.max()))
+    w, _ = scipy.optimize.nnls((vectors * root).T, (vectors / root).T @ c, maxiter=50 * len(c))
+    out = np.empty(p)
+    out[bound] = w
+    out[free] = inner[:, -1] - inner[:, :-1] @ w
+    return out
+
+
+@dataclasses.dataclass(frozen=True)
+class RidgeFit:
+    """Solution of a `LinearSystem`.
+
+    Attributes:
+        weights: shape (p,).
+        strength: of the ridge, relative to the samples' number, on columns of unit spread.
+        ridge: what it adds to the normal matrix of the weights, diagonal, shape (p,).
+        left_out: root mean square error on blocks left out, in (weighted) output units, for each strength tried.
+        rss: sum of squared residuals.
+    """
+
+    weights: np.ndarray
+    strength: float
+    ridge: np.ndarray
+    left_out: np.ndarray
+    rss: float
+
+    @property
+    def score(self) -> float:
+        """The smallest error on blocks left out."""
+        return float(np.min(self.left_out))
+
+
+def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) -> RidgeFit:
+    """Solve, with the strength whose error on contiguous blocks left out in turn is smallest."""
+    grams, scale, counts = system.normal()
+    total, n = grams.sum(axis=0), counts.sum()
+    dead = ~np.isfinite(scale)
+    held = system.ridged | dead
+    left_out = []
+    for strength in strengths:
+        error = 0.0
+        for gram, count in zip(grams, counts, strict=True):
+            w = solve_normal(total - gram, system.free, held * strength * (n - count) + dead)
+            r = np.append(-w, 1.0)
+            error += max(float(r @ gram @ r), 0.0)
+        left_out.append(np.sqrt(error / n))
+    best = int(np.argmin(left_out))
+    ridge = held * strengths[best] * n + dead
+    w = solve_normal(total, system.free, ridge)
+    r = np.append(-w, 1.0)
+    finite = np.where(dead, 1.0, scale)
+    weights = np.where(dead, 0.0, w / finite)
+    return RidgeFit(weights, strengths[best], ridge * finite**2, np.array(left_out), max(float(r @ total @ r), 0.0))
+
+
+class Convex(AbstractEstimator):
+    """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by a simplex outside.
+
+    For plays, relays and creep weights: dozens of unknowns, of which many end on zero. With nonlinear parameters free (a lag, a
+    bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end.
+
+    Attributes:
+        strengths: of the ridge, among which blocks left out choose.
+        max_evaluations: of the outer search.
+    """
+
+    strengths: tuple[float, ...] = eqx.field(static=True, default=STRENGTHS)
+    max_evaluations: int = eqx.field(static=True, default=80)
+
+    def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
+        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.
+
+        Raises:
+            ModelError: no free parameter enters linearly, or one has bounds that this method does not serve.
+        """
+        at = linear_positions(problem)
+        if not at.size:
+            raise ModelError(f"{type(problem.model).__name__} has no linear weights: use method='lm' or 'trf'")
+        others = np.setdiff1d(np.arange(len(problem.space)), at)
+        x = np.array(problem.space.physical(starts[0]))
+        evaluations, converged, message = 1, True, "solved"
+        if others.size:
+            x, evaluations, converged, message = self._search(problem, starts[0], others)
+        system = LinearSystem.of(problem, x)
+        fit = fit_ridge(system, self.strengths)
+        x[at] = fit.weights
+        size = problem.scales.y
+        penalty = np.zeros(x.size)
+        penalty[at] = fit.ridge / size**2
+        note = (
+            f"ridge {fit.strength:.0e} chosen on {system.block.max() + 1} blocks left out "
+            f"(error there {fit.score / (2 * size):.2%} of the range)"
+        )
+        if fit.strength == max(self.strengths):
+            note += "; it is the largest tried: the model hardly helps to predict what was left out"
+        cost = 0.5 * fit.rss / size**2
+        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, (note,))
+
+    def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
+        strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
+
+        def cost(inner: np.ndarray) -> float:
+            trial = z.copy()
+            trial[others] = inner
+            fit = fit_ridge(LinearSystem.of(problem, problem.space.physical(trial)), (strength,))
+            return float(np.log(fit.score + 1e-300))
+
+        options = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
+        found = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
+        z = z.copy()
+        z[others] = found.x
+        message = (
+            "converged"
+            if found.success
+            else f"the search over nonlinear parameters stopped after {found.nfev} evaluations"
+        )
+        return np.array(problem.space.physical(z)), int(found.nfev), bool(found.success), message

@@ -1,0 +1,51 @@
+"""What every batch estimator takes and returns."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+
+from hystfit.problem import Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A point in parameter space and how it was reached.
+
+    Attributes:
+        x: free parameters in physical units, shape (p,); a weight may lie exactly on its bound.
+        cost: half the sum of squared residuals (in units of the output's half range).
+        converged: the solver met its tolerances.
+        message: what the solver said, and what to try if it failed.
+        evaluations: steps of the solver, over all starts.
+        costs: cost that each start reached, shape (starts,); not finite where one failed.
+        penalty: what regularisation adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
+            without regularisation.
+        notes: what was chosen on the way, one sentence each.
+    """
+
+    x: np.ndarray
+    cost: float
+    converged: bool
+    message: str
+    evaluations: int
+    costs: np.ndarray
+    penalty: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def in_best_basin(self) -> int:
+        """How many starts came within 1 % of the best cost."""
+        finite = self.costs[np.isfinite(self.costs)]
+        return int(np.sum(finite <= finite.min() * 1.01 + 1e-300)) if finite.size else 0
+
+
+class AbstractEstimator(eqx.Module):
+    """A way to fit a problem; its settings are its fields."""
+
+    @abc.abstractmethod
+    def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
+        """Fit from starts of shape (S, p) in unconstrained coordinates; the first is the data-driven one."""

@@ -1,0 +1,76 @@
+"""Least squares in unconstrained coordinates by optimistix: the default estimator."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array
+
+from hystfit.fitting.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.trust_region import TrustRegion
+from hystfit.problem import Objective, Problem
+
+
+def _residuals(z: Array, objective: Objective) -> Array:
+    return objective.residuals(z)
+
+
+class LeastSquares(AbstractEstimator):
+    """Levenberg-Marquardt or dogleg with forward-mode Jacobians, from several starts.
+
+    Every start gets a few steps, in which most reach their basin; the best goes on in rounds of as many. A parameter that
+    slides to its bound never settles in unconstrained coordinates: the bounded trust region then finishes the fit.
+
+    Attributes:
+        method: "lm" or "dogleg".
+        rtol, atol: relative and absolute tolerance on z and on the cost.
+        max_steps: in a round.
+        rounds: that the best start goes on for.
+    """
+
+    method: Literal["lm", "dogleg"] = eqx.field(static=True, default="lm")
+    rtol: float = eqx.field(static=True, default=1e-8)
+    atol: float = eqx.field(static=True, default=1e-10)
+    max_steps: int = eqx.field(static=True, default=25)
+    rounds: int = eqx.field(static=True, default=4)
+
+    def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
+        """See `AbstractEstimator.estimate`."""
+        objective = problem.objective
+        runs = [self._run(objective, z0) for z0 in starts]  # one compilation serves any number of starts
+        costs = np.array([cost for _, cost, _, _ in runs])
+        number = int(np.argmin(costs))
+        z, cost, success, _ = runs[number]
+        steps = sum(run[3] for run in runs)
+        for _ in range(self.rounds):
+            if success or not np.isfinite(cost):
+                break
+            z, cost, success, more = self._run(objective, z)
+            steps += more
+        costs[number] = min(cost, costs[number])
+        x = problem.space.physical(z)
+        if success and np.isfinite(z).all():
+            return Estimate(x, float(costs[number]), True, "converged", steps, costs)
+        finished = TrustRegion().estimate(problem, np.asarray(z)[None])
+        message = "finished by the bounded trust region" if finished.converged else finished.message
+        costs[number] = finished.cost
+        return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
+
+    def _run(self, objective: Objective, z0: np.ndarray) -> tuple[np.ndarray, float, bool, int]:
+        z, cost, success, steps = _solve(self, objective, jnp.asarray(z0))
+        return np.asarray(z), float(cost), bool(success), int(steps)
+
+
+@eqx.filter_jit
+def _solve(settings: LeastSquares, objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array]:
+    solver: Any = (optx.LevenbergMarquardt if settings.method == "lm" else optx.Dogleg)(settings.rtol, settings.atol)
+    solution = optx.least_squares(
+        _residuals, solver, z0, args=objective, options={"jac": "fwd"}, max_steps=settings.max_steps, throw=False
+    )
+    cost = 0.5 * jnp.sum(objective.residuals(solution.value) ** 2)
+    cost = jnp.where(jnp.isfinite(cost) & jnp.isfinite(solution.value).all(), cost, jnp.inf)
+    return solution.value, cost, solution.result == optx.RESULTS.successful, solution.stats["num_steps"]

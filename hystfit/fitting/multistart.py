@@ -1,0 +1,30 @@
+"""Starting points: the data-driven one, and a Latin hypercube around it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import qmc
+
+from hystfit.params import BOTH
+from hystfit.problem import Problem
+
+_SPREAD = 1.5  # in z: a factor of about 4 either way for a positive parameter
+
+
+def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """`count` starts of shape (count, p): the center first, the others a Latin hypercube within the bounds.
+
+    Positive and real parameters spread by 1.5 in z around the center, parameters with two bounds over most of their range; parameters
+    that enter linearly stay at the center (least squares moves them in one step).
+    """
+    starts = np.tile(center, (max(count, 1), 1))
+    if count <= 1:
+        return starts
+    unit = qmc.LatinHypercube(center.size, rng=np.random.default_rng(seed)).random(count - 1)
+    both = np.array([kind == BOTH for kind in problem.space.coordinates.kinds])
+    linear = np.array([info.linear for info in problem.space.infos])
+    inside = 0.05 + 0.9 * unit
+    over_range = np.log(inside) - np.log1p(-inside)
+    around = center + _SPREAD * (2 * unit - 1)
+    starts[1:] = np.where(linear, center, np.where(both, over_range, around))
+    return starts

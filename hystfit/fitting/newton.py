@@ -1,0 +1,145 @@
+"""Small dense optimisers for compiled code: damped Newton on any smooth function, Levenberg-Marquardt on normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+_FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
+_LONGEST = 2.0  # step in z, infinity norm
+_HALVINGS = 30
+_DIFFERENCE = 1e-4  # in z
+
+
+class Optimum(NamedTuple):
+    """Where an optimiser stopped.
+
+    Attributes:
+        z: coordinates, shape (d,).
+        value: of the function.
+        hessian: second derivatives there, shape (d, d).
+        converged: the predicted gain of a further step is negligible.
+    """
+
+    z: Float[Array, " d"]
+    value: Float[Array, ""]
+    hessian: Float[Array, "d d"]
+    converged: Array
+
+
+def forward(function: Callable[[Array], Array]) -> Callable[[Array], tuple[Array, Array]]:
+    """Value and gradient of a scalar function from one forward pass: for few coordinates the cheapest, else one backward pass."""
+
+    def both(z: Array) -> tuple[Array, Array]:
+        if z.shape[0] > _FORWARD:
+            return jax.value_and_grad(function)(z)
+        return jax.vmap(lambda t: jax.jvp(function, (z,), (t,)), out_axes=(None, 0))(jnp.eye(z.shape[0]))
+
+    return both
+
+
+def curvature(slope: Callable[[Array], tuple[Array, Array]], z: Float[Array, " d"]) -> Float[Array, "d d"]:
+    """Hessian by central differences of the gradient: second derivatives through a scan cost far more on a CPU."""
+    steps = _DIFFERENCE * jnp.eye(z.shape[0])
+    rows = jax.lax.map(lambda e: (slope(z + e)[1] - slope(z - e)[1]) / (2 * _DIFFERENCE), steps)
+    return 0.5 * (rows + rows.T)
+
+
+def maximize(
+    function: Callable[[Array], Array],
+    z: Float[Array, " d"],
+    slope: Callable[[Array], tuple[Array, Array]] | None = None,
+    steps: int = 60,
+) -> Optimum:
+    """Climb to a maximum by Newton steps on the absolute curvature, with halving: it leaves saddles and never falls.
+
+    Args:
+        function: of z, scalar.
+        z: start.
+        slope: value and gradient of z; a forward pass through the function by default.
+        steps: at most.
+    """
+    slope = slope or forward(function)
+
+    def try_step(z: Array, value: Array, step: Array) -> tuple[Array, Array]:
+        def worse(carry: tuple[Array, Array, Array]) -> Array:
+            _, new, k = carry
+            return ~(new > value) & (k < _HALVINGS)
+
+        def halve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            t, _, k = carry
+            return 0.5 * t, function(z + 0.5 * t * step), k + 1
+
+        t, new, _ = jax.lax.while_loop(worse, halve, (jnp.ones(()), function(z + step), jnp.asarray(0)))
+        better = new > value
+        return jnp.where(better, z + t * step, z), jnp.where(better, new, value)
+
+    def go_on(carry: tuple[Array, ...]) -> Array:
+        return ~carry[2] & (carry[3] < steps)
+
+    def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        z, _, _, k, _ = carry
+        (value, gradient), hessian = slope(z), curvature(slope, z)
+        size, axes = jnp.linalg.eigh(jnp.where(jnp.isfinite(hessian), hessian, 0.0))
+        size = jnp.maximum(jnp.abs(size), 1e-8 * jnp.max(jnp.abs(size)) + 1e-12)
+        along = axes.T @ jnp.where(jnp.isfinite(gradient), gradient, 0.0)
+        step = axes @ (along / size)
+        step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
+        gain = jnp.sum(along**2 / size)
+        moved, new = try_step(z, value, step)
+        small = gain < 1e-7
+        return moved, new, small | (new <= value), k + 1, small | (gain < 1e-2)
+
+    no = jnp.zeros((), bool)
+    z, value, _, _, converged = jax.lax.while_loop(go_on, once, (z, function(z), no, jnp.asarray(0), no))
+    hessian = curvature(slope, z)
+    return Optimum(z, value, hessian, converged & jnp.isfinite(value) & jnp.all(jnp.isfinite(hessian)))
+
+
+def descend(
+    cost: Callable[[Array], Array],
+    normal: Callable[[Array], tuple[Array, Array, Array]],
+    z: Float[Array, " p"],
+    moving: Any,
+    steps: int = 30,
+    tolerance: float = 1e-9,
+) -> tuple[Float[Array, " p"], Float[Array, ""], Array]:
+    """Levenberg-Marquardt on half a sum of squares: (z, cost, converged).
+
+    Args:
+        cost: of z.
+        normal: (cost, gradient, Gauss-Newton matrix) of z.
+        z: start.
+        moving: which coordinates may move, shape (p,), bool.
+        steps: at most.
+        tolerance: predicted gain, absolute and relative to the cost, at which it stops.
+    """
+
+    def go_on(carry: tuple[Array, ...]) -> Array:
+        return ~carry[3] & (carry[4] < steps)
+
+    def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        z, value, damping, _, k = carry
+        _, gradient, matrix = normal(z)
+        g = jnp.where(moving, gradient, 0.0)
+        both = moving[:, None] & moving[None, :]
+        diagonal = jnp.maximum(jnp.diag(matrix), 1e-12 * jnp.max(jnp.diag(matrix)) + 1e-300)
+        scale = 1 / jnp.sqrt(diagonal)
+        scaled = jnp.where(both, matrix, 0.0) * scale[:, None] * scale[None, :]
+        scaled = scaled + jnp.diag(jnp.where(moving, damping, 1.0))
+        step = -scale * jnp.linalg.solve(scaled, scale * g)
+        step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
+        new = cost(z + step)
+        better = new < value
+        gain = -jnp.sum(g * step)
+        done = gain < tolerance * (1 + value)
+        damping = jnp.where(better, jnp.maximum(0.1 * damping, 1e-10), 10.0 * jnp.maximum(damping, 1e-6))
+        return jnp.where(better, z + step, z), jnp.where(better, new, value), damping, done | (damping > 1e9), k + 1
+
+    start = (z, cost(z), jnp.asarray(1e-6), jnp.zeros((), bool), jnp.asarray(0))
+    z, value, _, done, _ = jax.lax.while_loop(go_on, once, start)
+    return z, value, done

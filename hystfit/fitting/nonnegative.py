@@ -1,0 +1,67 @@
+"""Quadratic programs with some unknowns >= 0, from their normal equations, by block principal pivoting (Kim and Park 2011)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+
+_PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one
+_LIMIT = 400
+
+
+def solve_nonnegative(
+    A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Minimise w'Aw / 2 - b'w with w >= 0 where `bounded`.
+
+    Args:
+        A: positive definite, shape (p, p).
+        b: shape (p,).
+        bounded: which unknowns are >= 0, shape (p,), bool.
+        start: which unknowns are positive at a neighboring solution, shape (p,), bool; None for none.
+
+    Returns:
+        w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
+    """
+    active = ~bounded if start is None else start | ~bounded
+    fewest, patience = b.size + 1, _PATIENCE
+    for _ in range(_LIMIT):
+        w, dual = _solve_on(A, b, active)
+        wrong = bounded & np.where(active, w < -_slack(w), dual < -1e-11 * np.abs(b).max(initial=1e-300))
+        count = int(wrong.sum())
+        if count == 0:
+            return np.where(bounded, np.maximum(w, 0.0), w), active
+        if count < fewest:
+            fewest, patience = count, _PATIENCE
+        elif patience:
+            patience -= 1
+        else:  # Murty's rule: one at a time always ends
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        active = active ^ wrong
+    return _by_root(A, b, bounded)
+
+
+def _slack(w: np.ndarray) -> float:
+    return 1e-13 * float(np.abs(w).max(initial=0.0))
+
+
+def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    w = np.zeros(b.size)
+    at = np.flatnonzero(active)
+    if at.size:
+        factor = scipy.linalg.cho_factor(A[np.ix_(at, at)], overwrite_a=True, check_finite=False)
+        w[at] = scipy.linalg.cho_solve(factor, b[at], check_finite=False)
+    return w, A[:, at] @ w[at] - b
+
+
+def _by_root(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The slow way, by an active set on a square root of A: free unknowns as differences of two that are not negative."""
+    values, vectors = np.linalg.eigh(A)
+    root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
+    L, d = (vectors * root).T, (vectors / root).T @ b
+    free = np.flatnonzero(~bounded)
+    w, _ = scipy.optimize.nnls(np.column_stack([L, -L[:, free]]), d, maxiter=100 * b.size)
+    x = w[: b.size].copy()
+    x[free] -= w[b.size :]
+    return x, ~bounded | (x > 0)

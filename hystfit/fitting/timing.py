@@ -1,0 +1,37 @@
+"""How much of a call was compilation, as JAX itself reports it."""
+
+from __future__ import annotations
+
+import time
+
+import jax.monitoring
+
+_COMPILING = (
+    "/jax/core/compile/jaxpr_trace_duration",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration",
+    "/jax/core/compile/backend_compile_duration",
+)
+_spent = 0.0
+_listening = False
+
+
+def _listen(event: str, seconds: float, **_: object) -> None:
+    global _spent
+    if event in _COMPILING:
+        _spent += seconds
+
+
+class Stopwatch:
+    """Wall time since it was made, split into compiling and running."""
+
+    def __init__(self) -> None:
+        global _listening
+        if not _listening:
+            jax.monitoring.register_event_duration_secs_listener(_listen)
+            _listening = True
+        self._compiled, self._started = _spent, time.perf_counter()
+
+    def read(self) -> tuple[float, float]:
+        """(seconds compiling, seconds running)."""
+        total, compiled = time.perf_counter() - self._started, _spent - self._compiled
+        return min(compiled, total), max(total - compiled, 0.0)

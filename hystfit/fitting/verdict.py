@@ -1,0 +1,104 @@
+"""The verdict on a fit, in words: usable or not, what is not determined, which bounds were reached."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.record import Dataset
+from hystfit.fitting.covariance import Uncertainty
+from hystfit.fitting.estimate import Estimate
+from hystfit.metrics import Metrics
+from hystfit.models.base import AbstractHysteresis
+
+_POOR = 10.0  # percent of range above which no fit is called usable
+_SHARE = 0.7  # of the error of a single-valued curve: above it the loop itself is not described
+_MANY = 12  # weights above this number are counted in a note, not named
+
+
+def turns_back(data: Dataset) -> bool:
+    """Whether any record's input reverses by more than 1 % of its range while samples count."""
+    for record in data:
+        u = record.u[: int(np.flatnonzero(record.used)[-1]) + 1]
+        span = float(np.ptp(u))
+        risen = float(np.max(u - np.minimum.accumulate(u)))
+        fallen = float(np.max(np.maximum.accumulate(u) - u))
+        if min(risen, fallen) > 0.01 * span > 0:
+            return True
+    return False
+
+
+def curve_error(data: Dataset) -> float:
+    """RMSE of the best single-valued curve (Legendre degree 7, an offset for each record): what ignoring hysteresis costs."""
+    rows, right = [], []
+    low = min(float(r.u.min()) for r in data)
+    high = max(float(r.u.max()) for r in data)
+    for k, record in enumerate(data):
+        x = 2 * (record.u[record.used] - low) / (high - low) - 1
+        own = np.zeros((x.size, len(data)))
+        own[:, k] = 1.0
+        rows.append(np.hstack([np.polynomial.legendre.legvander(x, 7)[:, 1:], own]))
+        right.append(record.y[record.used])
+    A, y = np.concatenate(rows), np.concatenate(right)
+    return float(np.sqrt(np.mean((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2)))
+
+
+def status_of(data: Dataset, estimate: Estimate, train: Metrics) -> tuple[str, list[str]]:
+    """Status of a fit, and why."""
+    if not turns_back(data):
+        return "no-loop", ["the input never turns back by more than 1 % of its range: there is no loop in these data"]
+    percent = train.nrmse_percent if train.nrmse_percent is not None else np.inf
+    plain = curve_error(data)
+    if percent > _POOR:
+        return "poor", [f"the error is {percent:.3g} % of the range: the model does not describe this loop"]
+    if percent > 3.0 and train.rmse > _SHARE * plain:
+        return "poor", [
+            f"the error is {train.rmse / plain:.0%} of what a single-valued curve without hysteresis leaves: "
+            "the loop itself is not described"
+        ]
+    if not estimate.converged:
+        return "not-converged", [estimate.message]
+    return "ok", []
+
+
+def notes_of(
+    data: Dataset,
+    model: AbstractHysteresis,
+    names: Sequence[str],
+    linear: Sequence[bool],
+    estimate: Estimate,
+    errors: Uncertainty,
+    bounds: Sequence[str | None],
+) -> list[str]:
+    """What a reader must know beside the numbers."""
+    notes = list(estimate.notes)
+    for record in data:
+        notes += [line for line in model.advice(record.u) if line not in notes]
+    reached = [
+        (name, side) for name, side, is_linear in zip(names, bounds, linear, strict=True) if side and not is_linear
+    ]
+    notes += [
+        f"{name} ran into its {side} bound: it has no standard error, and the others assume that it stays there"
+        for name, side in reached
+    ]
+    zero = sum(1 for side, is_linear in zip(bounds, linear, strict=True) if side and is_linear)
+    if zero:
+        notes.append(f"{zero} of {sum(linear)} linear weights are zero (on their bound)")
+    idle = [name for name, none in zip(names, errors.inactive, strict=True) if none]
+    if idle:
+        shown = ", ".join(idle[:_MANY]) + (f" and {len(idle) - _MANY} more" if len(idle) > _MANY else "")
+        notes.append(f"no influence on these data: {shown}")
+    if len(errors.directions) > 3 and sum(linear) > _MANY:
+        notes.append(
+            f"{len(errors.directions)} combinations of the weights are not determined by the data (rank {errors.rank} of "
+            f"{len(names)}); predictions within the fitted range do not need them"
+        )
+    else:
+        notes += [f"not determined by these data: {words}" for words in errors.directions]
+    if errors.correlation_time > 1.0:
+        notes.append(
+            f"residuals are correlated over {errors.correlation_time:.3g} samples; standard errors are "
+            f"{errors.ratio:.2g} times those for independent residuals"
+        )
+    return notes

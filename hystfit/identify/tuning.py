@@ -1,0 +1,161 @@
+"""Covariances of the unscented filter, read off records: noise, priors of states and parameters, what a resting input freezes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.data.noise import noise_rms
+from hystfit.data.record import Dataset
+from hystfit.errors import ParameterError
+from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.params import REAL, ParameterSpace
+
+_QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range: a smooth record says less than nothing
+
+
+def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> float:
+    """Standard deviation of the measurement [y]: as given, or estimated from the records with a floor.
+
+    Raises:
+        ParameterError: a noise that is not positive.
+    """
+    if noise is not None:
+        if not (noise > 0 and np.isfinite(noise)):
+            raise ParameterError(f"noise must be a positive standard deviation in units of the output, got {noise:g}")
+        return float(noise)
+    found = [rms for rms, _ in (noise_rms(record.y) for record in data) if rms is not None]
+    return max([_QUIETEST * half_range, *found])
+
+
+@eqx.filter_jit
+def _states(model: Any, u: Array, dt: Array) -> Array:
+    def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        state, _ = model.step(state, *sample)
+        return state, state
+
+    before = jnp.concatenate([u[:1], u[:-1]])
+    return jax.lax.scan(body, model.init(u[0]), (before, u, dt))[1]
+
+
+def state_ranges(model: AbstractHysteresis, data: Dataset) -> np.ndarray:
+    """Range of every state over the records when the model runs freely, shape (states,)."""
+    runs = [np.asarray(_states(model, jnp.asarray(record.u), jnp.asarray(record.dt))) for record in data]
+    ranges = np.max([np.ptp(run, axis=0) for run in runs], axis=0)
+    if not np.isfinite(ranges).all():
+        raise ParameterError("the free run of the start is not finite: start nearer, or use start='data'")
+    return np.maximum(ranges, 1e-12)
+
+
+def initial_error(space: ParameterSpace, data: Dataset) -> float:
+    """Three times the RMS error of the start's free run [y]."""
+    square, count = 0.0, 0
+    for number, record in enumerate(data):
+        model = space.tree(space.unconstrained(space.vector(space.template)), number)
+        y = np.asarray(simulate(model, jnp.asarray(record.u), jnp.asarray(record.dt))[0])
+        square += float(np.sum((record.y - y)[record.used] ** 2))
+        count += int(record.used.sum())
+    return 3.0 * math.sqrt(square / count)
+
+
+def parameter_root(
+    space: ParameterSpace, prior: float | Mapping[str, float] | np.ndarray | None, *, near: bool = False
+) -> np.ndarray:
+    """Root of the prior covariance of z, shape (p, p): from nothing, one deviation, deviations by name, or a covariance.
+
+    Raises:
+        ParameterError: not positive, an unknown name, wrong shape, not symmetric, not positive definite.
+    """
+    kinds = np.asarray(space.coordinates.kinds)
+    # wider, and the outer sigma points of many parameters are so far off that their mean says little
+    deviations = np.where(kinds == REAL, 0.02, 0.2) if near else np.where(kinds == REAL, 0.1, 0.5)
+    if isinstance(prior, Mapping):
+        for name, value in prior.items():
+            leaf, positions = space.find(name)
+            rows = [k for k, source in enumerate(space.sources) if source[0] == leaf and source[1] in positions]
+            if not rows:
+                raise ParameterError(f"prior names {name!r}, which is fixed; free are {', '.join(space.names)}")
+            deviations[rows] = value
+    elif isinstance(prior, np.ndarray) and prior.ndim == 2:
+        return _root_of(prior, len(space))
+    elif prior is not None:
+        deviations = np.full(len(space), float(prior))
+    if not (np.isfinite(deviations).all() and (deviations > 0).all()):
+        raise ParameterError(f"prior must be positive, got {prior}")
+    return np.diag(deviations)
+
+
+def _root_of(covariance: np.ndarray, size: int) -> np.ndarray:
+    if covariance.shape != (size, size):
+        raise ParameterError(f"prior covariance must have shape ({size}, {size}), got {covariance.shape}")
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0):
+        raise ParameterError("prior covariance must be finite and symmetric")
+    try:
+        return np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError as error:
+        least = np.linalg.eigvalsh(covariance)[0]
+        raise ParameterError(
+            f"prior covariance is not positive definite (least eigenvalue {least:.3g}): give deviations, or add to its diagonal"
+        ) from error
+
+
+def rests(space: ParameterSpace, hold: str) -> np.ndarray:
+    """Which free parameters a resting input freezes, shape (p,): those of rate-independent models in the tree, all, or none."""
+    if hold != "auto":
+        return np.full(len(space), hold == "all")
+    flags = []
+    for leaf, _, _ in space.sources:
+        node, owner = space.template, space.template
+        for key in _keys(space.template, space.leaves[leaf].index)[:-1]:
+            node = node[key.idx] if isinstance(key, jax.tree_util.SequenceKey) else getattr(node, key.name)
+            owner = node if isinstance(node, AbstractHysteresis) else owner
+        flags.append(bool(owner.rate_independent))
+    return np.array(flags)
+
+
+def _keys(tree: Any, index: int) -> tuple[Any, ...]:
+    return jax.tree_util.tree_flatten_with_path(tree)[0][index][0]
+
+
+def all_but(model: AbstractHysteresis, only: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
+    """Those of `names` that `only` (leaves or elements) does not mean."""
+    space = ParameterSpace.of(model)
+    chosen = {(leaf, k) for leaf, positions in map(space.find, only) for k in positions}
+    left = []
+    for name in names:
+        leaf, positions = space.find(name)
+        if not {(leaf, k) for k in positions} & chosen:
+            left.append(name)
+    return left
+
+
+def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str) -> np.ndarray:
+    """Standard deviations of the states, shape (states,): as given, one for all, or the default.
+
+    Raises:
+        ParameterError: negative, not finite, or of another length.
+    """
+    if given is None:
+        return default
+    values = np.asarray(given, dtype=float)
+    if values.shape not in ((), default.shape) or not (np.isfinite(values).all() and (values >= 0).all()):
+        raise ParameterError(f"{name} must be one number or {default.size}, finite and not negative; got {given}")
+    return np.broadcast_to(values, default.shape)
+
+
+def not_negative(value: float, name: str) -> float:
+    """The number itself.
+
+    Raises:
+        ParameterError: it is negative or not finite.
+    """
+    if not 0 <= value < np.inf:
+        raise ParameterError(f"{name} must be finite and not negative, got {value:g}")
+    return float(value)

@@ -1,0 +1,281 @@
+"""Joint unscented Kalman filter of states and parameters in square-root form (Minase et al. 2010)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import ParameterError
+from hystfit.identify import tuning
+from hystfit.identify.base import AbstractIdentifier, Info, Sample, run_stream
+from hystfit.identify.consistency import verdict
+from hystfit.identify.unscented import Unscented, triangular
+from hystfit.models.base import AbstractHysteresis
+from hystfit.params import Coordinates, ParameterSpace
+from hystfit.problem import check_fittable, scales_of
+
+_STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the records
+
+
+class UkfState(NamedTuple):
+    """What the filter knows between two samples.
+
+    Attributes:
+        mean: states of the model, then parameters z: shape (n,).
+        root: lower triangular; root root^T is the covariance with which the next step starts (process noise included).
+        u: last input.
+        tally: number of the record (-1 before the first), samples used, missing, refused, sum of the NIS, its moving average.
+    """
+
+    mean: Float[Array, " n"]
+    root: Float[Array, "n n"]
+    u: Float[Array, ""]
+    tally: Float[Array, "6"]
+
+
+class Ukf(AbstractIdentifier):
+    """States and parameters of any model, followed sample by sample.
+
+    The sigma points of [state, z] go through one `step` of the model, so that state and output come from one set and no separate
+    output function is needed; process noise enters between the samples. The new root follows from one QR factorization
+    of weighted deviations from which the gain is subtracted (Joseph's form), so that any gain is allowed: parameters of
+    rate-independent parts have none while the input rests, as it then says nothing about them.
+
+    The covariance is the filter's own belief. It is optimistic and must not be printed as an error bar.
+
+    Attributes:
+        coordinates: maps between z and the model.
+        z0: start, shape (p,).
+        prior: root of the covariance before the first sample, shape (n, n), block diagonal in states and z.
+        walk: standard deviations of the process noise per sample, shape (n,).
+        noise: standard deviation of the measurement [y].
+        resting: which of [state, z] are held while the input rests, shape (n,).
+        still: largest change of the input that counts as resting [u].
+        memory: samples over which the moving average of the NIS looks back.
+        caution, settling: extra noise at the start in units of `noise`, and the samples over which it dies out.
+        free: names of the parameters.
+        scheme: sigma points.
+    """
+
+    method: ClassVar[str] = "ukf"
+
+    coordinates: Coordinates
+    z0: Float[Array, " p"]
+    prior: Float[Array, "n n"]
+    walk: Float[Array, " n"]
+    noise: Float[Array, ""]
+    resting: Bool[Array, " n"]
+    still: Float[Array, ""]
+    memory: Float[Array, ""]
+    caution: Float[Array, ""]
+    settling: Float[Array, ""]
+    free: tuple[str, ...] = eqx.field(static=True)
+    scheme: Unscented = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        model: AbstractHysteresis,
+        data: Record | Dataset | Sequence[Record],
+        *,
+        fix: Sequence[str] | Mapping[str, float] = (),
+        free: Sequence[str] = (),
+        only: Sequence[str] | None = None,
+        start: Literal["data", "model"] = "data",
+        noise: float | None = None,
+        prior: float | Mapping[str, float] | np.ndarray | None = None,
+        walk: float = 3e-5,
+        state_prior: float | np.ndarray | None = None,
+        state_walk: float | np.ndarray | None = None,
+        still: float = 0.0,
+        caution: float | None = None,
+        settling: float | None = None,
+        hold: Literal["auto", "all", "none"] = "auto",
+        alpha: float = 1.0,
+        beta: float = 2.0,
+        kappa: float = 0.0,
+    ) -> Ukf:
+        """A filter scaled to records.
+
+        Args:
+            model: any model; its values are the start with start="model", else those of `model.start(records)`.
+            data: the records it will run on: ranges and noise are read off them.
+            fix, free: parameters by name, as in `ParameterSpace`; `only` fixes all but these.
+            start: where the parameters start.
+            noise: measurement standard deviation [y]; None estimates it.
+            prior: deviation of z at the start: one number, numbers by name, or a covariance of shape (p, p). None is, from start="model",
+                0.5 for parameters with a bound (65 %) and 0.1 of their natural size for the others; from start="data" 0.2 and 0.02.
+            walk: random walk of z, standard deviation per sample.
+            state_prior, state_walk: the same for the states, one number or one each; None is 0.1 and 2e-5 of the range that each
+                has over the records.
+            caution: extra measurement noise at the start [y], which dies out over `settling` samples (by the factor e); None is three
+                times the RMS error of the start's free run and a twentieth of the samples. Far from the truth the filter would else
+                believe its first, linearized steps too much and stop learning. 0 is the plain filter.
+            settling: see `caution`.
+            still: largest change of the input that counts as resting [u].
+            hold: what a resting input freezes: parameters of rate-independent parts, all parameters, or none.
+            alpha, beta, kappa: of the sigma points, see `Unscented`; a negative central weight is warned about.
+
+        Raises:
+            ParameterError: a setting out of range, a covariance that is not symmetric and positive definite, an unknown name.
+            ModelError, DataError: data and model do not go together.
+        """
+        data = Dataset.of(data)
+        check_fittable(model, data)
+        if start not in ("data", "model") or hold not in ("auto", "all", "none"):
+            raise ParameterError(f"start must be data or model, hold auto, all or none; got {start!r} and {hold!r}")
+        tuning.not_negative(walk, "walk")
+        tuning.not_negative(still, "still")
+        if start == "data":
+            model = model.start(list(data))
+        if only is not None:
+            free = [*free, *only]
+            fix = tuning.all_but(model, tuple(only), ParameterSpace.of(model, free=free).names)
+        scales = scales_of(data)
+        space = ParameterSpace.of(model, fix=fix, free=free, scales=scales, records=[record.name for record in data])
+        ranges = tuning.state_ranges(space.template, data)
+        s, p = ranges.size, len(space)
+        first = tuning.deviations(state_prior, _STATE_PRIOR * ranges, "state_prior")
+        drift = tuning.deviations(state_walk, _STATE_WALK * ranges, "state_walk")
+        root = np.zeros((s + p, s + p))
+        root[:s, :s], root[s:, s:] = np.diag(first), tuning.parameter_root(space, prior, near=start == "data")
+        noise = tuning.measurement_noise(data, scales.y, noise)
+        length = sum(int(record.used.sum()) for record in data)
+        caution = tuning.initial_error(space, data) if caution is None else tuning.not_negative(caution, "caution")
+        settling = length / 20 if settling is None else tuning.not_negative(settling, "settling")
+        scheme = Unscented(s + p, alpha, beta, kappa)
+        if not scheme.safe:
+            warnings.warn(
+                f"alpha={alpha:g}, beta={beta:g}, kappa={kappa:g} give the central point the covariance weight "
+                f"{scheme.central_weight:.3g}: a covariance may lose positive definiteness; alpha=1 has no negative weight",
+                stacklevel=2,
+            )
+        return cls(
+            coordinates=space.coordinates,
+            z0=jnp.asarray(space.unconstrained(space.vector(space.template))),
+            prior=jnp.asarray(root),
+            walk=jnp.asarray(np.concatenate([drift, np.full(p, walk)])),
+            noise=jnp.asarray(noise),
+            resting=jnp.asarray(np.concatenate([np.zeros(s, bool), tuning.rests(space, hold)])),
+            still=jnp.asarray(float(still)),
+            memory=jnp.asarray(0.1 * length),
+            caution=jnp.asarray(caution / noise),
+            settling=jnp.asarray(settling),
+            free=space.names,
+            scheme=scheme,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.free
+
+    @property
+    def states(self) -> int:
+        """Number of states of the model."""
+        return self.scheme.n - self.z0.shape[0]
+
+    def init(self) -> UkfState:
+        """The start and its covariance; the states follow from the first input."""
+        mean = jnp.concatenate([jnp.zeros(self.states, self.z0.dtype), self.z0])
+        return UkfState(mean, self.prior, jnp.zeros((), self.z0.dtype), jnp.array([-1.0, 0, 0, 0, 0, 1.0]))
+
+    def restart(self, state: UkfState, u: Float[Array, ""]) -> UkfState:
+        """A record begins: the states come to rest on u with their prior; parameters and their covariance go on."""
+        tally = state.tally.at[0].add(1.0)
+        s, root = self.states, self.prior
+        root = root.at[s:, s:].set(triangular(state.root[s:].T))
+        points = self.scheme.points(jnp.zeros_like(state.mean).at[s:].set(state.mean[s:]), root)
+        rest = jax.vmap(lambda z: self._tree(z, tally[0]).init(u))(points[:, s:])
+        points = points.at[:, :s].add(rest)
+        mean = self.scheme.mean(points)
+        nothing = jnp.zeros_like(self.prior)
+        return UkfState(mean, self.scheme.root(points - mean, nothing), u, tally)
+
+    def update(self, state: UkfState, sample: Sample) -> tuple[UkfState, Info]:
+        """One sample: predict, correct, factorize. The innovation is `error`; error^2 / variance is the NIS."""
+        state = jax.lax.cond(sample.first, lambda s, u: self.restart(s, u), lambda s, u: s, state, sample.u)
+        points, outputs = self.propagate(state, sample.u, sample.dt)
+        mean, predicted = self.scheme.mean(points), self.scheme.mean(outputs)
+        off, beside = points - mean, outputs - predicted
+        noise = self.noise * (1.0 + self.caution * jnp.exp(-state.tally[1] / jnp.maximum(self.settling, 1e-3)))
+        variance = self.scheme.covariance(beside, beside) + noise**2
+        held = self.resting & (jnp.abs(sample.u - state.u) <= self.still) & ~sample.first
+        measured = jnp.isfinite(sample.y)
+        sound = jnp.isfinite(variance) & jnp.all(jnp.isfinite(mean))
+        used = measured & sound
+        gain = jnp.where(held | ~used, 0.0, self.scheme.covariance(off, beside) / variance)
+        error = jnp.where(used, sample.y - predicted, 0.0)
+        added = jnp.concatenate([(noise * gain)[None], jnp.diag(jnp.where(held, 0.0, self.walk))])
+        root = self.scheme.root(off - beside[:, None] * gain, added)
+        if not self.scheme.safe:  # a Cholesky factorization may fail; a QR factorization of finite rows cannot
+            sound &= jnp.all(jnp.isfinite(root))
+        new = UkfState(
+            jnp.where(sound, mean + gain * error, state.mean),
+            jnp.where(sound, root, state.root),
+            sample.u,
+            self._count(state.tally, used, measured, error**2 / variance),
+        )
+        told = jnp.where(used, error, jnp.nan)
+        return new, Info(new.mean[self.states :], told, used, variance)
+
+    def propagate(self, state: UkfState, u: Array, dt: Array) -> tuple[Float[Array, "m n"], Float[Array, " m"]]:
+        """Sigma points and their outputs after one step to the input u."""
+        s = self.states
+        points = self.scheme.points(state.mean, state.root)
+
+        def one(point: Array) -> tuple[Array, Array]:
+            return self._tree(point[s:], state.tally[0]).step(point[:s], state.u, u, dt)
+
+        moved, outputs = jax.vmap(one)(points)
+        return jnp.concatenate([moved, points[:, s:]], axis=1), outputs
+
+    def _tree(self, z: Array, record: Array) -> Any:
+        count = self.coordinates.n_records
+        return self.coordinates.tree(z, 0 if count == 1 else jnp.mod(record, count).astype(int))
+
+    def _count(self, tally: Array, used: Array, measured: Array, nis: Array) -> Array:
+        nis = jnp.where(used, nis, 0.0)
+        told = jnp.stack([used, ~measured, measured & ~used, used]).astype(tally.dtype).at[3].set(nis)
+        average = jnp.where(used, tally[5] + (nis - tally[5]) / self.memory, tally[5])
+        return jnp.concatenate([tally[:1], tally[1:5] + told, average[None]])
+
+    def covariance(self, state: UkfState) -> Float[Array, "n n"]:
+        """The filter's belief about [state, z]; optimistic, see the class."""
+        return state.root @ state.root.T
+
+    def physical(self, theta: np.ndarray) -> np.ndarray:
+        """Physical parameters from z, shape (..., p) to (..., p)."""
+        rows = jnp.asarray(theta).reshape(-1, len(self.free))
+        return np.asarray(jax.vmap(self.coordinates.physical)(rows)).reshape(np.shape(theta))
+
+    def model(self, theta: np.ndarray, record: Record) -> AbstractHysteresis | None:
+        """The identified model as a record of the data sees it."""
+        if not np.isfinite(theta).all():
+            return None
+        marks = [name.partition("@")[2] for name in self.free]
+        known = list(dict.fromkeys(mark for mark in marks if mark))
+        return self.coordinates.tree(jnp.asarray(theta), known.index(record.name) if record.name in known else 0)
+
+    def one_step(self, theta: np.ndarray, data: Dataset) -> np.ndarray:
+        """Innovations of a filter of the states alone, the parameters held at theta [y]."""
+        s = self.states
+        frozen = eqx.tree_at(
+            lambda f: (f.z0, f.prior, f.walk),
+            self,
+            (jnp.asarray(theta), self.prior.at[s:, s:].set(0.0), self.walk.at[s:].set(0.0)),
+        )
+        _, info = run_stream(frozen, frozen.init(), Sample.stream(list(data)))
+        return np.asarray(info.error)[np.asarray(info.used)]
+
+    def judge(self, data: Dataset, state: UkfState, history: np.ndarray, errors: np.ndarray) -> tuple[str, list[str]]:
+        """Settled, consistent, and does the free run follow? The free run decides."""
+        return verdict(self, data, state, history)

@@ -1,0 +1,109 @@
+"""Bouc-Wen as a force against a displacement, in the normalised form of Ikhouane and Rodellar (2007)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.starting import fit_linear, input_range, thinned
+from hystfit.params import param
+
+_SUBSTEPS = 4
+
+
+class BoucWenForce(AbstractHysteresis):
+    """Force of a yielding element:  y = offset + kappa_x u + kappa_w w.
+
+        dw/du = rho (1 - (sigma sgn(w du) + 1 - sigma) |w|^n),    |w| <= 1
+
+    1 / rho is the yield displacement, kappa_w the yield force, kappa_x the slope after yielding, n the sharpness of the knee and sigma the
+    shape of the unloading branch (>= 1/2 dissipates). Normalised, so that no two parameters do the same thing; linear in
+    kappa_x, kappa_w and offset. kappa_w < 0 makes a loop that lags. Four semi-implicit substeps a sample, clipped to |w| <= 1.
+
+    Raises:
+        ModelError: fewer than one substep.
+    """
+
+    rate_independent: ClassVar[bool] = True
+
+    kappa_x: Float[Array, ""] = param(1.0, unit="y/u", linear=True, doc="slope after yielding")
+    kappa_w: Float[Array, ""] = param(1.0, unit="y", linear=True, doc="force at yielding")
+    rho: Float[Array, ""] = param(5.0, bounds=(0.0, np.inf), unit="1/u", scale=5.0, doc="1 / yield displacement")
+    sigma: Float[Array, ""] = param(0.8, bounds=(0.5, 5.0), doc="shape of the unloading branch")
+    n: Float[Array, ""] = param(1.5, bounds=(1.0, 20.0), doc="sharpness of the knee")
+    w0: Float[Array, ""] = param(0.0, bounds=(-1.0, 1.0), per_record=True, fixed=True, doc="w at the first sample")
+    offset: Float[Array, ""] = param(
+        0.0, unit="y", per_record=True, linear=True, doc="force at zero input without hysteresis"
+    )
+    substeps: int = eqx.field(static=True, default=_SUBSTEPS)
+
+    def __check_init__(self) -> None:
+        if self.substeps < 1:
+            raise ModelError(f"at least one substep a sample is needed, got {self.substeps}")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: w, shape (1,)."""
+        return self.w0[None] + 0.0 * u0
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """One sample of the branch that the input is on."""
+        s = jnp.where(u1 < u0, -1.0, 1.0)
+        half = 0.5 * self.rho * jnp.abs(u1 - u0) / self.substeps
+        log_power = self.n - 1.0
+
+        def once(_: Any, q: Array) -> Array:
+            size = jnp.abs(q)
+            safe = jnp.where(size > 0, size, 1.0)
+            power = jnp.where(size > 0, jnp.exp(log_power * jnp.log(safe)), jnp.where(log_power > 0, 0.0, 1.0))
+            kappa = jnp.where(q >= 0, 1.0, 2.0 * self.sigma - 1.0) * power
+            return jnp.minimum(((1.0 - half * kappa) * q + 2.0 * half) / (1.0 + half * kappa), 1.0)
+
+        w = s * jax.lax.fori_loop(0, self.substeps, once, s * state[0])
+        return w[None], self.offset + self.kappa_x * u1 + self.kappa_w * w
+
+    def start(self, records: Sequence[Record]) -> BoucWenForce:
+        """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""
+        half, records = input_range(records).half, thinned(records)
+        rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
+        states = [_unit_force(record.u, rho, n, float(self.sigma)) for record in records]
+        best: tuple[float, int, np.ndarray] | None = None
+        for k in range(rho.size):
+            rows, right = [], []
+            for number, (record, state) in enumerate(zip(records, states, strict=True)):
+                own = np.zeros((len(record), len(records)))
+                own[:, number] = 1.0
+                rows.append(np.column_stack([record.u, state[:, k], own])[record.used])
+                right.append(record.y[record.used])
+            theta, cost = fit_linear(np.concatenate(rows), np.concatenate(right))
+            if best is None or cost < best[0]:
+                best = (cost, k, theta)
+        assert best is not None
+        _, k, theta = best
+        values = (theta[0], theta[1], rho[k], max(n[k], 1.05), theta[2])
+        fields = lambda m: (m.kappa_x, m.kappa_w, m.rho, m.n, m.offset)
+        return eqx.tree_at(fields, self, tuple(jnp.asarray(v, dtype=float) for v in values))
+
+
+def _unit_force(u: np.ndarray, rho: np.ndarray, n: np.ndarray, sigma: float) -> np.ndarray:
+    """State w for several (rho, n) at once: shape (T, len(rho))."""
+    w, out = np.zeros(rho.size), np.zeros((u.size, rho.size))
+    for k, du in enumerate(np.diff(u), start=1):
+        s = -1.0 if du < 0 else 1.0
+        q, half = s * w, 0.5 * rho * abs(du) / 2
+        for _ in range(2):
+            kappa = np.where(q >= 0, 1.0, 2 * sigma - 1) * np.abs(q) ** (n - 1)
+            q = np.minimum(((1 - half * kappa) * q + 2 * half) / (1 + half * kappa), 1.0)
+        w = s * q
+        out[k] = w
+    return out

@@ -1,0 +1,153 @@
+"""Creep: slow relaxations whose step response is logarithmic over decades of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractFilter, AbstractHysteresis, check_rest
+from hystfit.models.starting import fitted_input_range, input_range
+from hystfit.params import param
+
+# Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
+_TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))
+_WEIGHTS = (0.50681, 0.49935, 0.49995, 0.50038, 0.49920, 0.50164, 0.49578, 0.51714, 0.39820, 0.94761)
+_BASE = 0.80793
+
+
+class LogCreep(AbstractFilter):
+    """Logarithmic creep of a displacement (Minase et al. 2010, eq. (2)):  L(t) = L0 [1 + gamma log10(t / 0.1 s)] after a step.
+
+    Ten relaxations tau_i dz_i/dt = -z_i + gamma w_i x stand for the logarithm, so that any input and irregular time steps
+    work: y = (1 - gamma b) x + sum of z_i. Comes after a hysteresis in a `Series`. gamma may depend on the displacement, a
+    polynomial gamma_0 + gamma_1 (x / span) + ..., its order the length of the array less one.
+    """
+
+    rate_independent: ClassVar[bool] = False
+
+    gamma: Float[Array, " k"] = param(
+        (0.01,), bounds=(-0.5, 0.5), scale=0.02, vector=True, doc="creep per decade of time, polynomial in x / span"
+    )
+    span: Float[Array, ""] = param(
+        1.0, bounds=(0.0, np.inf), unit="y", fixed=True, doc="displacement that the polynomial is in parts of"
+    )
+    tau: Float[Array, " modes"] = param(
+        _TAU, bounds=(0.0, np.inf), unit="s", fixed=True, doc="time constants of the relaxations"
+    )
+    weights: Float[Array, " modes"] = param(
+        _WEIGHTS, bounds=(0.0, np.inf), fixed=True, doc="decades that each relaxation stands for"
+    )
+    base: Float[Array, ""] = param(_BASE, fixed=True, doc="decades that have passed before the first relaxation")
+
+    def __check_init__(self) -> None:
+        if hasattr(self.tau, "shape") and hasattr(self.weights, "shape") and self.tau.shape != self.weights.shape:
+            raise ModelError(f"one weight a time constant: got {self.weights.shape} and {self.tau.shape}")
+
+    @classmethod
+    def spanning(cls, shortest: float, longest: float, **fields: object) -> LogCreep:
+        """Relaxations, two a decade, for times from `shortest` to `longest` [s] after a step; gamma stays per decade since 0.1 s.
+
+        Raises:
+            ModelError: times that are not positive and in order.
+        """
+        if not 0 < shortest < longest:
+            raise ModelError(f"creep needs 0 < shortest < longest, got {shortest:g} and {longest:g} s")
+        modes = int(np.ceil(2 * np.log10(longest / shortest))) + 2
+        tau = 0.5 * shortest * 10 ** (np.arange(modes) / 2)
+        t = np.geomspace(shortest, longest, 400)
+        columns = np.column_stack(
+            [1 - np.exp(-t[:, None] / tau), -np.ones(t.size), np.ones(t.size)]
+        )  # the base may have either sign
+        solution, _ = scipy.optimize.nnls(columns, np.log10(t / 0.1))
+        return cls(tau=tau, weights=solution[:-2], base=solution[-2] - solution[-1], **fields)
+
+    def _rate(self, x: Array) -> Array:
+        relative, total = x / self.span, jnp.zeros_like(x)
+        for k in range(self.gamma.shape[0] - 1, -1, -1):
+            total = total * relative + self.gamma[k]
+        return total
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the relaxations, at rest for ever on u0."""
+        return self._rate(u0) * self.weights * u0
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Relax towards the new displacement for the time dt, exactly."""
+        gamma = self._rate(u1)
+        state = state - jnp.expm1(-dt / self.tau) * (gamma * self.weights * u1 - state)
+        return state, (1 - gamma * self.base) * u1 + jnp.sum(state)
+
+    def start(self, records: Sequence[Record]) -> LogCreep:
+        """A small creep; the span from the range of the signal that reaches it."""
+        place = input_range(records)
+        span = abs(place.center) + place.half
+        gamma = np.where(np.arange(self.gamma.shape[0]) == 0, 0.01, 0.0)
+        return eqx.tree_at(lambda m: (m.gamma, m.span), self, (jnp.asarray(gamma), jnp.asarray(span)))
+
+
+class LinearCreep(AbstractHysteresis):
+    """Linear creep operators of the input, with log-spaced time constants:  y = sum of a_i z_i,  tau_i dz_i/dt = x - z_i.
+
+    x = (u - low) / (high - low). One weight for all time constants is the logarithmic law and what short records
+    determine; a weight for each is Kuhnen's general operator. Added to a hysteresis in a `Sum`; linear in a.
+    """
+
+    rate_independent: ClassVar[bool] = False
+
+    a: Float[Array, " k"] = param(
+        (0.0,),
+        bounds=(0.0, np.inf),
+        unit="y",
+        scale=0.02,
+        linear=True,
+        vector=True,
+        doc="weight of the relaxations, one or one each",
+    )
+    tau: Float[Array, " modes"] = param(
+        tuple(np.geomspace(0.05, 200.0, 7)),
+        bounds=(0.0, np.inf),
+        unit="s",
+        fixed=True,
+        doc="time constants of the relaxations",
+    )
+    low: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input where x = 0")
+    high: Float[Array, ""] = param(1.0, unit="u", fixed=True, doc="input where x = 1")
+    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    rest: Literal["level", "first"] = eqx.field(static=True, default="level")
+
+    def __check_init__(self) -> None:
+        check_rest(self.rest)
+        if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape not in ((1,), self.tau.shape):
+            raise ModelError(f"one weight for all or one a time constant {self.tau.shape}: got {self.a.shape}")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the relaxations, at rest."""
+        rest = u0 if self.rest == "first" else self.level + 0.0 * u0
+        return jnp.broadcast_to((rest - self.low) / (self.high - self.low), self.tau.shape)
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Relax towards the new input for the time dt, exactly."""
+        x = (u1 - self.low) / (self.high - self.low)
+        state = state - jnp.expm1(-dt / self.tau) * (x - state)
+        return state, jnp.sum(self.a * state)
+
+    def start(self, records: Sequence[Record]) -> LinearCreep:
+        """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
+        place = fitted_input_range(records)
+        low, high = (jnp.asarray(place.center + side * place.half) for side in (-1.0, 1.0))
+        steps = np.concatenate([record.dt[1:] for record in records])
+        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
+        tau = jnp.asarray(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
+        return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))

@@ -1,0 +1,178 @@
+"""The polynomial Duhem model (Coleman-Hodgdon form; Zhou and Wang 2013, eqs. (1) to (3))."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.linalg import block_diag
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
+from hystfit.models.starting import first_output, fit_linear, input_range, thinned
+from hystfit.params import param
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_LONG = 8.0  # alpha |dv| up to which the quadrature is exact to rounding
+
+
+class Duhem(AbstractHysteresis):
+    """Duhem hysteresis with polynomial f and g:  dw/dv = s alpha [f(v) - w] + g(v),  s = sign(dv).
+
+    f and g are Legendre series in (v - center) / half, so that high orders stay well conditioned; their orders are the
+    lengths of the coefficient arrays less one (3 and 2 in the paper). `from_powers` and `powers` go to and from the
+    paper's powers of v. The output is linear in f, g and w0. The state is the output w alone (local memory).
+
+    `scheme` is used for fitting and simulation alike: "midpoint" (closed form, papers' eq. (6), unconditionally stable), "explicit"
+    (stable for alpha |dv| < 2), or "exact" (integrates each sample exactly, for coarse sampling).
+
+    Raises:
+        ModelError: an unknown scheme.
+    """
+
+    rate_independent: ClassVar[bool] = True
+
+    alpha: Float[Array, ""] = param(
+        1.0, bounds=(0.0, np.inf), unit="1/u", scale=2.0, doc="rate of approach to f; 1/alpha is forgotten"
+    )
+    f: Float[Array, " m"] = param(
+        (0.0, 1.0, 0.0, 0.0), unit="y", doc="anhysteretic curve, Legendre coefficients", linear=True
+    )
+    g: Float[Array, " n"] = param(
+        (0.5, 0.0, 0.0), unit="y/u", doc="slope at reversal, Legendre coefficients", linear=True
+    )
+    w0: Float[Array, ""] = param(0.0, unit="y", per_record=True, doc="output at the first sample", linear=True)
+    center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="middle of the input range of f and g")
+    half: Float[Array, ""] = param(
+        1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range of f and g"
+    )
+    scheme: Literal["midpoint", "explicit", "exact"] = eqx.field(static=True, default="midpoint")
+
+    def __check_init__(self) -> None:
+        if self.scheme not in ("midpoint", "explicit", "exact"):
+            raise ModelError(f"scheme must be midpoint, explicit or exact, got {self.scheme!r}")
+
+    @classmethod
+    def of_order(cls, f: int = 3, g: int = 2, **fields: object) -> Duhem:
+        """A model with polynomials of these orders."""
+        return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], **fields)
+
+    @classmethod
+    def from_powers(
+        cls,
+        alpha: float,
+        f: Sequence[float] | np.ndarray,
+        g: Sequence[float] | np.ndarray,
+        low: float,
+        high: float,
+        **fields: object,
+    ) -> Duhem:
+        """A model from the paper's coefficients of 1, v, v^2, ... with v between low and high [u]."""
+        center, half = 0.5 * (low + high), 0.5 * (high - low)
+        series = [powers_to_legendre(np.asarray(c), center, half) for c in (f, g)]
+        return cls(alpha=alpha, f=series[0], g=series[1], center=center, half=half, **fields)
+
+    def powers(self) -> tuple[np.ndarray, np.ndarray]:
+        """The paper's coefficients (f_i, g_j) of 1, v, v^2, ..."""
+        place = float(self.center), float(self.half)
+        return legendre_to_powers(np.asarray(self.f), *place), legendre_to_powers(np.asarray(self.g), *place)
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the output w, shape (1,)."""
+        return self.w0[None] + 0.0 * u0
+
+    def curves(self, v: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """f(v) and g(v)."""
+        x = (v - self.center) / self.half
+        return legendre_series(self.f, x), legendre_series(self.g, x)
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """One sample of the branch that the input is on."""
+        w = state[0]
+        if self.scheme == "exact":
+            w = self._exact(w, u0, u1)
+        else:
+            dv = u1 - u0
+            drive = self.alpha * jnp.abs(dv)
+            f, g = self.curves(0.5 * (u0 + u1))
+            if self.scheme == "midpoint":
+                w = ((1 - 0.5 * drive) * w + drive * f + dv * g) / (1 + 0.5 * drive)
+            else:
+                w = w + drive * (f - w) + dv * g
+        return w[None], w
+
+    def _exact(self, w: Array, u0: Array, u1: Array) -> Array:
+        dv = u1 - u0
+        drive = self.alpha * jnp.abs(dv)
+        # Gauss quadrature of the variation of constants is exact to rounding while the exponential is tame ...
+        nodes, weights = jnp.asarray(_NODES, dv.dtype), jnp.asarray(_WEIGHTS, dv.dtype)
+        f, g = self.curves(u0 + 0.5 * (1 + nodes) * dv)
+        fading = jnp.exp(-0.5 * (1 - nodes) * jnp.minimum(drive, _LONG))
+        short = jnp.exp(-drive) * w + 0.5 * jnp.sum(weights * fading * (drive * f + dv * g))
+        # ... and on a long step the polynomial particular solution is: its terms, derivatives over powers of alpha, no
+        # longer cancel.
+        kappa = jnp.where(drive > _LONG, jnp.sign(dv) * self.alpha, 1.0)
+        long = self._particular(u1, kappa) + jnp.exp(-drive) * (w - self._particular(u0, kappa))
+        return jnp.where(drive > _LONG, long, short)
+
+    def _particular(self, v: Array, kappa: Array) -> Array:
+        """Polynomial solution of dw/dv = kappa (f - w) + g: the sum over k of (-1/kappa)^k q^(k) with q = f + g / kappa."""
+        size = max(self.f.shape[0], self.g.shape[0])
+        pad = lambda c: jnp.concatenate([c, jnp.zeros(size - c.shape[0], c.dtype)])
+        q = pad(self.f) + pad(self.g) / kappa
+        slope = jnp.asarray(derivative_matrix(size)) / self.half
+        x, total = (v - self.center) / self.half, jnp.zeros_like(v)
+        for _ in range(size):
+            total = total + legendre_series(q, x)
+            q = -(slope @ q) / kappa
+        return total
+
+    def start(self, records: Sequence[Record]) -> Duhem:
+        """Integrated regression: at a given rate the simulated output is linear in f, g and w0; the best of several rates wins.
+
+        Regressing increments on the measured output instead would let its noise, larger than most increments, bias the rate.
+        """
+        place, records = input_range(records), thinned(records)
+        best: tuple[float, np.ndarray, float] | None = None
+        m, n = self.f.shape[0], self.g.shape[0]
+        for rate in np.geomspace(0.3, 100.0, 15) / place.half:
+            parts = [_responses(record, place, m, n, rate) for record in records]
+            rows = np.concatenate([columns[:, : m + n] for columns, _ in parts])
+            own = np.asarray(block_diag(*(columns[:, m + n :] for columns, _ in parts)))  # each record's first output
+            theta, cost = fit_linear(np.concatenate([rows, own], axis=1), np.concatenate([y for _, y in parts]))
+            if best is None or cost < best[0]:
+                best = (cost, theta, rate)
+        assert best is not None
+        _, theta, rate = best
+        values = (rate, theta[:m], theta[m : m + n], first_output(records[0]), place.center, place.half)
+        fields = lambda s: (s.alpha, s.f, s.g, s.w0, s.center, s.half)
+        return eqx.tree_at(fields, self, tuple(jnp.asarray(v, dtype=float) for v in values))
+
+
+def _responses(
+    record: Record, place: tuple[float, float], m: int, n: int, rate: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Midpoint responses to each coefficient of f and g and to the first output, at a given rate; and the measured output."""
+    center, half = place
+    v, used = record.u, record.used
+    dv = np.diff(v)
+    x = (0.5 * (v[1:] + v[:-1]) - center) / half
+    drive = rate * np.abs(dv)
+    f = np.polynomial.legendre.legvander(x, m - 1) * drive[:, None]
+    g = np.polynomial.legendre.legvander(x, n - 1) * dv[:, None]
+    forcing = np.concatenate([f, g], axis=1) / (1 + 0.5 * drive)[:, None]
+    decay = (1 - 0.5 * drive) / (1 + 0.5 * drive)
+    columns = np.zeros((v.size, m + n + 1))
+    columns[0, -1] = 1.0
+    for k in range(1, v.size):
+        columns[k] = decay[k - 1] * columns[k - 1]
+        columns[k, :-1] += forcing[k - 1]
+    return columns[used], record.y[used]

@@ -1,0 +1,121 @@
+"""Linear dynamics beside a hysteresis: a delay, a lag, a resonance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractFilter, check_rest
+from hystfit.params import param
+
+
+class Delay(AbstractFilter):
+    """Pure delay by a (fractional) number of samples, between which the signal is interpolated linearly.
+
+    Raises:
+        ModelError: `longest` is less than one sample.
+    """
+
+    rate_independent: ClassVar[bool] = True
+
+    lag: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
+    longest: int = eqx.field(static=True, default=8)
+
+    def __check_init__(self) -> None:
+        if self.longest < 1:
+            raise ModelError(f"the longest delay must be at least one sample, got {self.longest}")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the last inputs, newest first, all u0."""
+        return jnp.broadcast_to(u0, (self.longest + 1,))
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Push the new input, read between two old ones."""
+        state = jnp.concatenate([u1[None], state[:-1]])
+        lag = jnp.minimum(self.lag, float(self.longest))
+        weight = jnp.maximum(0.0, 1.0 - jnp.abs(lag - jnp.arange(self.longest + 1)))
+        return state, jnp.sum(weight * state)
+
+    def start(self, records: Sequence[Record]) -> Delay:
+        """One sample."""
+        return type(self)(lag=1.0, longest=self.longest)
+
+
+class Lag(AbstractFilter):
+    """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
+
+    `level` is the input on which it rested before the record, so that a jump at the first sample is smoothed too.
+    """
+
+    rate_independent: ClassVar[bool] = False
+
+    tau: Float[Array, ""] = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
+    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    rest: Literal["level", "first"] = eqx.field(static=True, default="level")
+
+    def __check_init__(self) -> None:
+        check_rest(self.rest)
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the outputs of the two lags, at rest on `level` or, where rest = "first", on the first input."""
+        return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (2,))
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """One sample through both lags."""
+        passed = 2.0 * dt / self.tau
+        decay = jnp.exp(-passed)
+        first, second = state[0] - u1, state[1] - u1
+        moved = u1 + decay * jnp.stack([first, second + passed * first])
+        return moved, moved[1]
+
+    def start(self, records: Sequence[Record]) -> Lag:
+        """Three samples."""
+        steps = np.concatenate([record.dt[1:] for record in records])
+        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
+        return eqx.tree_at(lambda m: m.tau, self, jnp.asarray(3.0 * typical))
+
+
+class SecondOrder(AbstractFilter):
+    """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
+
+    rate_independent: ClassVar[bool] = False
+
+    omega: Float[Array, ""] = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
+    zeta: Float[Array, ""] = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: output and its rate, at rest on u0."""
+        return jnp.stack([u0, jnp.zeros_like(u0)])
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """The deviation from the ramp response decays freely over the sample."""
+        slope = (u1 - u0) / jnp.where(dt > 0, dt, 1.0)
+        lag = 2.0 * self.zeta * slope / self.omega
+        e, v = state[0] - u0 + lag, state[1] - slope
+        damped = self.omega * jnp.sqrt(jnp.maximum(1.0 - self.zeta**2, 1e-12))  # a derivative at critical damping too
+        decay = jnp.exp(-self.zeta * self.omega * dt)
+        cosine, sine = jnp.cos(damped * dt), dt * jnp.sinc(damped * dt / jnp.pi)  # sine / damped
+        e1 = decay * (e * cosine + (v + self.zeta * self.omega * e) * sine)
+        v1 = decay * (v * cosine - (self.omega**2 * e + self.zeta * self.omega * v) * sine)
+        moved = jnp.stack([e1 + u1 - lag, v1 + slope])
+        state = jnp.where(dt > 0, moved, state)
+        return state, state[0]
+
+    def start(self, records: Sequence[Record]) -> SecondOrder:
+        """A resonance at a tenth of the sampling rate."""
+        steps = np.concatenate([record.dt[1:] for record in records])
+        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.01
+        return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)

@@ -1,0 +1,167 @@
+"""Everett functions: the mass E(a, b) of the relays whose thresholds lie in the triangle a >= alpha >= beta >= b.
+
+Masses are given cell by cell between n + 1 levels, uniform within a cell; cell (i, j), j <= i, is alpha in (L_i, L_{i+1}), beta in
+(L_j, L_{j+1}), a triangle where j = i. E is then bilinear but for the diagonal cells, which add squares. Rows run over i, j
+with j the faster (`numpy.tril_indices`).
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+AnyArray = Array | np.ndarray  # for functions that serve host and device
+
+
+@functools.lru_cache(maxsize=16)
+def cells(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row i and column j of every cell, shapes (n (n + 1) / 2,)."""
+    return np.tril_indices(n)
+
+
+@functools.lru_cache(maxsize=16)
+def mirror(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cells tied by symmetry: (the independent weight of each cell, the cell and its mirror image of each weight, (2, p)).
+
+    The mirror image of cell (i, j) in the line alpha + beta = 0 is (n - 1 - j, n - 1 - i).
+    """
+    i, j = cells(n)
+    image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
+    first, inverse = np.unique(np.minimum(np.arange(i.size), image), return_inverse=True)
+    return inverse, np.stack([first, image[first]])
+
+
+def grid(w: Float[Array, " cells"], n: int) -> Float[Array, "n n"]:
+    """Weights as a square, zero above the diagonal."""
+    i, j = cells(n)
+    return jnp.zeros((n, n), w.dtype).at[i, j].set(w)
+
+
+def accumulate(square: Float[Array, "n n"]) -> Float[Array, "m m"]:
+    """Table of sums over rows below a and columns from b on, a, b = 0..n: shape (n + 1, n + 1)."""
+    n = square.shape[0]
+    # Two triangular products: faster than two cumulative sums for the sizes of interest, and so is their transpose.
+    below, beyond = np.tri(n + 1, n, -1), np.tri(n, n + 1)
+    return jnp.asarray(below, square.dtype) @ square @ jnp.asarray(beyond, square.dtype)
+
+
+class Place(eqx.Module):
+    """Inputs as cell number and fraction of the cell below them; fractions of inputs outside the levels are 0 or 1."""
+
+    cell: Int[Array, "..."]
+    part: Float[Array, "..."]
+
+
+def place(levels: Float[Array, " m"], u: Float[Array, "..."]) -> Place:
+    """Locate inputs among levels (at least two)."""
+    cell = jnp.clip(jnp.searchsorted(levels, u, side="right") - 1, 0, levels.shape[0] - 2)
+    part = (u - levels[cell]) / (levels[cell + 1] - levels[cell])
+    return Place(cell, jnp.clip(part, 0.0, 1.0))
+
+
+class Everett(eqx.Module):
+    """The function E of cell masses, ready for look-up.
+
+    Attributes:
+        off: sums of the cells off the diagonal, shape (n + 1, n + 1).
+        diagonal: masses of the diagonal cells, shape (n,).
+        sums: their cumulative sums, shape (n + 1,).
+    """
+
+    off: Float[Array, "m m"]
+    diagonal: Float[Array, " n"]
+    sums: Float[Array, " m"]
+
+    @classmethod
+    def of(cls, w: Float[Array, " cells"], n: int) -> Everett:
+        """Tables of weights, shape (n (n + 1) / 2,)."""
+        square = grid(w, n)
+        diagonal = jnp.diagonal(square)
+        sums = jnp.concatenate([jnp.zeros(1, w.dtype), jnp.cumsum(diagonal)])
+        return cls(accumulate(square - jnp.diag(diagonal)), diagonal, sums)
+
+    def __call__(self, high: Place, low: Place) -> Float[Array, "..."]:
+        """E at inputs high >= low."""
+        i, p, j, q = high.cell, high.part, low.cell, low.part
+        flat, width = self.off.reshape(-1), self.off.shape[1]
+        at = i * width + j
+        near = (1 - q) * flat[at] + q * flat[at + 1]
+        far = (1 - q) * flat[at + width] + q * flat[at + width + 1]
+        across = self.sums[i] - self.sums[j + 1] + p**2 * self.diagonal[i] + (1 - q) ** 2 * self.diagonal[j]
+        inside = (p - q) ** 2 * self.diagonal[i]
+        return (1 - p) * near + p * far + jnp.where(i == j, inside, across)
+
+    @property
+    def total(self) -> Float[Array, ""]:
+        """Mass of all relays."""
+        return self.off[-1, 0] + self.sums[-1]
+
+
+def swept(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyArray, xp: Any = jnp) -> AnyArray:
+    """Parts of the cells of a row that lie in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
+
+    Args:
+        levels: shape (n + 1,).
+        center: of the demagnetized state.
+        row: row number i, any shape.
+        x: rise, same shape; it counts within the row only.
+        xp: jax.numpy, or numpy on the host.
+
+    Returns:
+        Parts of each cell's area, shape (..., n); columns above the diagonal are 0.
+    """
+    base = levels[row]
+    x = xp.clip(x, base, levels[row + 1])
+    width = levels[row + 1] - base
+    d = levels[1:] - levels[:-1]
+    shift = 2 * center - levels[1:]
+    square = lambda z: xp.maximum(z, 0.0) ** 2
+    ramp = lambda z: 0.5 * (square(z) - square(z - d))
+    cell = (ramp(x[..., None] - shift) - ramp(base[..., None] - shift)) / (width[..., None] * d)
+    bent = square(x - center) - 0.5 * square(x - 2 * center + base)
+    triangle = xp.where(center > base, bent, 0.5 * (x - base) ** 2) / (0.5 * width**2)
+    column = xp.arange(levels.shape[0] - 1)
+    row = row[..., None]
+    return xp.where(column < row, cell, xp.where(column == row, triangle[..., None], 0.0))
+
+
+class FirstRise(eqx.Module):
+    """Mass that a first rise from the demagnetized state switches up.
+
+    Attributes:
+        square: masses, shape (n, n).
+        sums: what rises to each level switch, shape (n + 1,).
+        levels: shape (n + 1,).
+        center: where the demagnetized input rests.
+    """
+
+    square: Float[Array, "n n"]
+    sums: Float[Array, " m"]
+    levels: Float[Array, " m"]
+    center: Float[Array, ""]
+
+    @classmethod
+    def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
+        """Tables of weights."""
+        n = levels.shape[0] - 1
+        square = grid(w, n)
+        rows = jnp.sum(square * swept(levels, center, jnp.arange(n), levels[1:]), axis=1)
+        return cls(square, jnp.concatenate([jnp.zeros(1, w.dtype), jnp.cumsum(rows)]), levels, center)
+
+    @classmethod
+    def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
+        """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image."""
+        n = levels.shape[0] - 1
+        i, j = cells(n)
+        image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
+        return cls.of(w[image], 2 * center - levels[::-1], center)
+
+    def __call__(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Mass that a rise to u switches."""
+        row = place(self.levels, u).cell
+        return self.sums[row] + jnp.sum(self.square[row] * swept(self.levels, self.center, row, u), axis=-1)

@@ -1,0 +1,40 @@
+"""Polynomials in a normalised variable: Legendre series keep high orders well conditioned."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.polynomial import Legendre, Polynomial
+
+
+def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Sum of c_i P_i(x), by Clenshaw's recurrence (n is static)."""
+    n = coefficients.shape[0]
+    later, latest = jnp.zeros_like(x), jnp.zeros_like(x)
+    for i in range(n - 1, 0, -1):
+        latest, later = coefficients[i] + (2 * i + 1) / (i + 1) * x * latest - (i + 1) / (i + 2) * later, latest
+    return coefficients[0] + x * latest - 0.5 * later if n > 1 else coefficients[0] + 0.0 * x
+
+
+def derivative_matrix(n: int) -> np.ndarray:
+    """Matrix that maps the n Legendre coefficients of a series to those of its derivative, shape (n, n)."""
+    columns = [np.zeros(n)]
+    for i in range(1, n):
+        d = Legendre.basis(i).deriv().coef
+        columns.append(np.pad(d, (0, n - d.size)))
+    return np.stack(columns, axis=1)
+
+
+def legendre_to_powers(coefficients: np.ndarray, center: float, half: float) -> np.ndarray:
+    """Coefficients of 1, v, v^2, ... of a Legendre series in (v - center) / half."""
+    series = Legendre(np.asarray(coefficients, float), domain=[center - half, center + half])
+    powers = series.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
+    return np.pad(powers, (0, len(coefficients) - powers.size))
+
+
+def powers_to_legendre(powers: np.ndarray, center: float, half: float) -> np.ndarray:
+    """Legendre coefficients in (v - center) / half of a polynomial given by its powers of v."""
+    polynomial = Polynomial(np.asarray(powers, float), domain=[-1, 1], window=[-1, 1])
+    series = polynomial.convert(kind=Legendre, domain=[center - half, center + half])
+    return np.pad(series.coef, (0, len(powers) - series.coef.size))

@@ -1,0 +1,170 @@
+"""The Prandtl-Ishlinskii model: weighted play operators, with envelopes for asymmetric loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.polynomial import legendre_series
+from hystfit.models.starting import fitted_input_range, output_range
+from hystfit.params import param
+
+Envelope = Literal["identity", "square", "mirror"]
+Operator = Literal["play", "stop"]
+Rest = Literal["level", "first"]
+
+
+def envelope(kind: Envelope, x: Array) -> Array:
+    """A rising function of x with 0 -> 0 and 1 -> 1, rising outside [0, 1] as well."""
+    if kind == "identity":
+        return x
+    if kind == "square":
+        return x * jnp.abs(x)
+    return 1.0 - (1.0 - x) * jnp.abs(1.0 - x)
+
+
+class PrandtlIshlinskii(AbstractHysteresis):
+    """Weighted plays, or stops, of envelopes of the input, and a single-valued polynomial.
+
+        y = offset + sum over e, j of w[e, j] E[e, j] + sum over i >= 1 of b_i P_i(2 x - 1),   x = (u - low) / (high - low)
+        p[e, j] <- max(gamma_e(x) - r_j, min(gamma_e(x) + r_j, p[e, j]));   E = p (play) or gamma_e(x) - p (stop)
+
+    Plays make the output lag (piezo, magnetics: counter-clockwise loops), stops make it lead (force against displacement of
+    dampers and steel). One envelope, the identity, is the classical symmetric model; with "square" and "mirror" (a
+    parabola and its mirror image) beside it, branches may bend differently up and down: the generalised model (after
+    Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that fade with the path that x has run:
+    w_h[j] exp(-path / s0) E[0, j], for steel that hardens or softens in its first cycles.
+
+    The output is linear in w, hardening, b and offset; its derivative in the thresholds r has kinks (a play that sticks
+    does not feel its width). Weights w are >= 0: a rising output has an inverse then. Before the record the input rested on `level`, or on
+    the record's first input where rest = "first".
+
+    Raises:
+        ModelError: an unknown envelope, operator or rest, or weights whose shape does not fit the thresholds.
+    """
+
+    w: Float[Array, "envelopes plays"] = param(
+        bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the plays or stops"
+    )
+    r: Float[Array, " plays"] = param(
+        bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, in parts of the input range"
+    )
+    b: Float[Array, " degree"] = param(
+        (1.0,), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
+    )
+    offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    hardening: Float[Array, " fading"] = param(
+        (), unit="y", linear=True, doc="weights that fade with the path, none or one a play"
+    )
+    s0: Float[Array, ""] = param(
+        3.0, bounds=(0.0, np.inf), fixed=True, doc="path, in input ranges, over which hardening fades"
+    )
+    low: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input where x = 0")
+    high: Float[Array, ""] = param(1.0, unit="u", fixed=True, doc="input where x = 1")
+    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    envelopes: tuple[Envelope, ...] = eqx.field(static=True, default=("identity",))
+    operator: Operator = eqx.field(static=True, default="play")
+    rest: Rest = eqx.field(static=True, default="level")
+
+    rate_independent: ClassVar[bool] = True
+
+    def __check_init__(self) -> None:
+        unknown = [kind for kind in self.envelopes if kind not in get_args(Envelope)]
+        if unknown or not self.envelopes:
+            raise ModelError(f"envelopes must be identity, square or mirror, got {self.envelopes}")
+        if self.operator not in get_args(Operator) or self.rest not in get_args(Rest):
+            raise ModelError(
+                f"operator must be play or stop and rest level or first, got {self.operator!r}, {self.rest!r}"
+            )
+        if not (hasattr(self.w, "shape") and hasattr(self.r, "shape")):
+            return
+        if self.w.shape != (len(self.envelopes), *self.r.shape):
+            raise ModelError(
+                f"w must have shape (envelopes, plays) = {(len(self.envelopes), *self.r.shape)}, got {self.w.shape}"
+            )
+        if self.hardening.shape not in ((0,), self.r.shape):
+            raise ModelError(f"hardening must have no weight or one a play, got shape {self.hardening.shape}")
+
+    @classmethod
+    def of(
+        cls,
+        plays: int = 20,
+        degree: int = 1,
+        *,
+        envelopes: Sequence[Envelope] = ("identity",),
+        operator: Operator = "play",
+        hardening: bool = False,
+        rest: Rest = "level",
+    ) -> PrandtlIshlinskii:
+        """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range: dense where loops are small.
+
+        Raises:
+            ModelError: fewer than one play or degree one.
+        """
+        if plays < 1 or degree < 1:
+            raise ModelError(f"at least one play and degree one are needed, got {plays} plays and degree {degree}")
+        r = 0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2
+        w = np.full((len(envelopes), plays), 0.01)
+        fading = np.zeros(plays if hardening else 0)
+        return cls(
+            w=w, r=r, b=np.eye(degree)[0], hardening=fading, envelopes=tuple(envelopes), operator=operator, rest=rest
+        )
+
+    @classmethod
+    def generalized(cls, plays: int = 20, degree: int = 5, **options: object) -> PrandtlIshlinskii:
+        """`of` with the three envelopes, for asymmetric loops."""
+        return cls.of(plays, degree, envelopes=("identity", "square", "mirror"), **options)
+
+    def _position(self, u: Array) -> Array:
+        return (u - self.low) / (self.high - self.low)
+
+    def _envelopes(self, u: Array) -> Array:
+        x = self._position(u)
+        return jnp.stack([envelope(kind, x) for kind in self.envelopes])[:, None]
+
+    def _move(self, plays: Array, u: Array) -> Array:
+        target = self._envelopes(u)
+        return jnp.maximum(target - self.r, jnp.minimum(target + self.r, plays))
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the plays, moved from rest to u0, and with hardening the path run so far."""
+        rest = u0 if self.rest == "first" else self.level + 0.0 * u0
+        plays = self._move(jnp.broadcast_to(self._envelopes(rest), self.w.shape), u0).reshape(-1)
+        if not self.hardening.size:
+            return plays
+        return jnp.append(plays, jnp.abs(self._position(u0) - self._position(rest)))
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Drag the plays along."""
+        plays = self._move(state[: self.w.size].reshape(self.w.shape), u1)
+        elements = self._envelopes(u1) - plays if self.operator == "stop" else plays
+        x = self._position(u1)
+        single = legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0)
+        y = self.offset + jnp.sum(self.w * elements) + single
+        if not self.hardening.size:
+            return plays.reshape(-1), y
+        path = state[-1] + jnp.abs(x - self._position(u0))
+        y = y + jnp.exp(-path / self.s0) * jnp.dot(self.hardening, elements[0])
+        return jnp.append(plays.reshape(-1), path), y
+
+    def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
+        """Ranges from the samples that count; the weights follow from a linear solve."""
+        place, out = fitted_input_range(records), output_range(records)
+        w = jnp.full(self.w.shape, 0.2 * out.half / self.w.size)
+        b = jnp.zeros_like(self.b).at[0].set(0.8 * out.half)
+        low, high = place.center - place.half, place.center + place.half
+        return eqx.tree_at(
+            lambda m: (m.w, m.b, m.offset, m.low, m.high),
+            self,
+            (w, b, jnp.asarray(out.center), jnp.asarray(low), jnp.asarray(high)),
+        )

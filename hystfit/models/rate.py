@@ -1,0 +1,67 @@
+"""Forces of the input's rate: viscous and saturating damping beside a hysteresis (dampers, friction)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.models.base import AbstractHysteresis
+from hystfit.params import param
+
+
+class Viscous(AbstractHysteresis):
+    """Linear damping:  y = c du/dt."""
+
+    rate_independent: ClassVar[bool] = False
+
+    c: Float[Array, ""] = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the last rate, kept over repeated time stamps."""
+        return jnp.zeros((1,)) * u0
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Rate over the sample."""
+        rate = _rate(state[0], u0, u1, dt)
+        return rate[None], self.c * rate
+
+    def start(self, records: Sequence[Record]) -> Viscous:
+        """No damping; it follows from the fit."""
+        return type(self)(c=0.0)
+
+
+class SaturatingRate(AbstractHysteresis):
+    """Damping that saturates:  y = F tanh((du/dt) / v0): the yield force of a magnetorheological damper, Coulomb friction."""
+
+    rate_independent: ClassVar[bool] = False
+
+    F: Float[Array, ""] = param(0.1, unit="y", linear=True, doc="force far above v0")
+    v0: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the last rate, kept over repeated time stamps."""
+        return jnp.zeros((1,)) * u0
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Rate over the sample."""
+        rate = _rate(state[0], u0, u1, dt)
+        return rate[None], self.F * jnp.tanh(rate / self.v0)
+
+    def start(self, records: Sequence[Record]) -> SaturatingRate:
+        """A bend at a quarter of the typical rate."""
+        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
+        typical = float(np.sqrt(np.mean(rates**2))) if rates.size else 1.0
+        return type(self)(F=0.0, v0=0.25 * typical or 1.0)
+
+
+def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:
+    return jnp.where(dt > 0, (u1 - u0) / jnp.where(dt > 0, dt, 1.0), last)

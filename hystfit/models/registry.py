@@ -1,0 +1,160 @@
+"""Models by name: "bouc-wen", "lag+generalized-prandtl-ishlinskii+creep", or "my_model.py:MyModel"."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.bouc_wen import AsymmetricBoucWen, BoucWen
+from hystfit.models.bouc_wen_force import BoucWenForce
+from hystfit.models.compose import Offset, Series, Sum
+from hystfit.models.creep import LinearCreep, LogCreep
+from hystfit.models.duhem import Duhem
+from hystfit.models.dynamics import Delay, Lag, SecondOrder
+from hystfit.models.oscillator import BoucWenOscillator
+from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
+from hystfit.models.preisach import Preisach
+from hystfit.models.rate import SaturatingRate, Viscous
+from hystfit.models.relaxation import Relaxation
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A model that the command line knows.
+
+    Attributes:
+        make: builds it with its defaults.
+        place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
+        doc: what it is for, one line.
+    """
+
+    make: Callable[[], AbstractHysteresis]
+    place: str
+    doc: str
+
+
+MODELS: dict[str, Entry] = {
+    "duhem": Entry(Duhem, "core", "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters"),
+    "bouc-wen": Entry(BoucWen, "core", "normalised Bouc-Wen y = c v - h; symmetric loops, 5 parameters"),
+    "bouc-wen-asymmetric": Entry(
+        AsymmetricBoucWen, "core", "generalised Bouc-Wen: exponent, skew, bent backbone; 9 parameters"
+    ),
+    "bouc-wen-force": Entry(
+        BoucWenForce,
+        "core",
+        "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
+    ),
+    "bouc-wen-oscillator": Entry(
+        BoucWenOscillator, "core", "mass, damper and Bouc-Wen spring; force in, displacement out; needs time"
+    ),
+    "preisach": Entry(
+        lambda: Preisach.of(30), "core", "Preisach with cells; weights >= 0 and smooth by a convex solve"
+    ),
+    "preisach-magnetic": Entry(
+        lambda: Preisach.of(40, symmetric=True),
+        "core",
+        "Preisach of a material without remembered sign: mirror cells are tied",
+    ),
+    "preisach-relays": Entry(
+        lambda: Preisach.of(20, elements="relays"), "core", "Preisach with the classical point relays"
+    ),
+    "prandtl-ishlinskii": Entry(
+        PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"
+    ),
+    "prandtl-ishlinskii-stop": Entry(
+        lambda: PrandtlIshlinskii.of(operator="stop"),
+        "core",
+        "weighted stops; force against displacement (dampers, steel); convex solve",
+    ),
+    "prandtl-ishlinskii-generalized": Entry(
+        PrandtlIshlinskii.generalized, "core", "weighted plays with envelopes: asymmetric loops; convex solve"
+    ),
+    "prandtl-ishlinskii-hardening": Entry(
+        lambda: PrandtlIshlinskii.of(degree=3, operator="stop", hardening=True),
+        "core",
+        "weighted stops that fade with the path: cyclic hardening",
+    ),
+    "delay": Entry(Delay, "before", "pure delay of the input, in samples"),
+    "lag": Entry(Lag, "before", "two first-order lags of the input (amplifier, sensor); needs time"),
+    "creep": Entry(LinearCreep, "beside", "logarithmic creep of the input, added to the output; needs time"),
+    "log-creep": Entry(
+        LogCreep, "after", "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time"
+    ),
+    "viscous": Entry(Viscous, "beside", "force in proportion to the input's rate; needs time"),
+    "saturating-rate": Entry(SaturatingRate, "beside", "force that saturates in the input's rate; needs time"),
+    "offset": Entry(Offset, "beside", "a constant for each record"),
+    "relaxation": Entry(Relaxation, "after", "a part of the output follows slowly (curved actuators); needs time"),
+    "second-order": Entry(SecondOrder, "after", "a resonance; needs time"),
+}
+
+
+def make_model(expression: str) -> AbstractHysteresis:
+    """The model that an expression names: names joined by "+", or a file of the user's and a class in it.
+
+    Filters named "before" precede, those "after" follow the sum of the others, in the order in which they are written.
+
+    Raises:
+        ModelError: an unknown name (the message lists the names), a filter without a hysteresis, a file without such a class.
+    """
+    if ".py:" in expression:
+        return _from_file(expression)
+    places: dict[str, list[AbstractHysteresis]] = {"before": [], "core": [], "beside": [], "after": []}
+    for name in (part.strip() for part in expression.split("+")):
+        if name not in MODELS:
+            raise ModelError(f"no model {name!r}; the models are: {', '.join(MODELS)} (join several by +)")
+        places[MODELS[name].place].append(MODELS[name].make())
+    added = places["core"] + places["beside"]
+    if not added:
+        raise ModelError(f"{expression!r} has no hysteresis model: add one, such as bouc-wen")
+    inner = added[0] if len(added) == 1 else Sum(*added)
+    chain = [*places["before"], inner, *places["after"]]
+    return inner if len(chain) == 1 else Series(*chain)
+
+
+def _from_file(expression: str) -> AbstractHysteresis:
+    path, _, name = expression.rpartition(":")
+    kind = load_class(path, name)
+    try:
+        return kind()
+    except TypeError as error:
+        raise ModelError(
+            f"{name} of {path} cannot be made without arguments: {error}; give its parameters defaults"
+        ) from error
+
+
+def load_class(path: str, name: str) -> type[AbstractHysteresis]:
+    """A model class from a file of the user's.
+
+    Raises:
+        ModelError: the file cannot be read or run, or holds no such model.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise ModelError(f"no file {path!r} with a model")
+    spec = importlib.util.spec_from_file_location(f"model_file_{file.stem}", file.resolve())
+    if spec is None or spec.loader is None:
+        raise ModelError(f"{path!r} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses and the saved description look up the module of a class there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[spec.name]
+        raise ModelError(f"{path} does not run: {type(error).__name__}: {error}") from error
+    kind = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, AbstractHysteresis)):
+        found = [k for k, v in vars(module).items() if isinstance(v, type) and issubclass(v, AbstractHysteresis)]
+        raise ModelError(f"{path} has no model {name!r}; it has {found}")
+    return kind
+
+
+def model_name(model: AbstractHysteresis) -> str:
+    """A readable name: class names joined by "+" in the order of the signal."""
+    if isinstance(model, (Sum, Series)):
+        return "+".join(model_name(part) for part in model.parts)
+    return type(model).__name__

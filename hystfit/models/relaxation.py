@@ -1,0 +1,55 @@
+"""Relaxation: a displacement that follows its static value in part at once, in part slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractFilter
+from hystfit.params import param
+
+
+class Relaxation(AbstractFilter):
+    """Viscoelastic relaxation with static gain one:  y = x - sum of a_i (x - z_i),  tau_i dz_i/dt = x - z_i.
+
+    A step of x shows the part 1 - sum of a_i at once, the rest with the time constants tau_i: loops grow, and lag, with
+    frequency. Comes after a hysteresis in a `Series`; a curved piezo actuator needs it from 0.1 Hz on.
+
+    Raises:
+        ModelError: a weight without a time constant.
+    """
+
+    rate_independent: ClassVar[bool] = False
+
+    a: Float[Array, " modes"] = param((0.05, 0.02), bounds=(-1.0, 1.0), scale=0.1, doc="parts that follow slowly")
+    tau: Float[Array, " modes"] = param((0.1, 1.0), bounds=(0.0, np.inf), unit="s", scale=1.0, doc="time constants")
+
+    def __check_init__(self) -> None:
+        if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape != self.tau.shape:
+            raise ModelError(f"one weight a time constant: got {self.a.shape} and {self.tau.shape}")
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """State: the slow followers z, at rest on u0."""
+        return jnp.broadcast_to(u0, self.tau.shape)
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """Follow the new displacement for the time dt, exactly."""
+        state = state - jnp.expm1(-dt / self.tau) * (u1 - state)
+        return state, u1 - jnp.sum(self.a * (u1 - state))
+
+    def start(self, records: Sequence[Record]) -> Relaxation:
+        """Time constants from ten sampling intervals to the length of the records, small equal weights."""
+        steps = np.concatenate([record.dt[1:] for record in records])
+        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
+        longest = max(float(np.sum(record.dt[1:])) for record in records)
+        tau = np.geomspace(10 * typical, max(longest / 5, 100 * typical), self.tau.shape[0] + 2)[1:-1]
+        return eqx.tree_at(lambda m: (m.a, m.tau), self, (jnp.full(self.a.shape, 0.02), jnp.asarray(tau)))

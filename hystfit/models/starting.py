@@ -1,0 +1,65 @@
+"""What the models' starting values share: ranges, thinned records, and linear least squares on the host."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hystfit.data.loops import reversals
+from hystfit.data.record import Record
+
+
+class Range(NamedTuple):
+    """Middle and half width of a signal; the half width is never zero."""
+
+    center: float
+    half: float
+
+
+def input_range(records: Sequence[Record]) -> Range:
+    """Range of the input over all records, the part before a fitting window too (it drives the model)."""
+    low, high = min(float(r.u.min()) for r in records), max(float(r.u.max()) for r in records)
+    return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def fitted_input_range(records: Sequence[Record]) -> Range:
+    """Range of the input over the samples that count."""
+    values = [r.u[r.used] for r in records if r.used.any()]
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def output_range(records: Sequence[Record]) -> Range:
+    """Range of the output over the samples that count."""
+    values = [r.y[r.used] for r in records if r.used.any()]
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def thinned(records: Sequence[Record], count: int = 500) -> list[Record]:
+    """Records of about `count` samples, every k-th one and the points where the input turns: enough for starting values."""
+    short = []
+    for record in records:
+        kept = np.arange(0, len(record), max(1, len(record) // count))
+        turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
+        kept = np.unique(np.concatenate([kept, np.asarray(turns, dtype=int)[:count], [len(record) - 1]]))
+        t = None if record.t is None else record.t[kept]
+        thin = {"u": record.u[kept], "y": record.y[kept], "t": t, "weight": record.weight[kept]}
+        usable = ((record.weight[kept] > 0) & np.isfinite(record.y[kept])).sum() > 20
+        short.append(record.replace(**thin) if usable else record)
+    return short
+
+
+def first_output(record: Record) -> float:
+    """The first output that counts."""
+    return float(record.y[np.argmax(record.used)])
+
+
+def fit_linear(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
+    """Least squares on columns of any scale: (coefficients, sum of squared residuals)."""
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    solution = np.linalg.lstsq(columns / size, y, rcond=1e-10)[0] / size
+    return solution, float(np.sum((y - columns @ solution) ** 2))

@@ -1,0 +1,312 @@
+"""`Posterior`: draws with their diagnostics, tables, pictures, bands and derived quantities, and the file that keeps them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.data.record import Record
+from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.models.base import run
+from hystfit.params import Coordinates
+from hystfit.results import FitResult
+from hystfit.sampling.diagnostics import Convergence
+
+SCHEMA = "hystfit.sample/1"
+ADVICE = {
+    "ok": "usable",
+    "not-converged": "the chains have not converged: draw more, or fix what the data do not determine",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Posterior:
+    """Draws of the parameters of model and noise.
+
+    Attributes:
+        result: the fit from which sampling started.
+        sampler, noise: names.
+        names, units: of the parameters, the model's first.
+        draws: physical, shape (chains, draws, d); for the ensemble every walker is a chain.
+        log_density: log posterior in unconstrained coordinates, shape (chains, draws).
+        stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
+        convergence: R-hat and effective sizes.
+        status: "ok" or "not-converged".
+        notes: what was chosen, what went wrong.
+        priors: in words, by parameter.
+        seconds: wall time of sampling.
+        seed: of the draws.
+    """
+
+    result: FitResult
+    sampler: str
+    noise: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    draws: np.ndarray
+    log_density: np.ndarray
+    stats: dict[str, np.ndarray]
+    convergence: Convergence
+    status: str
+    notes: tuple[str, ...]
+    priors: dict[str, str]
+    seconds: float
+    seed: int
+
+    @property
+    def usable(self) -> bool:
+        """Whether the chains have converged."""
+        return self.status == "ok"
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Draws of one parameter, shape (chains, draws)."""
+        if name not in self.names:
+            raise ParameterError(f"no parameter {name!r}; there are {', '.join(self.names)}")
+        return self.draws[:, :, self.names.index(name)]
+
+    def table(self) -> list[dict[str, Any]]:
+        """One row a parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
+        finite = lambda v: float(v) if np.isfinite(v) else None
+        rows = []
+        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            flat = self.draws[:, :, k].ravel()
+            low, median, high = np.quantile(flat, [0.025, 0.5, 0.975])
+            row = {"name": name, "unit": unit, "mean": finite(flat.mean()), "sd": finite(flat.std(ddof=1))}
+            row |= {"lower": finite(low), "median": finite(median), "upper": finite(high)}
+            row |= {k_: finite(getattr(self.convergence, k_)[k]) for k_ in ("rhat", "bulk", "tail")}
+            rows.append(row)
+        return rows
+
+    def __str__(self) -> str:
+        width = max(len(name) for name in self.names)
+        shape = self.draws.shape
+        lines = [
+            f"{self.result.name}, noise {self.noise}, {self.sampler}: {shape[0]} chains of {shape[1]} draws: {self.status}"
+        ]
+        lines.append(
+            f"{'':{width}}  {'mean':>11} {'sd':>10} {'2.5 %':>11} {'97.5 %':>11} {'R-hat':>6} {'bulk':>6} {'tail':>6}"
+        )
+        number = lambda v, form: "-" if v is None else format(v, form)
+        for row in self.table():
+            values = [number(row[k], ".5g") for k in ("mean", "sd", "lower", "upper")]
+            end = [number(row["rhat"], ".3f"), number(row["bulk"], ".0f"), number(row["tail"], ".0f")]
+            lines.append(
+                f"{row['name']:{width}}  {values[0]:>11} {values[1]:>10} {values[2]:>11} {values[3]:>11} {end[0]:>6} {end[1]:>6} "
+                f"{end[2]:>6}  {row['unit']}".rstrip()
+            )
+        lines += [f"note: {note}" for note in self.notes]
+        lines += [f"prior of {name}: {words}" for name, words in self.priors.items()]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`."""
+        diverging = self.stats.get("diverging")
+        return {
+            "schema": SCHEMA,
+            "model": self.result.name,
+            "status": self.status,
+            "advice": ADVICE[self.status],
+            "notes": list(self.notes),
+            "sampler": self.sampler,
+            "noise": self.noise,
+            "chains": self.draws.shape[0],
+            "draws": self.draws.shape[1],
+            "divergences": None if diverging is None else int(diverging.sum()),
+            "acceptance": float(np.mean(self.stats["acceptance"])) if "acceptance" in self.stats else None,
+            "parameters": {row.pop("name"): row for row in self.table()},
+            "priors": self.priors,
+            "timing": {"sampling_s": self.seconds},
+            "provenance": {**self.result.provenance, "seed": self.seed},
+        }
+
+    def thinned(self, count: int, seed: int = 0) -> np.ndarray:
+        """`count` draws of the model's parameters, chosen at random, shape (count, p)."""
+        flat = self.draws.reshape(-1, len(self.names))[:, : len(self.result.free_names)]
+        return flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
+
+    # -- prediction ----------------------------------------------------------------------------------------------------
+
+    def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
+        """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
+        return simulate_draws(self.result, record, self.thinned(count, seed))
+
+    def bands(
+        self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, kind: str = "predictive"
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, median, upper) of the output over a record's input, each (T,).
+
+        Args:
+            record: gives the input.
+            level: of the pointwise band.
+            count: draws used.
+            seed: of their choice and of the noise.
+            kind: "credible" (of the model's curve) or "predictive" (of a measurement: noise is added, with its marginal variance).
+
+        Raises:
+            ParameterError: another kind, or a level outside (0, 1).
+        """
+        if kind not in ("credible", "predictive") or not 0 < level < 1:
+            raise ParameterError(f"kind must be credible or predictive and 0 < level < 1, got {kind!r} and {level}")
+        y = self.predict(record, count, seed)
+        if kind == "predictive":
+            rng = np.random.default_rng(seed + 1)
+            flat = self.draws.reshape(-1, len(self.names))
+            at = np.random.default_rng(seed).choice(len(flat), len(y), replace=False)
+            y = y + rng.normal(size=y.shape) * self._noise_sd(flat[at])[:, None]
+        edges = np.quantile(y, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
+        return edges[0], edges[1], edges[2]
+
+    def _noise_sd(self, rows: np.ndarray) -> np.ndarray:
+        """Marginal standard deviation of the noise in each draw."""
+        parts = [k for k, name in enumerate(self.names) if name in ("noise_white", "noise_slow", "noise_loop")]
+        variance = np.sum(rows[:, parts] ** 2, axis=1)
+        if "noise_dof" in self.names:
+            dof = rows[:, self.names.index("noise_dof")]
+            variance = variance * np.where(dof > 2.1, dof / (dof - 2), 20.0)
+        return np.sqrt(variance)
+
+    def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
+        """Posterior draws of derived quantities, each (count,): see `hystfit.sampling.derived.QUANTITIES`."""
+        from hystfit.sampling.derived import derive
+
+        return derive(self, quantities, count)
+
+    def plot(self, kind: str = "corner", **options: Any) -> Any:
+        """A picture: "corner", "trace", "rank" or "bands"; returns the matplotlib figure."""
+        from hystfit.sampling import pictures
+
+        return pictures.draw(self, kind, **options)
+
+    # -- files ---------------------------------------------------------------------------------------------------------
+
+    def dataset(self) -> Any:
+        """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them."""
+        xarray = _xarray()
+        chains, draws, _ = self.draws.shape
+        place = {"chain": np.arange(chains), "draw": np.arange(draws)}
+        variables = {name: (("chain", "draw"), self.draws[:, :, k]) for k, name in enumerate(self.names)}
+        made = xarray.Dataset(variables, coords=place)
+        for name, unit in zip(self.names, self.units, strict=True):
+            made[name].attrs["units"] = unit
+        made.attrs["hystfit"] = json.dumps(self._header())
+        return made
+
+    def _header(self) -> dict[str, Any]:
+        numbers = {k: getattr(self.convergence, k).tolist() for k in ("rhat", "bulk", "tail")}
+        own = {k: getattr(self, k) for k in ("sampler", "noise", "status", "priors", "seconds", "seed")}
+        return own | {
+            "schema": SCHEMA,
+            "convergence": numbers,
+            "names": list(self.names),
+            "units": list(self.units),
+            "notes": list(self.notes),
+        }
+
+    def to_arviz(self) -> Any:
+        """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
+        try:
+            import arviz
+        except ImportError as error:
+            raise MissingExtraError("arviz", "bayes", "to_arviz") from error
+        stats = {"lp": self.log_density, **self.stats}
+        posterior = {name: self.draws[:, :, k] for k, name in enumerate(self.names)}
+        if hasattr(arviz, "InferenceData"):
+            return arviz.from_dict(posterior=posterior, sample_stats=stats)
+        return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
+
+    def save(self, folder: str | Path) -> Path:
+        """Write posterior.nc (groups posterior and sample_stats), result.json, and the fit in fit/.
+
+        Raises:
+            MissingExtraError: xarray or h5netcdf is not installed.
+            HystfitError: the folder cannot be written.
+        """
+        from hystfit.saved import dump_json, writing
+
+        xarray = _xarray()
+        target = Path(folder)
+        with writing(target) as scratch:
+            dump_json(scratch / "result.json", self.to_dict())
+            file = scratch / "posterior.nc"
+            self.dataset().to_netcdf(file, group="posterior", engine="h5netcdf", mode="w")
+            stats = {
+                k: (("chain", "draw"), np.asarray(v, float)) for k, v in {"lp": self.log_density, **self.stats}.items()
+            }
+            xarray.Dataset(stats).to_netcdf(file, group="sample_stats", engine="h5netcdf", mode="a")
+        self.result.save(target / "fit")
+        return target
+
+
+def load_posterior(folder: str | Path) -> Posterior:
+    """What `Posterior.save` wrote.
+
+    Raises:
+        DataError: the folder holds no such file, or one that is damaged.
+        MissingExtraError: xarray or h5netcdf is not installed.
+    """
+    from hystfit.saved import load_fit
+
+    xarray, place = _xarray(), Path(folder)
+    file = place / "posterior.nc"
+    try:
+        with xarray.open_dataset(file, group="posterior", engine="h5netcdf") as stored:
+            header = json.loads(stored.attrs["hystfit"])
+            draws = np.stack([stored[name].values for name in header["names"]], axis=-1)
+        with xarray.open_dataset(file, group="sample_stats", engine="h5netcdf") as stored:
+            stats = {str(k): stored[k].values for k in stored}
+    except (OSError, KeyError, ValueError) as error:
+        raise DataError(f"{os.fspath(file)!r} is no posterior that hystfit saved: {error}") from error
+    kept = {k: header[k] for k in ("sampler", "noise", "status", "priors", "seconds", "seed")}
+    names, units, notes = (tuple(header[k]) for k in ("names", "units", "notes"))
+    return Posterior(
+        load_fit(place / "fit"), names=names, units=units, notes=notes, draws=draws, log_density=stats.pop("lp"), stats=stats,
+        convergence=_stored_convergence(header), **kept,
+    )  # fmt: skip
+
+
+def _stored_convergence(header: dict[str, Any]) -> Convergence:
+    return Convergence(**{k: np.array(v, float) for k, v in header["convergence"].items()})
+
+
+def _xarray() -> Any:
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray
+    except ImportError as error:
+        raise MissingExtraError("h5netcdf", "bayes", "a posterior file (netCDF)") from error
+    return xarray
+
+
+@eqx.filter_jit
+def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, own: int) -> Array:
+    return jax.lax.map(lambda row: run(coordinates.assemble(row, own), u, dt)[0], x)
+
+
+def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
+    """Outputs over a record's input for rows of free parameters x, shape (count, p): (count, T)."""
+    from hystfit.sampling.posterior import problem_of
+
+    problem, _ = problem_of(result)
+    names = [r.name for r in result.data]
+    own = names.index(record.name) if record.name in names else 0
+    arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
+    return np.asarray(_simulate_all(problem.space.coordinates, *arrays, own))
+
+
+def for_each_model(result: FitResult, x: np.ndarray, function: Callable[[Any], Any]) -> np.ndarray:
+    """A traced function of the model, evaluated for rows of free parameters x, shape (count, p)."""
+    from hystfit.sampling.posterior import problem_of
+
+    coordinates = problem_of(result)[0].space.coordinates
+    mapped = eqx.filter_jit(lambda c, rows: jax.lax.map(lambda row: function(c.assemble(row, 0)), rows))
+    return np.asarray(mapped(coordinates, jnp.asarray(x)))

@@ -1,0 +1,168 @@
+"""The ensemble sampler emcee with differential-evolution moves over a vectorised likelihood, resumable after a kill.
+
+The snooker move is never used: in emcee 3.1.6 it samples a distribution that is too narrow (upstream pull request 531).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.sampling.nuts import Raw
+from hystfit.sampling.posterior import Setup, Target
+
+MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
+_LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
+_STEADY = 0.05  # and their estimate of it has settled to this, relative
+
+
+@dataclasses.dataclass(frozen=True)
+class Ensemble:
+    """Settings of emcee.
+
+    Attributes:
+        walkers: even, more than twice the number of parameters.
+        draws: steps at most; it stops sooner when the autocorrelation time is known and chains hold 50 of it.
+        check: steps between two looks at the autocorrelation time, and writes to disk.
+    """
+
+    walkers: int = 64
+    draws: int = 5000
+    check: int = 250
+
+    def __post_init__(self) -> None:
+        if self.draws < 50 or self.check < 10 or self.walkers % 2:
+            raise ParameterError(
+                f"emcee needs draws >= 50, check >= 10 and an even number of walkers, got {dataclasses.asdict(self)}"
+            )
+
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str], None]) -> Raw:
+        """Draw, or go on from the file that a folder holds.
+
+        Raises:
+            ParameterError: too few walkers or too many parameters.
+        """
+        import emcee
+
+        target, d = setup.target, setup.target.center.shape[0]
+        if self.walkers < 2 * d + 2:
+            raise ParameterError(f"{d} parameters need at least {2 * d + 2} walkers, got {self.walkers}")
+        if d > MOST + len(setup.noise_space):
+            raise ParameterError(
+                f"emcee is for up to {MOST} parameters, and the model has {d - len(setup.noise_space)}: use sampler='nuts'"
+            )
+        density = lambda q: np.asarray(_many(target, jnp.asarray(q)))
+        moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+        sampler = emcee.EnsembleSampler(self.walkers, d, density, vectorize=True, moves=moves)
+        file = None if folder is None else folder / "emcee.h5"
+        chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, d, seed)
+        tau, settled = np.inf, False
+        while len(chain) < self.draws and not settled:
+            count = min(self.check, self.draws - len(chain))
+            sampler.reset()
+            state: Any = sampler.run_mcmc(state, count, skip_initial_state_check=True)
+            chain = np.concatenate([chain, np.asarray(sampler.get_chain())])
+            logs = np.concatenate([logs, np.asarray(sampler.get_log_prob())])
+            accepted = accepted + sampler.backend.accepted
+            if file is not None:
+                _write(file, chain, logs, accepted, state.random_state)
+            before, tau = tau, float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+            settled = bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
+            report(
+                f"{len(chain)} steps of {self.walkers} walkers: about {len(chain) * self.walkers / tau:.0f} effective draws"
+            )
+        return self._collect(target, chain, logs, accepted, tau, settled)
+
+    def _collect(
+        self, target: Target, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, tau: float, settled: bool
+    ) -> Raw:
+        burn = min(int(np.ceil(5 * tau)) if np.isfinite(tau) else len(chain) // 2, len(chain) // 2)
+        q = np.swapaxes(chain[burn:], 0, 1)
+        z = np.asarray(target.center) + q @ np.asarray(target.factor).T
+        rate = np.broadcast_to((accepted / len(chain))[:, None], q.shape[:2])
+        notes = [f"emcee: autocorrelation time {tau:.3g} steps, the first {burn} steps left out"]
+        if not settled:
+            notes.append(
+                f"the chains hold {len(chain) / tau:.0f} autocorrelation times (want {_LONG:.0f}): more steps are needed"
+            )
+        return Raw(z, np.swapaxes(logs[burn:], 0, 1), {"acceptance": np.array(rate)}, tuple(notes))
+
+
+@eqx.filter_jit
+def _many(target: Target, q: Array) -> Array:
+    return jax.vmap(lambda row: target.log_density(target.unwhitened(row), lean=True))(q)
+
+
+def _begin(target: Target, walkers: int, d: int, seed: int) -> tuple[Any, ...]:
+    """Walkers about the mode, each where the density is finite."""
+    import emcee
+
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(walkers, d))
+    logs = np.asarray(_many(target, jnp.asarray(q)))
+    for _ in range(60):
+        bad = ~np.isfinite(logs)
+        if not bad.any():
+            break
+        q[bad] *= 0.7
+        logs = np.asarray(_many(target, jnp.asarray(q)))
+    legacy = np.random.RandomState(seed).get_state()
+    state = emcee.State(q, log_prob=logs, random_state=legacy)
+    return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), state
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("h5py", "bayes", "a resumable emcee run") from error
+    return h5py
+
+
+def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, random_state: Any) -> None:
+    """The whole run in emcee's own HDF5 layout, beside the old file and then in its place: a kill leaves one or the other."""
+    import emcee
+
+    scratch = file.with_name(f".{file.name}")
+    with _h5py().File(scratch, "w") as handle:
+        group = handle.create_group("mcmc")
+        group.attrs.update(version=emcee.__version__, nwalkers=chain.shape[1], ndim=chain.shape[2], has_blobs=False)
+        group.attrs["iteration"] = len(chain)
+        for k, part in enumerate(random_state):
+            group.attrs[f"random_state_{k}"] = part
+        for name, values in (("chain", chain), ("log_prob", logs), ("accepted", accepted)):
+            group.create_dataset(name, data=values)
+    os.replace(scratch, file)
+
+
+def _resume(file: Path | None, walkers: int, d: int) -> tuple[Any, ...] | None:
+    """What `_write` wrote and the state to go on from; None where there is no file.
+
+    Raises:
+        DataError: the file is damaged or of another run.
+    """
+    import emcee
+
+    if file is None or not file.exists():
+        return None
+    try:
+        backend = emcee.backends.HDFBackend(str(file), read_only=True)
+        chain, logs = np.asarray(backend.get_chain()), np.asarray(backend.get_log_prob())
+        accepted, random_state = np.array(backend.accepted), tuple(backend.random_state or ())
+    except (OSError, KeyError, AttributeError) as error:
+        raise DataError(f"{str(file)!r} is no emcee run that can go on: {error}; remove it to start anew") from error
+    if chain.shape[1:] != (walkers, d):
+        raise DataError(
+            f"{str(file)!r} holds {chain.shape[1:]} walkers and parameters, not {(walkers, d)}: remove it to start anew"
+        )
+    return chain, logs, accepted, emcee.State(chain[-1], log_prob=logs[-1], random_state=random_state)

@@ -1,0 +1,208 @@
+"""The no-U-turn sampler (Hoffman and Gelman 2014) of blackjax in whitened coordinates, resumable chunk by chunk."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.sampling.posterior import Setup, Target
+
+_CHUNK = 50  # draws in one compiled call, and between two writes to disk
+_PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
+
+
+class Raw(NamedTuple):
+    """What a sampler returns: z (chains, draws, d), log density and stats (chains, draws), notes."""
+
+    z: np.ndarray
+    log_density: np.ndarray
+    stats: dict[str, np.ndarray]
+    notes: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Nuts:
+    """Settings of NUTS.
+
+    Attributes:
+        chains, draws: how many, and how many each.
+        warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
+        target_accept: acceptance that the step size is tuned to.
+        max_depth: doublings of a trajectory at most.
+    """
+
+    chains: int = 4
+    draws: int = 1000
+    warmup: int = 300
+    target_accept: float = 0.8
+    max_depth: int = 8
+
+    def __post_init__(self) -> None:
+        if self.chains < 1 or self.draws < 4 or self.warmup < 50 or not 0 < self.target_accept < 1:
+            raise ParameterError(
+                f"NUTS needs chains >= 1, draws >= 4, warmup >= 50 and 0 < target_accept < 1, got {dataclasses.asdict(self)}"
+            )
+
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str], None]) -> Raw:
+        """Draw, or go on from the chunks that a folder holds."""
+        parts = [self._chain(setup, seed, number, folder, report) for number in range(self.chains)]
+        joined = {k: np.stack([part[k] for part in parts]) for k in parts[0]}
+        z, density = joined.pop("z"), joined.pop("log_density")
+        count = int(joined["diverging"].sum())
+        notes = (
+            (f"{count} divergent transitions: parts of the posterior may be missing; raise target_accept",)
+            if count
+            else ()
+        )
+        return Raw(z, density, joined, notes)
+
+    def _chain(
+        self, setup: Setup, seed: int, number: int, folder: Path | None, report: Callable[[str], None]
+    ) -> dict[str, np.ndarray]:
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        warm = _stored(
+            folder, f"nuts-{number}-warm.npz", lambda: self._warm(setup.target, jax.random.fold_in(key, 10**6))
+        )
+        target = eqx.tree_at(lambda t: t.factor, setup.target, jnp.asarray(warm["factor"]))
+        q, size = jnp.asarray(warm["q"]), jnp.asarray(warm["size"])
+        chunks = []
+        for k in range(-(-self.draws // _CHUNK)):
+            advance = lambda k=k, q=q: self._advance(target, q, size, jax.random.fold_in(key, k))
+            chunk = _stored(folder, f"nuts-{number}-{k:05d}.npz", advance)
+            chunks.append(chunk)
+            q = jnp.asarray(chunk["q"][-1])
+            report(f"chain {number + 1} of {self.chains}: {min((k + 1) * _CHUNK, self.draws)} of {self.draws} draws")
+        rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
+        rows["z"] = np.asarray(target.center) + rows.pop("q") @ np.asarray(target.factor).T
+        return rows
+
+    def _warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:
+        """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks."""
+        d = target.center.shape[0]
+        quarter = -(-self.warmup // (4 * _CHUNK))
+        count = iter(range(10**6))
+
+        def adapt(target: Target, q: Array, size: float, rounds: int) -> tuple[Array, Array, np.ndarray]:
+            tuning, seen = Tuning.about(size), []
+            for _ in range(rounds):
+                found, tuning = _advance(target, q, tuning, jax.random.fold_in(key, next(count)), True, *settings)
+                q = found[0][-1]
+                seen.append(np.asarray(found[0]))
+            return q, jnp.exp(tuning.average), np.concatenate(seen)
+
+        settings = (jnp.asarray(self.target_accept), self.max_depth)
+        q, size, _ = adapt(target, _start(target, key), 0.5, quarter)
+        q, _, seen = adapt(target, q, float(size), 2 * quarter)
+        seen = seen[len(seen) // 10 :]
+        spread = np.cov(seen.T).reshape(d, d)
+        shrunk = (len(seen) * spread + _PRIOR_DRAWS * np.eye(d)) / (len(seen) + _PRIOR_DRAWS)
+        inner = np.linalg.cholesky(shrunk)
+        better = eqx.tree_at(lambda t: t.factor, target, target.factor @ inner)
+        q, size, _ = adapt(better, jnp.asarray(np.linalg.solve(inner, np.asarray(q))), 0.7, quarter)
+        return {"q": np.asarray(q), "size": np.asarray(size), "factor": np.asarray(better.factor)}
+
+    def _advance(self, target: Target, q: Array, size: Array, key: Array) -> dict[str, np.ndarray]:
+        still = (jnp.asarray(self.target_accept), self.max_depth)
+        found, _ = _advance(target, q, Tuning.about(float(size)), key, False, *still)
+        return {
+            k: np.asarray(v)
+            for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), found, strict=True)
+        }
+
+
+def _stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays from a file of a folder, or made and written there whole or not at all."""
+    if folder is None:
+        return make()
+    file = folder / name
+    if file.exists():
+        with np.load(file) as stored:
+            return {k: stored[k] for k in stored.files}
+    arrays = make()
+    scratch = folder / f".{name}"
+    with scratch.open("wb") as handle:
+        np.savez(handle, **arrays)  # type: ignore[arg-type]
+    scratch.replace(file)
+    return arrays
+
+
+def _start(target: Target, key: Array) -> Array:
+    """A start about the mode whose density is finite."""
+    for shrink in (1.0, 0.3, 0.1, 0.0):
+        q = shrink * jax.random.normal(key, target.center.shape)
+        if np.isfinite(float(_value(target, q))):
+            return q
+    return jnp.zeros_like(target.center)
+
+
+@eqx.filter_jit
+def _value(target: Target, q: Array) -> Array:
+    return target(q)
+
+
+def _kernel() -> Any:
+    try:
+        import blackjax
+    except ImportError as error:
+        raise MissingExtraError("blackjax", "bayes", "sampler='nuts'") from error
+    return blackjax.nuts.build_kernel(), blackjax.nuts.init
+
+
+class Tuning(NamedTuple):
+    """State of the dual averaging of the step size (Hoffman and Gelman 2014, section 3.2), logarithms."""
+
+    size: Array
+    average: Array
+    error: Array
+    middle: Array
+    m: Array
+
+    @classmethod
+    def about(cls, size: float) -> Tuning:
+        """Before the first step."""
+        log_size = jnp.log(jnp.asarray(size, float))
+        return cls(log_size, log_size, jnp.zeros(()), log_size + jnp.log(10.0), jnp.ones(()))
+
+    def after(self, acceptance: Array, goal: Array) -> Tuning:
+        """One step later."""
+        share = 1 / (self.m + 10.0)
+        error = (1 - share) * self.error + share * (goal - acceptance)
+        size = jnp.clip(self.middle - jnp.sqrt(self.m) / 0.05 * error, -12.0, 2.0)
+        weight = self.m**-0.75
+        return Tuning(size, weight * size + (1 - weight) * self.average, error, self.middle, self.m + 1)
+
+
+@eqx.filter_jit
+def _advance(
+    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array | bool, goal: Array, depth: int
+) -> tuple[tuple[Array, ...], Tuning]:
+    """One chunk, with or without adaptation of the step size: (positions and statistics of each draw, tuning)."""
+    return advance(target, q, tuning, key, jnp.asarray(adapting), goal, depth, _CHUNK)
+
+
+def advance(
+    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
+) -> tuple[tuple[Array, ...], Tuning]:
+    """`steps` transitions, for use inside traced code."""
+    kernel, init = _kernel()
+    mass = jnp.ones_like(q)
+
+    def once(carry: tuple[Any, Tuning], key: Array) -> tuple[tuple[Any, Tuning], tuple[Array, ...]]:
+        state, tuning = carry
+        state, info = kernel(key, state, target, jnp.exp(tuning.size), mass, max_num_doublings=depth)
+        later = tuning.after(info.acceptance_rate, goal)
+        tuning = jax.tree_util.tree_map(lambda a, b: jnp.where(adapting, a, b), later, tuning)
+        out = (state.position, state.logdensity, info.is_divergent, info.acceptance_rate, info.num_integration_steps)
+        return (state, tuning), out
+
+    (_, tuning), out = jax.lax.scan(once, (init(q, target), tuning), jax.random.split(key, steps))
+    return out, tuning

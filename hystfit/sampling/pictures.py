@@ -1,0 +1,91 @@
+"""Pictures of a posterior: corner, trace, rank, and bands over the loop."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import rankdata
+
+from hystfit.errors import MissingExtraError, ParameterError
+
+if TYPE_CHECKING:
+    from hystfit.sampling.draws import Posterior
+
+_KINDS = ("corner", "trace", "rank", "bands")
+
+
+def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
+    """The matplotlib figure of one kind.
+
+    Raises:
+        ParameterError: an unknown kind.
+        MissingExtraError: corner is not installed.
+    """
+    if kind not in _KINDS:
+        raise ParameterError(f"no picture {kind!r} of a posterior; there are {', '.join(_KINDS)}")
+    return {"corner": _corner, "trace": _trace, "rank": _rank, "bands": _bands}[kind](posterior, **options)
+
+
+def _labels(posterior: Posterior) -> list[str]:
+    return [f"{n} [{u}]" if u else n for n, u in zip(posterior.names, posterior.units, strict=True)]
+
+
+def _corner(posterior: Posterior) -> Any:
+    try:
+        import corner
+    except ImportError as error:
+        raise MissingExtraError("corner", "bayes", "a corner plot") from error
+    flat = posterior.draws.reshape(-1, len(posterior.names))
+    moving = np.ptp(flat, axis=0) > 0
+    labels = [label for label, on in zip(_labels(posterior), moving, strict=True) if on]
+    return corner.corner(
+        flat[:, moving], labels=labels, quantiles=[0.025, 0.5, 0.975], show_titles=True, title_fmt=".3g"
+    )
+
+
+def _panels(posterior: Posterior) -> Any:
+    import matplotlib.pyplot as plt
+
+    count = len(posterior.names)
+    return plt.subplots(count, 1, figsize=(7, 1.4 * count), layout="constrained", squeeze=False)
+
+
+def _trace(posterior: Posterior) -> Any:
+    figure, axes = _panels(posterior)
+    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+        for chain in posterior.draws[:8, :, k]:
+            ax.plot(chain, lw=0.4)
+        ax.set_ylabel(label)
+    axes[-1, 0].set_xlabel("draw")
+    return figure
+
+
+def _rank(posterior: Posterior) -> Any:
+    figure, axes = _panels(posterior)
+    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+        draws = posterior.draws[:, :, k]
+        ranks = rankdata(draws).reshape(draws.shape)
+        for chain in ranks[:8]:
+            ax.hist(chain, bins=20, range=(0, draws.size), histtype="step")
+        ax.set_ylabel(label)
+    axes[-1, 0].set_xlabel("rank over all chains")
+    return figure
+
+
+def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
+    import matplotlib.pyplot as plt
+
+    record = posterior.result.data[0]
+    figure, ax = plt.subplots(layout="constrained")
+    on = record.used
+    ax.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
+    low, middle, high = posterior.bands(record, level, count)
+    inner = posterior.bands(record, level, count, kind="credible")
+    ax.plot(record.u[on], middle[on], color="#0072b2", lw=1, label="model")
+    for edge, style in ((low, ":"), (high, ":"), (inner[0], "-"), (inner[2], "-")):
+        ax.plot(record.u[on], edge[on], color="#d55e00", lw=0.6, ls=style)
+    ax.set(xlabel=f"{record.u_name} [{record.u_unit}]", ylabel=f"{record.y_name} [{record.y_unit}]")
+    ax.set_title(f"{level:.0%} credible (solid) and predictive (dotted) bands", fontsize=9)
+    ax.legend(frameon=False)
+    return figure

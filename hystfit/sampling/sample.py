@@ -1,0 +1,157 @@
+"""`sample`: from a fit to posterior draws with a verdict on their convergence."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.config import require_x64
+from hystfit.errors import DataError, ParameterError
+from hystfit.priors import AbstractPrior
+from hystfit.results import FitResult
+from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.draws import Posterior
+from hystfit.sampling.ensemble import Ensemble
+from hystfit.sampling.nuts import Nuts
+from hystfit.sampling.posterior import Setup, Target, prepare
+
+SAMPLERS = {"nuts": Nuts, "emcee": Ensemble}
+
+
+def sample(
+    result: FitResult,
+    sampler: Literal["nuts", "emcee"] = "nuts",
+    *,
+    noise: Literal["auto", "iid", "ou", "ar1", "student-t", "discrepancy"] = "auto",
+    priors: Mapping[str, AbstractPrior] | None = None,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    progress: Callable[[str], None] | None = None,
+    **settings: Any,
+) -> Posterior:
+    """Draw from the posterior of a fitted model and its noise.
+
+    Args:
+        result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
+        sampler: "nuts" (blackjax), or "emcee" for up to ten parameters.
+        noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals call for more, and says why.
+        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
+        seed: of the draws.
+        folder: keeps the run while it goes; the same call with the same folder goes on after a kill.
+        progress: called with a line from time to time, such as `print`.
+        **settings: of the sampler (`Nuts`, `Ensemble`): draws, chains, warmup, walkers, ...
+
+    Returns:
+        Draws with a status; look at `usable` and `notes` first.
+
+    Raises:
+        HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
+    """
+    require_x64()
+    if sampler not in SAMPLERS:
+        raise ParameterError(f"sampler must be one of {', '.join(SAMPLERS)}, got {sampler!r}")
+    try:
+        chosen = SAMPLERS[sampler](**settings)
+    except TypeError as error:
+        raise ParameterError(f"settings of {sampler}: {error}") from error
+    setup = prepare(result, noise=noise, priors=priors)
+    place = None if folder is None else _claim(Path(folder), setup, result, sampler, seed, settings)
+    started = time.perf_counter()
+    raw = chosen.run(setup, seed, place, progress or (lambda words: None))
+    seconds = time.perf_counter() - started
+    draws = physical_draws(setup, raw.z)
+    convergence = Convergence.of(_independent(draws) if sampler == "emcee" else draws)
+    good, why = convergence.verdict(setup.names)
+    moved = np.isfinite(draws).all()
+    notes = (*setup.notes, *raw.notes, *why, *_prior_bound(setup, draws))
+    unsettled = any("more steps are needed" in note for note in raw.notes)
+    status = "ok" if good and moved and not unsettled else "not-converged"
+    return Posterior(
+        result=result,
+        sampler=sampler,
+        noise=setup.noise_name,
+        names=setup.names,
+        units=setup.units,
+        draws=draws,
+        log_density=raw.log_density,
+        stats=raw.stats,
+        convergence=convergence,
+        status=status,
+        notes=notes,
+        priors=setup.describe_priors(),
+        seconds=seconds,
+        seed=seed,
+    )
+
+
+def _independent(draws: np.ndarray) -> np.ndarray:
+    """Walkers in four groups, end to end: one walker alone is far too short a chain for R-hat."""
+    walkers, n, d = draws.shape
+    groups = draws[: 4 * (walkers // 4)].reshape(4, walkers // 4, n, d)
+    return groups.reshape(4, -1, d)
+
+
+def physical_draws(setup: Setup, z: np.ndarray) -> np.ndarray:
+    """x of draws z, shape (chains, draws, d)."""
+    flat = jnp.asarray(z.reshape(-1, z.shape[-1]))
+    return np.asarray(_physical(setup.target, flat)).reshape(z.shape)
+
+
+@eqx.filter_jit
+def _physical(target: Target, z: Array) -> Array:
+    return jax.vmap(target.physical)(z)
+
+
+def _prior_bound(setup: Setup, draws: np.ndarray) -> list[str]:
+    """Parameters about which the draws say no more than the prior."""
+    key, notes = jax.random.key(0), []
+    for k, (name, prior) in enumerate(zip(setup.names, setup.target.priors, strict=True)):
+        wide = np.asarray(prior.sample(jax.random.fold_in(key, k), (2000,)))
+        spread = lambda v: float(np.subtract(*np.quantile(v, [0.75, 0.25])))
+        if spread(draws[:, :, k]) > 0.5 * spread(wide):
+            notes.append(f"{name} is hardly determined: its posterior is as wide as its prior ({prior})")
+    return notes
+
+
+def _claim(folder: Path, setup: Setup, result: FitResult, sampler: str, seed: int, settings: Mapping[str, Any]) -> Path:
+    """The folder of a run, new or of the same one.
+
+    Raises:
+        DataError: the folder holds another run, or cannot be made.
+    """
+    from hystfit.models.storage import to_json
+
+    described = {
+        "data": [record.digest() for record in result.data],
+        "model": [to_json(model) for model in result.models],
+        "free": list(setup.names),
+        "noise": setup.noise_name,
+        "priors": setup.describe_priors(),
+        "sampler": sampler,
+        "seed": seed,
+        "settings": {k: v for k, v in settings.items() if k != "draws"},
+    }
+    digest = hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        label = folder / "run.json"
+        if label.exists() and json.loads(label.read_text(encoding="utf-8")).get("digest") != digest:
+            raise DataError(
+                f"{str(folder)!r} holds another run (other data, model, priors, sampler, seed or settings): choose another folder"
+            )
+        scratch = folder / ".run.json"
+        scratch.write_text(json.dumps({"digest": digest, **described}, indent=1, default=str), encoding="utf-8")
+        scratch.replace(label)
+    except OSError as error:
+        raise DataError(f"cannot keep the run in {str(folder)!r}: {error.strerror or error}") from error
+    return folder

@@ -1,0 +1,14 @@
+"""The simulated stage: piezo actuators, their amplifiers and sensors, and the mechanism that they move."""
+
+from hystfit.stage.actuator import Actuator as Actuator
+from hystfit.stage.actuator import Amplifier as Amplifier
+from hystfit.stage.actuator import Sensor as Sensor
+from hystfit.stage.actuator import piezo as piezo
+from hystfit.stage.actuator import population as population
+from hystfit.stage.kinematics import JacobianEstimate as JacobianEstimate
+from hystfit.stage.kinematics import Kinematics as Kinematics
+from hystfit.stage.kinematics import calibrate as calibrate
+from hystfit.stage.stage import Stage as Stage
+from hystfit.stage.stage import axis_plant as axis_plant
+from hystfit.stage.stage import perturbed as perturbed
+from hystfit.stage.stage import refine as refine

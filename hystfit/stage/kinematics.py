@@ -1,0 +1,101 @@
+"""Constant-Jacobian kinematics of a 3-RRR stage with three-fold symmetry, and its calibration from records."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.errors import DataError, ParameterError
+from hystfit.params import param
+
+AXES = ("x", "y", "theta")
+
+
+class Kinematics(eqx.Module):
+    """Small motion of the platform: actuator i pushes along psi_i = direction + 120 deg i, with an arm about the center (eq. (20)).
+
+        extension_i = (x cos psi_i + y sin psi_i + arm theta) / amplification
+
+    Lengths in um, theta in mrad, so that the arm is in um per mrad (its length in mm).
+    """
+
+    amplification: Float[Array, ""] = param(6.44, bounds=(0.0, np.inf), doc="lever ratio, platform over actuator")
+    arm: Float[Array, ""] = param(40.0, bounds=(0.0, np.inf), doc="moment arm about the center [um/mrad]")
+    direction: Float[Array, ""] = param(0.0, doc="direction of the first actuator [rad]")
+
+    def inverse_jacobian(self) -> Float[Array, "3 3"]:
+        """Extensions [um] from (x, y, theta) [um, um, mrad]."""
+        psi = self.direction + 2 * jnp.pi / 3 * jnp.arange(3)
+        columns = jnp.stack([jnp.cos(psi), jnp.sin(psi), jnp.broadcast_to(self.arm, psi.shape)], axis=1)
+        return columns / self.amplification
+
+    def jacobian(self) -> Float[Array, "3 3"]:
+        """(x, y, theta) from extensions, in closed form."""
+        psi = self.direction + 2 * jnp.pi / 3 * jnp.arange(3)
+        turn = jnp.broadcast_to(0.5 / self.arm, psi.shape)
+        return (2 * self.amplification / 3) * jnp.stack([jnp.cos(psi), jnp.sin(psi), turn])
+
+    def extensions(self, pose: Float[Array, "*T 3"]) -> Float[Array, "*T 3"]:
+        """Actuator extensions [um] that hold a pose."""
+        return pose @ self.inverse_jacobian().T
+
+    def pose(self, extensions: Float[Array, "*T 3"]) -> Float[Array, "*T 3"]:
+        """Pose that extensions hold, the dynamics aside."""
+        return extensions @ self.jacobian().T
+
+
+@dataclasses.dataclass(frozen=True)
+class JacobianEstimate:
+    """A Jacobian from records.
+
+    Attributes:
+        jacobian: (x, y, theta) from extensions, shape (3, 3).
+        stderr: of its entries, from the residuals taken as independent.
+        offset: pose at zero extension, shape (3,).
+        residual: RMS misfit of each axis, shape (3,).
+    """
+
+    jacobian: np.ndarray
+    stderr: np.ndarray
+    offset: np.ndarray
+    residual: np.ndarray
+
+
+def calibrate(extensions: Any, poses: Any) -> JacobianEstimate:
+    """Least-squares Jacobian from actuator extensions (strain gauges) and poses (probes), both of shape (T, 3).
+
+    Move each actuator by itself over its range, in turn or with frequencies of their own.
+
+    Raises:
+        DataError: shapes that differ, too few samples, values that are not finite.
+        ParameterError: the actuators do not move independently, so that the Jacobian is not determined.
+    """
+    extensions, poses = np.asarray(extensions, dtype=float), np.asarray(poses, dtype=float)
+    if extensions.shape != poses.shape or extensions.ndim != 2 or extensions.shape[1] != 3 or len(poses) < 5:
+        raise DataError(
+            f"need extensions and poses of one shape (T, 3), T > 4; got {extensions.shape} and {poses.shape}"
+        )
+    if not (np.isfinite(extensions).all() and np.isfinite(poses).all()):
+        raise DataError("extensions and poses must be finite: leave rows with missing values out")
+    columns = np.column_stack([extensions, np.ones(len(extensions))])
+    centered = extensions - extensions.mean(axis=0)
+    singular = np.linalg.svd(centered, compute_uv=False)
+    if singular[-1] < 1e-6 * max(singular[0], 1e-300):
+        raise ParameterError(
+            "the three actuators do not move independently: drive each by itself, or at its own frequency"
+        )
+    solution, *_ = np.linalg.lstsq(columns, poses, rcond=None)
+    left = poses - columns @ solution
+    variance = np.sum(left**2, axis=0) / (len(poses) - 4)
+    spread = np.diag(np.linalg.inv(columns.T @ columns))[:3]
+    return JacobianEstimate(
+        jacobian=solution[:3].T,
+        stderr=np.sqrt(np.outer(variance, spread)),
+        offset=solution[3],
+        residual=np.sqrt(np.mean(left**2, axis=0)),
+    )
