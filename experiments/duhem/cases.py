@@ -1,0 +1,80 @@
+"""The surrogate records: the paper's recovered parameters, inputs of our choice."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+import hystfit as hf
+from hystfit import signals
+from hystfit.models.base import simulate
+
+LOW, HIGH = 0.0, 50.0  # V; the paper's range is not recoverable: within these limits its parameters give a piezo's loop
+ALPHA = 0.0874  # 1/V
+ALPHA_F = np.array([-0.015, 0.006, 5.57e-6, -8.6e-8])  # um/V^(i+1)
+G = np.array([0.053, -0.83e-4, 8.1e-6])  # um/V^(j+1)
+PAPER_RLS = np.array([*ALPHA_F, ALPHA, *G])
+PAPER_GC = np.array([-0.0149, 0.0061, 5.5649e-6, -8.6096e-8, 0.0870, 0.051, -0.83166e-4, 8.196e-6])
+LABELS = ("αf0", "αf1", "αf2", "αf3", "α", "g0", "g1", "g2")
+WAVES = ("sine", "decaying sine")
+DURATION, CYCLES, DECAY = 2.0, {"sine": 2, "decaying sine": 5}, 1.0  # s, -, 1/s
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One surrogate record and what is true of it.
+
+    Attributes:
+        record: with noise.
+        y: output without noise [um], shape (T,).
+        model: the truth.
+    """
+
+    record: hf.Record
+    y: np.ndarray
+    model: hf.Duhem
+
+    @property
+    def span(self) -> float:
+        """Range of the output [um]."""
+        return float(np.ptp(self.y))
+
+    def error(self, model: hf.Duhem | None) -> float:
+        """Largest error of a model's free run against the noise-free output [um]; infinite without a valid model."""
+        if model is None:
+            return float("inf")
+        worst = float(np.max(np.abs(np.asarray(simulate(model, self.record.u)[0]) - self.y)))
+        return worst if np.isfinite(worst) else float("inf")
+
+
+def truth(scheme: str = "midpoint", w0: float = 0.0) -> hf.Duhem:
+    """The model with the RLS column of the paper's table."""
+    return hf.Duhem.from_powers(ALPHA, ALPHA_F / ALPHA, G, LOW, HIGH, w0=w0, scheme=scheme)
+
+
+def drive(wave: str, count: int) -> np.ndarray:
+    """Input [V]: two periods from rest at 0 V, or a decaying sine about the middle."""
+    rate = (count - 1) / DURATION
+    options = {"duration": count / rate, "rate": rate, "low": LOW, "high": HIGH, "frequency": CYCLES[wave] / DURATION}
+    if wave == "sine":
+        return signals.sine(**options, phase=-np.pi / 2)[1]
+    return signals.decaying_sine(**options, decay=DECAY)[1]
+
+
+def case(wave: str, count: int = 2001, noise: float = 0.0, seed: int = 0, scheme: str = "midpoint") -> Case:
+    """A record of `count` samples with white noise of standard deviation `noise` [um]."""
+    u = drive(wave, count)
+    w0 = 0.0 if wave == "sine" else float(truth().curves(jnp.asarray(u[0]))[0])  # at rest on the anhysteretic curve
+    model = truth(scheme, w0)
+    y = np.asarray(simulate(model, u)[0])
+    noisy = y + noise * np.random.default_rng(seed).normal(size=count)
+    t = np.linspace(0, DURATION, count)
+    record = hf.Record(u=u, y=noisy, t=t, u_unit="V", y_unit="um", name=f"{wave}, N = {count}", source="simulated")
+    return Case(record, y, model)
+
+
+def near(values: np.ndarray, seed: int) -> np.ndarray:
+    """Each of the paper's parameters off by up to 10 %."""
+    return values * (1 + np.random.default_rng(seed).uniform(-0.1, 0.1, values.size))

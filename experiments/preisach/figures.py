@@ -1,0 +1,107 @@
+"""Figures in the manner of the paper's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from tracking import Trio
+
+import hystfit as hf
+
+
+def _save(figure: Any, out: Path, name: str) -> None:
+    for axis in figure.axes:
+        axis.grid(alpha=0.3)
+    figure.savefig(out / f"{name}.png", dpi=110)
+    plt.close(figure)
+
+
+def identification(out: Path, curves: hf.Record, model: hf.Preisach, fast: hf.Record) -> None:
+    """Reversal curves, the fitted density, and the loop at 1 Hz (paper's Figs. 5 and 6)."""
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
+    left.plot(curves.u, curves.y, lw=0.7)
+    left.set(xlabel="voltage [V]", ylabel="displacement [um]", title="S1: reversal curves, 0.01 Hz")
+    n = model.n
+    density = np.full((n, n), np.nan)
+    levels = np.asarray(model.levels)
+    area = np.outer(np.diff(levels), np.diff(levels))
+    density[np.tril_indices(n)] = np.asarray(model.masses())
+    density = density / (area * np.where(np.eye(n) > 0, 0.5, 1.0))
+    image = middle.pcolormesh(levels, levels, 1e3 * density, cmap="viridis")
+    middle.set(xlabel="beta [V]", ylabel="alpha [V]", title="density of the cells [nm/V$^2$]", aspect="equal")
+    figure.colorbar(image, ax=middle)
+    right.plot(fast.u, fast.y, label="device at 1 Hz")
+    right.plot(fast.u, np.asarray(hf.simulate(model, fast.u)[0]), "--", label="static model")
+    right.set(xlabel="voltage [V]", ylabel="displacement [um]", title="S2: 1 Hz")
+    right.legend()
+    _save(figure, out, "identification")
+
+
+def properties(out: Path, wiped: list[hf.Record], loops: hf.Record) -> None:
+    """Wiping-out and congruency (paper's Figs. 7 to 12)."""
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
+    for record, label in zip(wiped, ("0, 150, 100, 180, 120 V", "0, 180, 120 V"), strict=True):
+        left.plot(record.t - record.t[-501], record.y, label=label)
+        middle.plot(record.u, record.y, label=label)
+    left.set(xlabel="time since 180 V [s]", ylabel="displacement [um]", title="S3: wiping-out")
+    middle.set(xlabel="voltage [V]", ylabel="displacement [um]", title="S4: wiping-out")
+    left.legend()
+    right.plot(loops.u, loops.y)
+    right.set(xlabel="voltage [V]", ylabel="displacement [um]", title="S5: minor loops of 80 to 120 V", xlim=(70, 130))
+    _save(figure, out, "properties")
+
+
+def predictions(out: Path, pairs: list[tuple[hf.Record, np.ndarray]]) -> None:
+    """Predicted and measured outputs, and their difference (paper's Figs. 13 to 15)."""
+    figure, axes = plt.subplots(2, len(pairs), figsize=(6 * len(pairs), 6), layout="constrained")
+    for (record, y), (top, bottom) in zip(pairs, axes.T, strict=True):
+        top.plot(record.u, record.y, label="device")
+        top.plot(record.u, y, "--", label="Preisach model")
+        top.set(xlabel="voltage [V]", ylabel="displacement [um]", title=record.name)
+        top.legend()
+        bottom.plot(record.t, y - record.y)
+        bottom.set(xlabel="time [s]", ylabel="error [um]")
+    _save(figure, out, "predictions")
+
+
+def tracked(out: Path, trios: list[Trio], last: Any) -> None:
+    """References, errors and inputs (paper's Figs. 17 to 24)."""
+    figure, axes = plt.subplots(3, 3, figsize=(15, 9), layout="constrained", sharex="col")
+    thin = slice(None, None, 200)
+    titles = ("S8-S10: major loop, plant -8 %", "S11-S13: minor loops, plant -8 %")
+    for trio, column, title in zip(trios, axes.T, titles, strict=False):
+        column[0].plot(trio.ff.t[thin], trio.ff.reference[thin], "k", lw=2, label="reference")
+        for run, label in ((trio.ff, "feed-forward"), (trio.fb, "feedback"), (trio.both, "both")):
+            column[0].plot(run.t[thin], run.y[thin], "--", label=label)
+            column[1].plot(run.t[thin], run.error[thin], lw=0.8, label=f"{label}: max {run.max_error():.2f} um")
+        column[2].plot(trio.both.t[thin], trio.both.u[thin], lw=0.5, label="both")
+        column[2].plot(trio.ff.t[thin], trio.ff.u[thin], label="feed-forward")
+        column[0].set(title=title, ylabel="displacement [um]")
+    column = axes.T[2]
+    column[0].plot(last.t[thin], last.reference[thin], "k", lw=2, label="reference")
+    column[0].plot(last.t[thin], last.y[thin], "--", label="both")
+    column[1].plot(last.t[thin], last.error[thin], lw=0.8, label=f"both: max {last.max_error():.2f} um")
+    column[2].plot(last.t[thin], last.u[thin], lw=0.5, label="both")
+    column[0].set(title="S14: wiping-out, plant -8 %")
+    for column in axes.T:
+        column[1].set(ylabel="error [um]")
+        column[2].set(ylabel="voltage [V]", xlabel="time [s]")
+        for axis in column:
+            axis.legend(fontsize=8)
+    _save(figure, out, "tracking")
+
+
+def frequencies(out: Path, rows: dict[str, list[float]]) -> None:
+    """Feed-forward error over frequency."""
+    figure, axis = plt.subplots(figsize=(5.5, 4), layout="constrained")
+    for name, values in rows.items():
+        axis.loglog([0.01, 0.1, 1.0], values, "o-", label=f"{name} inverse")
+    axis.set(xlabel="frequency [Hz]", ylabel="largest error of feed-forward within reach [um]", title="S15")
+    axis.legend()
+    _save(figure, out, "frequencies")
