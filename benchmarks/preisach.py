@@ -1,0 +1,163 @@
+"""Speed of the compiled Preisach forms against the relay scan, as ratios within one run: `python benchmarks/preisach.py [--quick]`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+import tracemalloc
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import nnls
+
+import hystfit as hf
+from hystfit.fitting.nonnegative import solve_nonnegative
+from hystfit.models.compiled import compile_for, features, respond
+from hystfit.models.preisach import Preisach
+
+BARS = {"forward": 300, "first_call": 20, "gradient": 300, "memory_mb": 150, "nnls": 5}
+
+
+def signal(samples: int, noise: float) -> np.ndarray:
+    t = np.linspace(0, 20, samples)
+    return np.sin(2 * np.pi * t) * np.exp(-0.05 * t) + noise * np.random.default_rng(0).normal(size=samples)
+
+
+def relays(n: int, elements: str = "relays") -> Preisach:
+    count = n + (elements == "cells")
+    w = np.random.default_rng(1).uniform(0, 1, n * (n + 1) // 2)
+    return Preisach(w=w, levels=np.linspace(-1.05, 1.05, count), initial="negative", elements=elements)
+
+
+def median_time(call, repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def forward(n: int, samples: int, noise: float, repeats: int) -> dict[str, float]:
+    model, u = relays(n), jnp.asarray(signal(samples, noise))
+    compiled = compile_for(model, np.asarray(u))
+    np.testing.assert_allclose(respond(model, compiled), hf.simulate(model, u)[0], atol=1e-9)
+    cells = relays(n, "cells")
+    cell_input = compile_for(cells, np.asarray(u))
+    respond(cells, cell_input)
+
+    def first() -> jax.Array:
+        return respond(model, compile_for(model, np.asarray(u)))
+
+    scan = median_time(lambda: hf.simulate(model, u)[0], max(5, repeats // 4))
+    return {
+        "scan_ms": 1e3 * scan,
+        "warm_ms": 1e3 * (warm := median_time(lambda: respond(model, compiled), 4 * repeats)),
+        "with_host_ms": 1e3 * (host := median_time(first, repeats)),
+        "cells_warm_ms": 1e3 * median_time(lambda: respond(cells, cell_input), repeats),
+        "cells_host_ms": 1e3 * median_time(lambda: compile_for(cells, np.asarray(u)).index, repeats),
+        "forward": scan / warm,
+        "first_call": scan / host,
+        "states": int(compiled.parent.size),
+    }
+
+
+def gradient(n: int, samples: int, repeats: int) -> dict[str, float]:
+    model, u = relays(n), jnp.asarray(signal(samples, 0.0))
+    compiled = compile_for(model, np.asarray(u))
+    y = jnp.sin(jnp.arange(samples))
+
+    def with_weights(w):
+        return Preisach(w=w, levels=model.levels, initial="negative", elements="relays")
+
+    def loss(run):
+        return jax.jit(jax.grad(lambda w, data: jnp.sum((run(with_weights(w), data) - y) ** 2)))
+
+    slow, fast = loss(lambda m, u: hf.simulate(m, u)[0]), loss(respond)
+    np.testing.assert_allclose(fast(model.w, compiled), slow(model.w, u), rtol=1e-7)
+    scan = median_time(lambda: slow(model.w, u), max(5, repeats // 4))
+    look_up = median_time(lambda: fast(model.w, compiled), 4 * repeats)
+    return {"scan_ms": 1e3 * scan, "look_up_ms": 1e3 * look_up, "gradient": scan / look_up}
+
+
+def memory(n: int, samples: int) -> dict[str, float]:
+    model, u = relays(n), signal(samples, 0.01)
+    tracemalloc.start()
+    compiled = compile_for(model, u)
+    host = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    grad = jax.jit(jax.grad(lambda m, c: jnp.sum(respond(m, c) ** 2), allow_int=True))
+    plan = grad.lower(model, compiled).compile().memory_analysis()
+    arrays = sum(leaf.nbytes for leaf in jax.tree.leaves(compiled))
+    temporary = plan.temp_size_in_bytes
+    return {
+        "host_mb": host / 1e6,
+        "arrays_mb": arrays / 1e6,
+        "xla_mb": temporary / 1e6,
+        "memory_mb": (host + arrays + temporary) / 1e6,
+    }
+
+
+def fit(n: int, samples: int, repeats: int) -> dict[str, float]:
+    model = relays(n)
+    u = signal(samples, 0.0)
+    A, index = features(model, u)
+    y = (A @ np.asarray(model.w))[index] + np.random.default_rng(2).normal(0, 0.05, samples)
+    dense = A[index]
+
+    def by_states() -> np.ndarray:
+        A, index = features(model, u)
+        count = np.bincount(index)
+        mean = np.bincount(index, y) / count
+        root = np.sqrt(count)
+        return nnls(A * root[:, None], mean * root, maxiter=100 * A.shape[1])[0]
+
+    def by_pivoting() -> np.ndarray:
+        A, index = features(model, u)
+        gram = A.T @ (A * np.bincount(index)[:, None])
+        gram[np.diag_indices(len(gram))] += 1e-10 * np.trace(gram) / len(gram)
+        return solve_nonnegative(gram, A.T @ np.bincount(index, y), np.ones(len(gram), dtype=bool))[0]
+
+    cost = lambda w: float(np.sum((dense @ w - y) ** 2))
+    ours, theirs, pivot = by_states(), nnls(dense, y, maxiter=100 * dense.shape[1])[0], by_pivoting()
+    slow = median_time(lambda: nnls(dense, y, maxiter=100 * dense.shape[1])[0], max(5, repeats // 4))
+    fast = median_time(by_states, repeats)
+    return {
+        "dense_ms": 1e3 * slow,
+        "states_ms": 1e3 * fast,
+        "pivoting_ms": 1e3 * median_time(by_pivoting, repeats),
+        "nnls": slow / fast,
+        "objective_ratio": cost(ours) / cost(theirs),
+        "pivoting_objective_ratio": cost(pivot) / cost(theirs),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--quick", action="store_true", help="a tenth of the samples, fewer repeats; bars are not judged"
+    )
+    quick = parser.parse_args().quick
+    hf.enable_x64()
+    samples, repeats = (10_000, 5) if quick else (100_000, 11)
+    results = {
+        "forward clean": forward(100, samples, 0.0, repeats),
+        "forward noisy": forward(100, samples, 0.01, repeats),
+        "gradient": gradient(100, samples // 10, repeats),
+        "memory": memory(200, samples),
+        "nnls": fit(20, samples // 10, repeats),
+    }
+    for name, row in results.items():
+        print(name, json.dumps({k: round(v, 3) for k, v in row.items()}))
+    if not quick:
+        for name, bar in BARS.items():
+            got = next(row[name] for row in results.values() if name in row)
+            met = got <= bar if name == "memory_mb" else got >= bar
+            print(f"{'ok  ' if met else 'MISS'} {name}: {got:.1f} (bar {bar})")
+
+
+if __name__ == "__main__":
+    main()
