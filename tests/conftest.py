@@ -1,0 +1,45 @@
+"""Double precision for the whole session; measured data where they are."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import jaxtyping
+import pytest
+
+from hystfit.config import enable_x64
+
+enable_x64()
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def as_users_run() -> Iterator[None]:
+    """Without the type checks of this session, which refuse bad arguments before the library's own errors can."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+_AS_USERS = {"test_sampling", "test_profiles", "test_calibration"}
+
+
+@pytest.fixture(autouse=True)
+def unchecked(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Samplers and studies are tested as users call them, with lists and numpy numbers, which the type checks refuse."""
+    on = request.path.stem in _AS_USERS
+    if on:
+        jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    if on:
+        jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(scope="session")
+def measured() -> Path:
+    """Folder of the public measured sets, from HYSTFIT_DATA or beside the checkout."""
+    folder = Path(os.environ.get("HYSTFIT_DATA") or ROOT.parent / "shared" / "data")
+    if not (folder / "piezo_dbo").is_dir():
+        pytest.skip(f"no measured data: set HYSTFIT_DATA to their folder (looked in {folder})")
+    return folder

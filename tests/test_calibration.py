@@ -1,0 +1,97 @@
+"""Calibration on cases whose answer is known: a right set-up passes, a wrong one fails, runs resume, failures are kept."""
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
+
+TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+U = np.sin(2 * np.pi * 2 * np.arange(300) / 300) * (0.4 + 0.6 * np.arange(300) / 300)
+DATA = hf.Record(u=U, y=np.asarray(hf.simulate(TRUTH, U)[0]))
+
+
+def made(ranks: np.ndarray, failures: int = 0) -> Calibration:
+    names = tuple(f"p{k}" for k in range(ranks.shape[1]))
+    failed = tuple((k, "the mode was not found") for k in range(failures))
+    return Calibration(names, ranks, RANKS, np.zeros(ranks.shape), failed, "laplace", "iid", "iid", "BoucWen")
+
+
+def test_uniform_ranks_pass_at_the_stated_rate_and_others_fail():
+    rng = np.random.default_rng(0)
+    alarms = [not made(rng.integers(0, RANKS + 1, (200, 3))).passes(0.05) for _ in range(60)]
+    assert np.mean(alarms) < 0.15
+    narrow = rng.normal(size=(200, 1)) * 2  # truth twice as far out as the posterior thinks
+    ranks = np.clip(np.round((0.5 + 0.5 * np.tanh(narrow * 0.8)) * RANKS), 0, RANKS).astype(int)
+    assert not made(ranks).passes()
+    shifted = np.minimum(rng.integers(0, RANKS + 1, (200, 1)) + 12, RANKS)
+    assert made(shifted).status == "miscalibrated"
+
+
+def test_coverage_counts_central_intervals_and_its_band_is_binomial():
+    ranks = np.arange(RANKS + 1)[:, None]
+    study = made(ranks)
+    assert study.coverage(0.5)[0] == pytest.approx(0.5)
+    assert study.coverage(0.95)[0] == pytest.approx(0.95, abs=0.03)
+    low, high = made(np.zeros((400, 1), int)).coverage_band(0.95)
+    assert 0.91 < low < 0.94 < 0.96 < high < 0.99
+
+
+def test_too_many_failures_fail_a_study_and_are_listed():
+    study = made(np.random.default_rng(0).integers(0, RANKS + 1, (100, 1)), failures=20)
+    assert not study.passes()
+    assert "replicate 3 failed" in str(study)
+    assert len(study.to_dict()["failures"]) == 20
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    return folder, calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder)
+
+
+def test_a_right_set_up_passes(honest):
+    study = honest[1]
+    assert study.passes(0.01), str(study)
+    assert study.names == ("c", "mu", "tau", "offset")
+    assert len(study.ranks) + len(study.failures) == 60
+    low, high = study.coverage_band(0.95, 0.999)
+    assert np.all((study.coverage() >= low) & (study.coverage() <= high))
+    assert np.abs(study.errors.std(axis=0) - 1).max() < 0.35  # errors are as large as the posterior says
+
+
+def test_iid_under_slow_noise_fails():
+    study = calibrate(TRUTH, DATA, noise="ou", assumed="iid", replicates=40, fix=["rho"])
+    assert not study.passes(), str(study)
+    assert study.coverage().mean() < 0.8
+
+
+def test_a_study_goes_on_from_its_chunks(honest):
+    folder, study = honest
+    seen: list[str] = []
+    (folder / "chunk-00002.npz").unlink()
+    (folder / ".chunk-00002.npz").write_bytes(b"half")  # what a kill leaves
+    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, progress=seen.append)
+    np.testing.assert_array_equal(again.ranks, study.ranks)
+    assert len(seen) == 1
+    with pytest.raises(DataError, match="another study"):
+        calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, seed=1)
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_settings_that_mean_nothing_are_refused():
+    with pytest.raises(ParameterError, match="method must be"):
+        calibrate(TRUTH, DATA, method="gibbs")
+    with pytest.raises(ParameterError, match="noise must be one of"):
+        calibrate(TRUTH, DATA, assumed="pink")
+    with pytest.raises(ParameterError, match="at least 1"):
+        calibrate(TRUTH, DATA, replicates=0)
+
+
+def test_a_scheduler_without_dask_names_the_extra(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"hystfit\[batch\]"):
+        calibrate(TRUTH, DATA, noise="iid", replicates=1, scheduler="tcp://nowhere:1")

@@ -1,0 +1,45 @@
+"""The verbs that use a fit on a device: invert and export."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.cli import run
+from hystfit.saved import load_fit
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("control") / "fit"
+    assert run(["fit", "stage-sine", "--model", "bouc-wen", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_invert_writes_an_input_that_the_model_follows(fitted: Path, tmp_path: Path) -> None:
+    t = np.arange(200) * 0.01
+    wanted = 5 - 3 * np.cos(2 * np.pi * 0.5 * t)
+    lines = ["t_s,wanted_um", *(f"{a!r},{b!r}" for a, b in zip(t.tolist(), wanted.tolist(), strict=True))]
+    (tmp_path / "reference.csv").write_text("\n".join(lines) + "\n")
+    command = ["invert", str(fitted), str(tmp_path / "reference.csv"), "--output", "wanted_um", "--time", "t_s"]
+    assert run([*command, "--out", str(tmp_path / "out")]) == 0
+    rows = [line.split(",") for line in (tmp_path / "out" / "inverse.csv").read_text().splitlines()[1:]]
+    u = np.array([float(row[2]) for row in rows])
+    y = np.asarray(hf.simulate(load_fit(fitted).model, u)[0])
+    np.testing.assert_allclose(y, wanted, atol=1e-9)
+    # A reference beyond the limits is finished, but missed.
+    assert run([*command, "--limits", "0:20", "--out", str(tmp_path / "held")]) == 1
+    content = json.loads((tmp_path / "held" / "result.json").read_text())
+    assert content["status"] == "missed"
+    assert content["counts"]["saturated"] > 0
+    assert content["input"]["highest"] == 20.0
+    assert run([*command, "--limits", "0:"]) == 2
+
+
+def test_export_writes_c(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["export", str(fitted), "--c", str(tmp_path / "c"), "--name", "stack"]) == 0
+    assert sorted(file.name for file in (tmp_path / "c").iterdir()) == ["stack.c", "stack.h", "stack_main.c"]
+    assert "cc -std=c99" in capsys.readouterr().out
+    assert run(["export", str(fitted), "--c", str(tmp_path / "c"), "--name", "2nd"]) == 2

@@ -1,0 +1,85 @@
+"""The verbs about uncertainty: what they print and write, their exit statuses, bad input."""
+
+import json
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit import priors
+from hystfit.cli import run
+from hystfit.errors import ParameterError
+
+
+@pytest.fixture(scope="module")
+def fitdir(tmp_path_factory):
+    T = 500
+    u = np.sin(2 * np.pi * 3 * np.arange(T) / T) * (0.4 + 0.6 * np.arange(T) / T)
+    truth = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+    y = np.asarray(hf.simulate(truth, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=T)
+    folder = tmp_path_factory.mktemp("fits") / "fit"
+    hf.fit(truth, hf.Record(u=u, y=y, t=np.arange(T) * 0.01), fix={"rho": 0.5}, starts=1).save(folder)
+    return folder
+
+
+def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdir, tmp_path, capsys):
+    out = tmp_path / "p"
+    words = [
+        "sample",
+        str(fitdir),
+        "--noise",
+        "iid",
+        "--chains",
+        "2",
+        "--draws",
+        "60",
+        "--prior",
+        "tau=log-normal(2,0.5)",
+    ]
+    assert run([*words, "--out", str(out), "--json"]) == 1
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((out / "result.json").read_text())
+    assert printed["schema"] == "hystfit.sample/1"
+    assert printed["status"] == "not-converged"
+    assert printed["priors"]["tau"].startswith("log-normal, median 2")
+    assert {"posterior.nc", "corner.png", "bands.png"} <= {file.name for file in out.iterdir()}
+    assert hf.load_posterior(out).draws.shape == (2, 60, 5)
+
+
+def test_profile_writes_limits(fitdir, tmp_path, capsys):
+    assert run(["profile", str(fitdir), "--parameter", "tau", "--out", str(tmp_path / "q"), "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["profiles"]["tau"]
+    assert row["lower"] < 2.0 < row["upper"]
+    assert (tmp_path / "q" / "profiles.png").stat().st_size > 0
+
+
+def test_calibrate_and_design_write_their_results(fitdir, tmp_path, capsys):
+    out = tmp_path / "c"
+    assert run(["calibrate", str(fitdir), "--noise", "iid", "--replicates", "10", "--out", str(out)]) in (0, 1)
+    assert json.loads((out / "result.json").read_text())["replicates"] == 10
+    words = ["design", str(fitdir), "--low", "-1", "--high", "1", "--method", "families", "--samples", "200"]
+    assert run([*words, "--out", str(tmp_path / "d")]) == 0
+    table = np.loadtxt(tmp_path / "d" / "input.csv", delimiter=",", skiprows=1)
+    assert table.shape == (200, 2)
+    assert np.abs(table[:, 1]).max() <= 1.0
+    assert "present" in capsys.readouterr().out
+
+
+def test_bad_words_exit_with_two(fitdir, tmp_path, capsys):
+    for words in (
+        ["sample", str(tmp_path)],
+        ["sample", str(fitdir), "--prior", "tau"],
+        ["sample", str(fitdir), "--prior", "tau=flat(0)"],
+        ["profile", str(fitdir), "--parameter", "nu"],
+        ["design", str(fitdir), "--low", "3", "--high", "1"],
+    ):
+        assert run(words) == 2, words
+        assert capsys.readouterr().err.startswith("hystfit: ")
+
+
+def test_priors_are_read_from_words():
+    assert str(priors.parse("normal(1, 0.5)")) == str(priors.Normal(1.0, 0.5))
+    assert str(priors.parse("half-normal(2)")) == str(priors.HalfNormal(2.0))
+    for words in ("normal", "normal(1)", "cauchy(0,1)", "normal(a,b)"):
+        with pytest.raises(ParameterError, match="a prior is one of"):
+            priors.parse(words)

@@ -1,0 +1,120 @@
+"""The convex solve against scipy, the ridge's choice, and the search for structure on records whose terms are known."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+
+import hystfit as hf
+from hystfit.errors import ModelError
+from hystfit.fitting.compare import SEARCH
+from hystfit.fitting.convex import LinearSystem, fit_ridge, solve_normal
+from hystfit.fitting.structure import search_structure
+
+T = np.arange(0.0, 12.0, 0.01)
+U = 5 + 4 * (0.3 + 0.7 * np.abs(np.sin(2 * np.pi * T / 12))) * np.sin(2 * np.pi * 0.7 * T)
+
+
+def plays_by_hand(x, widths):
+    """Plays at rest on zero, one loop."""
+    p, rows = np.zeros(len(widths)), []
+    for value in x:
+        p = np.maximum(value - widths, np.minimum(value + widths, p))
+        rows.append(p)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_solution_equals_bounded_least_squares(seed):
+    rng = np.random.default_rng(seed)
+    A, w = rng.normal(size=(60, 8)), rng.normal(size=8)
+    y = A @ w + 0.1 * rng.normal(size=60)
+    free = np.arange(8) < 3
+    ridge = np.where(free, 0.0, 0.3)
+    joint = np.column_stack([A, y])
+    found = solve_normal(joint.T @ joint, free, ridge)
+    stacked = np.vstack([A, np.diag(np.sqrt(ridge))])
+    oracle = scipy.optimize.lsq_linear(
+        stacked, np.append(y, np.zeros(8)), (np.where(free, -np.inf, 0), np.full(8, np.inf)), tol=1e-14
+    ).x
+    assert found == pytest.approx(oracle, abs=1e-6)
+
+
+def test_columns_are_the_plays():
+    model = hf.PrandtlIshlinskii.of(6).start([hf.Record(u=U, y=U, t=T)])
+    record = hf.Record(u=U, y=U, t=T)
+    problem = hf.Problem(model, record)
+    system = LinearSystem.of(problem, problem.space.vector(model))
+    low, high = U.min(), U.max()
+    rest = (0.0 - low) / (high - low)
+    plays = plays_by_hand((U - low) / (high - low) - rest, np.asarray(model.r)) + rest
+    assert system.columns[:, :6] == pytest.approx(plays, abs=1e-12)
+
+
+def test_fit_recovers_weights_on_their_bound():
+    rng = np.random.default_rng(0)
+    truth = hf.PrandtlIshlinskii.of(8).start([hf.Record(u=U, y=U, t=T)])
+    w = jnp.asarray([[0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.5, 0.0]])
+    truth = eqx.tree_at(lambda m: m.w, truth, w)
+    y = np.asarray(hf.simulate(truth, U)[0])
+    result = hf.fit(hf.PrandtlIshlinskii.of(8), hf.Record(u=U, y=y + rng.normal(0, 1e-3, y.size), t=T))
+    assert result.method == "convex"
+    found = np.array([result[f"w[0,{j}]"].value for j in range(8)])
+    assert found == pytest.approx(np.asarray(w)[0], abs=0.05)
+    assert result["w[0,0]"].stderr is None or abs(result["w[0,0]"].value) < 3 * result["w[0,0]"].stderr
+
+
+def test_left_out_blocks_ask_for_more_ridge_when_there_is_more_noise():
+    truth = hf.PrandtlIshlinskii.of(5).start([hf.Record(u=U, y=U, t=T)])
+    clean = np.asarray(hf.simulate(truth, U)[0])
+    strengths = []
+    for noise in (1e-5, 1.0):
+        y = clean + np.random.default_rng(1).normal(0, noise, clean.size)
+        problem = hf.Problem(
+            hf.PrandtlIshlinskii.generalized(20).start([hf.Record(u=U, y=y, t=T)]), hf.Record(u=U, y=y, t=T)
+        )
+        strengths.append(fit_ridge(LinearSystem.of(problem, problem.space.vector(problem.model))).strength)
+    assert strengths[0] < strengths[1]
+
+
+def test_bounds_it_does_not_serve_are_refused():
+    record = hf.Record(u=U, y=U, t=T)
+    with pytest.raises(ModelError, match="no linear weights"):
+        hf.fit(hf.BoucWen(), record, fix=["offset"], method="convex")
+
+
+@pytest.mark.slow
+def test_search_finds_lag_creep_and_asymmetry():
+    """A device with a lag of 30 ms, creep and an asymmetric loop; the search has to ask for these and for no force of the rate."""
+    plays = hf.PrandtlIshlinskii.generalized(10, 1)
+    device = hf.Series(hf.Lag(tau=0.03), hf.Sum(plays, hf.LinearCreep(a=[0.15])))
+    device = device.start([hf.Record(u=U, y=U, t=T)])
+    device = eqx.tree_at(
+        lambda m: (m.parts[0].tau, m.parts[1].parts[1].a), device, (jnp.asarray(0.03), jnp.asarray([0.15]))
+    )
+    dt = np.full(T.size, 0.01)
+    y = np.asarray(hf.simulate(device, U, dt)[0])
+    record = hf.Record(u=U, y=y + np.random.default_rng(2).normal(0, 2e-3 * np.ptp(y), y.size), t=T)
+    found = search_structure(hf.Dataset.of(record), plays=10)
+    assert found.structure.operator == "play"
+    assert found.structure.lag == pytest.approx(3.0, abs=0.5)
+    assert found.structure.creep
+    assert found.score < 2.3e-3 * np.ptp(y)
+
+
+@pytest.mark.slow
+def test_compare_prefers_the_model_that_made_the_data():
+    u = U - 5
+    made = hf.BoucWenForce(kappa_x=0.3, kappa_w=2.0, rho=1.0, sigma=0.8, n=2.0)
+    y = np.asarray(hf.simulate(made, u)[0])
+    record = hf.Record(u=u, y=y + np.random.default_rng(3).normal(0, 0.02, y.size), t=T)
+    comparison = hf.compare(record, ["bouc-wen-force", "duhem", SEARCH])
+    assert comparison.rows[0].name == "bouc-wen-force"
+    assert comparison.rows[0].score_percent == pytest.approx(100 * 0.02 / np.ptp(record.y), rel=0.1)
+    assert "bouc-wen-force" in comparison.text()
+
+
+def test_compare_refuses_an_unknown_model_before_it_works():
+    with pytest.raises(ModelError, match="the models are"):
+        hf.compare(hf.Record(u=U, y=U, t=T), ["bouc-wen", "buc-wen"])

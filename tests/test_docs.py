@@ -1,0 +1,74 @@
+"""What the documents promise works: the skeleton of a model, the README's six lines, the lazy import."""
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.models.registry import make_model
+from hystfit.testing import check_model
+
+from .conftest import ROOT
+
+
+def blocks(name: str, language: str) -> list[str]:
+    """Code blocks of a Markdown file."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+@pytest.fixture
+def skeleton(tmp_path):
+    (source,) = [block for block in blocks("CONTRIBUTING.md", "python") if "class Backlash" in block]
+    path = tmp_path / "my_model.py"
+    path.write_text(source, encoding="utf-8")
+    return path
+
+
+def test_skeleton_keeps_the_laws_and_fits(skeleton):
+    model = make_model(f"{skeleton}:Backlash")
+    check_model(model, kinked=("gap",))
+    t = np.linspace(0, 4, 400)
+    u = 5 * np.sin(2 * np.pi * t) * (0.3 + 0.7 * t / 4)
+    p, y = 0.0, []
+    for value in u:
+        p = max(value - 0.8, min(value + 0.8, p))
+        y.append(2.0 * p + 1.0)
+    record = hf.Record(u=u, y=np.array(y) + np.random.default_rng(0).normal(0, 0.01, u.size), t=t)
+    result = hf.fit(model, record)
+    assert result.usable
+    for name, truth in (("gain", 2.0), ("gap", 0.8), ("offset", 1.0)):
+        assert abs(result[name].value - truth) < 4 * result[name].stderr < 0.05
+
+
+def test_import_starts_no_backend_and_brings_no_optional_package():
+    code = (
+        "import sys, hystfit, hystfit.cli\n"
+        "assert 'jax' not in sys.modules, 'jax'\n"
+        "import hystfit.fitting.fit, jax\n"
+        "from jax._src import xla_bridge\n"
+        "assert not xla_bridge._backends, 'backend'\n"
+        "assert not jax.config.jax_enable_x64\n"
+        "found = {'matplotlib', 'arviz', 'blackjax', 'emcee', 'h5py', 'jaxopt', 'openpyxl'} & set(sys.modules)\n"
+        "assert not found, found\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
+def test_single_precision_is_refused_with_the_remedy():
+    code = (
+        "import hystfit as hf, numpy as np\n"
+        "t = np.arange(100.0)\n"
+        "try:\n"
+        "    hf.fit(hf.BoucWen(), hf.Record(u=np.sin(t), y=np.sin(t), t=t))\n"
+        "except hf.HystfitError as error:\n"
+        "    assert 'enable_x64' in str(error)\n"
+        "else:\n"
+        "    raise SystemExit('no refusal')\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr + run.stdout

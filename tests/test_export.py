@@ -1,0 +1,142 @@
+"""Exported C code: compiles without a warning and gives Python's numbers, forward and inverse."""
+
+import itertools
+import shutil
+import subprocess
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.control import InverseStep, export_c
+from hystfit.errors import ModelError
+
+GCC = shutil.which("gcc") or shutil.which("cc")
+FLAGS = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-pedantic", "-O2"]
+
+
+def weighted(model: hf.Preisach, **fields: object) -> hf.Preisach:
+    model = eqx.tree_at(lambda m: m.w, model, jnp.asarray(np.random.default_rng(3).uniform(0, 0.01, model.w.size)))
+    for name, value in fields.items():
+        model = eqx.tree_at(lambda m, name=name: getattr(m, name), model, jnp.asarray(value))
+    return model
+
+
+PIEZO = hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, scheme="exact", offset=0.3, h0=0.1)
+HARDENING = hf.PrandtlIshlinskii.of(6, degree=3, hardening=True, rest="first")
+HARDENING = eqx.tree_at(
+    lambda m: (m.hardening, m.b), HARDENING, (0.01 * jnp.arange(6.0), jnp.asarray([1.0, 0.1, 0.02]))
+)
+SMOOTH = {"alpha": 3.0, "f": (0.0, 1.0, 0.1, 0.02), "g": (0.6, 0.02, 0.01), "w0": 0.05}
+CASES = {
+    "bouc_wen": (hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88), -20.0, 120.0),
+    "bouc_wen_exact": (PIEZO, -20.0, 120.0),
+    "bouc_wen_creep": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175, 0.004), span=12.0)), -20.0, 120.0),
+    "bouc_wen_relaxation_offset": (hf.Sum(hf.Series(PIEZO, hf.Relaxation()), hf.Offset(2.0)), -20.0, 120.0),
+    "duhem": (hf.Duhem(**SMOOTH), -1.0, 1.0),
+    "duhem_explicit": (hf.Duhem(**SMOOTH, scheme="explicit"), -1.0, 1.0),
+    "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
+    "plays": (hf.PrandtlIshlinskii.of(6), -0.2, 1.2),
+    "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
+    "envelopes": (hf.PrandtlIshlinskii.generalized(4, 3), -0.2, 1.2),
+    "hardening": (HARDENING, 0.0, 1.0),
+    "preisach_demagnetized": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform"), center=0.23), -1.0, 1.0),
+    "preisach_negative": (
+        weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative"), offset=0.4),
+        -1.0,
+        1.0,
+    ),
+    "preisach_symmetric": (
+        weighted(hf.Preisach.of(6, depth=16, symmetric=True, degree=3), b=[0.2, 0.0, 0.05]),
+        -1.0,
+        1.0,
+    ),
+}
+
+
+def build(model: hf.models.AbstractHysteresis, folder: Path, **options: object) -> Path:
+    _, source, harness = export_c(model, folder, **options)
+    if GCC is None:
+        pytest.skip("no C compiler: install gcc to test the exported code")
+    program = folder / "model"
+    subprocess.run([GCC, *FLAGS, str(source), str(harness), "-o", str(program), "-lm"], check=True)
+    return program
+
+
+def run(program: Path, mode: str, u0: float, values: np.ndarray, dt: float) -> np.ndarray:
+    lines = [f"{u0!r}", *(f"{float(value)!r} {dt!r}" for value in values)]
+    done = subprocess.run([str(program), mode], input="\n".join(lines), capture_output=True, text=True, check=True)
+    return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])
+
+
+def path(low: float, high: float, samples: int = 300) -> np.ndarray:
+    corners = np.random.default_rng(1).uniform(low, high, 14)
+    corners[3] = high
+    return np.interp(np.linspace(0, 13, samples), np.arange(14), corners)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_c_equals_python(name: str, tmp_path: Path) -> None:
+    model, low, high = CASES[name]
+    program, dt, u = build(model, tmp_path), 0.002, path(low, high)
+    expected = np.asarray(hf.simulate(model, u, dt)[0])
+    found = run(program, "f", float(u[0]), u, dt)[:, 0]
+    assert np.abs(found - expected).max() <= 1e-12 * np.ptp(expected)
+    # The inverse of the same outputs, from the same rest.
+    inverse = InverseStep.of(model)
+    _, answer = inverse.run(inverse.init(u[0]), jnp.asarray(expected), jnp.full(u.size, dt))
+    u_c, y_c, status = run(program, "i", float(u[0]), expected, dt).T
+    assert np.abs(u_c - np.asarray(answer.u)).max() <= 1e-12 * (high - low) / _steepness(name)
+    assert np.abs(y_c - np.asarray(answer.y)).max() <= 1e-12 * np.ptp(expected)
+    np.testing.assert_array_equal(status, np.asarray(answer.status))
+
+
+def _steepness(name: str) -> float:
+    """Least slope over the mean slope, by which rounding of the output grows in the input."""
+    return 0.05 if name.startswith("stops") or name == "hardening" else 0.2
+
+
+def test_c_inverse_saturates_as_python_does(tmp_path: Path) -> None:
+    program = build(PIEZO, tmp_path, limits=(0.0, 90.0), name="stack")
+    targets = np.array(hf.simulate(PIEZO, path(-20.0, 120.0))[0])
+    targets[40] = np.nan
+    inverse = InverseStep.of(PIEZO, limits=(0.0, 90.0))
+    _, answer = inverse.run(inverse.init(0.0), jnp.asarray(targets), jnp.zeros(targets.size))
+    u, y, status = run(program, "i", 0.0, targets, 0.0).T
+    np.testing.assert_allclose(u, answer.u, atol=1e-10)
+    np.testing.assert_allclose(y, answer.y, atol=1e-11)
+    np.testing.assert_array_equal(status, np.asarray(answer.status))
+    assert set(status) == {0.0, 1.0, 3.0}
+    assert status[40] == 3.0
+
+
+def test_c_flags_an_output_that_does_not_rise(tmp_path: Path) -> None:
+    model = hf.Duhem(alpha=2.0, f=(0.0, 1.0), g=(-0.3,))
+    found = run(build(model, tmp_path), "i", 0.0, np.sin(np.linspace(0, 12, 200)), 0.0)
+    assert np.isfinite(found).all()
+    assert (found[:, 2] == 2).any()
+
+
+def test_exported_file_is_self_contained(tmp_path: Path) -> None:
+    files = export_c(CASES["preisach_negative"][0], tmp_path, name="thunder")
+    assert [file.name for file in files] == ["thunder.h", "thunder.c", "thunder_main.c"]
+    code = files[1].read_text()
+    assert {line for line in code.splitlines() if line.startswith("#include")} == {
+        "#include <float.h>",
+        "#include <math.h>",
+        '#include "thunder.h"',
+    }
+    assert not any(word in code for word in ("malloc", "calloc", "@"))
+
+
+def test_names_and_models_without_c_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="C identifier"):
+        export_c(PIEZO, tmp_path, name="2nd")
+    with pytest.raises(ModelError, match="no C code"):
+        export_c(hf.AsymmetricBoucWen(), tmp_path)
+    with pytest.raises(ModelError, match="cells"):
+        export_c(hf.Preisach.uniform(4, elements="relays"), tmp_path)
+    assert not any(itertools.chain(tmp_path.iterdir()))

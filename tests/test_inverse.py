@@ -1,0 +1,222 @@
+"""Inverses: forward of inverse is the identity, limits keep the memory right, and what cannot be met says so."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+import hystfit as hf
+from hystfit.control import InverseStep, Status, invert, lead
+from hystfit.control.bracketed import Root, solve_rising
+from hystfit.errors import DataError, ModelError
+from hystfit.models.relaxation import Relaxation
+
+DT = 0.002
+
+
+def path(seed: int, low: float, high: float, samples: int = 400) -> np.ndarray:
+    """Random reversals between low and high."""
+    corners = np.random.default_rng(seed).uniform(low, high, 16)
+    return np.interp(np.linspace(0, 15, samples), np.arange(16), corners)
+
+
+def weighted(model: hf.Preisach, seed: int = 3, **fields: float) -> hf.Preisach:
+    rng = np.random.default_rng(seed)
+    model = eqx.tree_at(lambda m: m.w, model, jnp.asarray(rng.uniform(0, 0.01, model.w.size)))
+    for name, value in fields.items():
+        model = eqx.tree_at(lambda m, name=name: getattr(m, name), model, jnp.asarray(value))
+    return model
+
+
+COARSE = hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88)
+PLAIN = hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, scheme="exact")
+PIEZO = hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, scheme="exact", offset=0.3)
+PLAYS = hf.PrandtlIshlinskii.of(8)
+CASES = {
+    "bouc-wen": (COARSE, -20, 120, None),
+    "bouc-wen exact": (PIEZO, -20, 120, None),
+    "bouc-wen coarse": (hf.BoucWen(c=1.0, mu=0.5, tau=0.4, rho=0.5), -20, 120, None),
+    "bouc-wen creep": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175,))), -20, 120, None),
+    "bouc-wen creep of displacement": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175, 0.005), span=12.0)), -20, 120, None),
+    "plays": (PLAYS, -0.2, 1.2, None),
+    "stops": (hf.PrandtlIshlinskii.of(8, operator="stop"), 0, 1, None),
+    "envelopes": (hf.PrandtlIshlinskii.generalized(4, 3), -0.2, 1.2, None),
+    "duhem": (hf.Duhem(alpha=3.0, f=(0.0, 1.0, 0.1, 0.02), g=(0.6, 0.0, 0.0)), -1, 1, None),
+    "lag before": (hf.Series(hf.Lag(tau=0.01, rest="first"), PLAYS), 0, 1, None),
+    "relaxation after": (hf.Series(PLAYS, Relaxation()), 0, 1, None),
+    "creep beside": (hf.Sum(PLAYS, hf.LinearCreep(a=0.02, rest="first")), 0, 1, (-1, 2)),
+    "falling": (hf.Sum(hf.BoucWen(c=0.1), hf.PrandtlIshlinskii.of(2, degree=1), hf.Viscous(c=-1e-4)), 0, 1, (-1, 2)),
+    "offset beside": (hf.Sum(hf.BoucWen(), hf.Offset(2.0)), -1, 1, None),
+    "preisach off center": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform"), center=0.23), -1, 1, None),
+    "preisach negative": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative")), -1, 1, None),
+    "preisach symmetric": (
+        weighted(hf.Preisach.of(6, depth=16, symmetric=True, degree=3), b=[0.2, 0.0, 0.05]),
+        -1,
+        1,
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_forward_of_inverse_is_the_identity(name: str) -> None:
+    model, low, high, limits = CASES[name]
+    dt = None if model.rate_independent else DT
+    u = path(1, low, high)
+    y = np.asarray(hf.simulate(model, u, dt)[0])
+    found = invert(model, y, dt, limits=limits)
+    again = np.asarray(hf.simulate(model, found.u, dt, resume=found.start)[0])
+    assert np.abs(again - y).max() <= 1e-10 * np.ptp(y)
+    assert found.ok
+    np.testing.assert_allclose(found.y, again, rtol=0, atol=1e-12 * np.ptp(y))
+    if name != "duhem":  # its output at rest does not tell the input
+        assert np.abs(found.u - u).max() <= 1e-8 * (high - low)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    levels=st.lists(st.integers(-10, 10), min_size=40, max_size=40),
+    initial=st.sampled_from(["negative", "demagnetized"]),
+)
+def test_preisach_inverse_survives_ties_repeats_and_full_reversals(levels: list[int], initial: str) -> None:
+    # Inputs on the levels themselves, where extrema wipe each other out exactly.
+    model = weighted(hf.Preisach.of(5, depth=41, spacing="uniform", initial=initial), center=0.1)
+    u = np.asarray(levels) / 10
+    y = np.asarray(hf.simulate(model, u)[0])
+    found = invert(model, y)
+    again = np.asarray(hf.simulate(model, found.u, resume=found.start)[0])
+    assert np.abs(again - y).max() <= 1e-6 * np.ptp(y) + 1e-12
+    assert found.ok
+
+
+def test_preisach_inverse_equals_bisection_on_the_forward_model() -> None:
+    model = CASES["preisach negative"][0]
+    y = np.asarray(hf.simulate(model, path(5, -1, 1, 40))[0])
+    found = invert(model, y)
+    step = eqx.filter_jit(model.step)
+    state, u0 = found.start.state, float(found.start.u)
+    for k, target in enumerate(y):
+        miss = lambda u, state=state, u0=u0, target=target: (
+            float(step(state, jnp.asarray(u0), jnp.asarray(u), jnp.asarray(0.0))[1]) - target
+        )
+        low, high = miss(-1.0), miss(1.0)
+        expected = -1.0 if low >= 0 else 1.0 if high <= 0 else brentq(miss, -1.0, 1.0, xtol=1e-13)
+        assert abs(float(found.u[k]) - expected) < 1e-9
+        state, _ = step(state, jnp.asarray(u0), jnp.asarray(expected), jnp.asarray(0.0))
+        u0 = expected
+
+
+def test_inverse_of_coarse_model_tracks_on_a_plant_integrated_ten_times_finer() -> None:
+    coarse, fine = (hf.Series(core, hf.LogCreep(gamma=(0.0175,))) for core in (COARSE, PLAIN))
+    t = np.arange(0, 1.0, 1e-3)
+    reference = 5 - 4 * np.cos(2 * np.pi * 3 * t)
+    found = invert(coarse, reference, 1e-3)
+    u = np.interp(np.arange(0, (t.size - 1) * 10 + 1) / 10, np.arange(t.size), found.u)
+    y = np.asarray(hf.simulate(fine, u, 1e-4)[0])[::10]
+    assert np.abs(y - reference).max() < 2e-4 * np.ptp(reference)
+
+
+def test_saturated_samples_keep_the_memory_of_what_was_given() -> None:
+    u = path(2, -20, 120, 300)
+    y = np.asarray(hf.simulate(PIEZO, u)[0])
+    found = invert(PIEZO, y, limits=(0.0, 90.0))
+    assert found.u.min() >= 0.0
+    assert found.u.max() <= 90.0
+    np.testing.assert_array_equal(found.codes == Status.SATURATED, np.abs(found.y - y) > 1e-7 * np.ptp(y))
+    assert 0 < found.counts()["saturated"] < 300
+    assert np.isin(found.u[found.codes == Status.SATURATED], [0.0, 90.0]).all()
+    given = np.asarray(hf.simulate(PIEZO, found.u, resume=found.start)[0])
+    np.testing.assert_allclose(given, found.y, atol=1e-12)
+    assert "held there" in found.notes()[0]
+
+
+def test_output_that_does_not_rise_gets_a_status_and_never_nan() -> None:
+    # g < 0 makes a rising branch fall first: f' - g is too large for the inverse.
+    model = hf.Duhem(alpha=2.0, f=(0.0, 1.0), g=(-0.3,))
+    found = invert(model, np.sin(np.linspace(0, 12, 300)))
+    assert np.isfinite(found.u).all()
+    assert found.counts()["not-monotone"] > 0
+    assert np.abs(found.u).max() <= 1.25
+
+
+def test_reference_out_of_the_models_range() -> None:
+    model = CASES["preisach negative"][0]
+    top = float(hf.simulate(model, jnp.asarray([-1.0, 1.0]))[0][-1])
+    found = invert(model, np.array([0.0, top + 1.0, 0.0, np.nan, 0.1]))
+    assert found.status == ("ok", "out-of-range", "ok", "out-of-range", "ok")
+    assert found.u[1] == 1.0
+    assert found.u[3] == found.u[2]
+
+
+def test_sample_by_sample_equals_the_whole() -> None:
+    model = CASES["bouc-wen creep"][0]
+    reference = 5 - 3 * np.cos(np.linspace(0, 9, 40))
+    whole = invert(model, reference, DT)
+    inverse, memory = InverseStep.of(model), whole.start
+    step = eqx.filter_jit(inverse.step)
+    for k, target in enumerate(reference):
+        memory, answer = step(memory, target, DT)
+        assert abs(float(answer.u) - whole.u[k]) < 1e-10
+    np.testing.assert_allclose(memory.state, whole.state.state, rtol=1e-12)
+
+
+def test_two_halves_equal_one_run() -> None:
+    y = np.asarray(hf.simulate(PLAYS, path(7, 0, 1))[0])
+    whole, first = invert(PLAYS, y), invert(PLAYS, y[:200])
+    second = invert(PLAYS, y[200:], resume=first.state)
+    np.testing.assert_allclose(np.concatenate([first.u, second.u]), whole.u, atol=1e-12)
+
+
+def test_resonance_is_led() -> None:
+    t = np.arange(0, 0.5, 1e-4)
+    reference = 5 - 4 * np.cos(2 * np.pi * 20 * t)
+    resonance = hf.SecondOrder(omega=2 * np.pi * 630, zeta=0.02)
+    model = hf.Series(PLAIN, resonance)
+    led = np.abs(invert(model, reference, 1e-4).y - reference)[1000:].max()
+    plain = np.abs(np.asarray(hf.simulate(model, invert(model.parts[0], reference).u, 1e-4)[0]) - reference)[
+        1000:
+    ].max()
+    assert led < 0.1 * plain
+    ratio = 20 / 630
+    assert plain == pytest.approx(4 * abs(1 - 1 / (1 + 0.04j * ratio - ratio**2)), rel=0.02)
+
+
+def test_lead_of_a_sine_is_the_inverse_transfer_function() -> None:
+    t = np.arange(0, 1, 1e-3)
+    w, omega, zeta = 2 * np.pi * 5, 2 * np.pi * 52, 0.02
+    inverse = 1 + 2 * zeta * 1j * w / omega - (w / omega) ** 2
+    expected = (inverse * np.exp(1j * w * t)).imag
+    np.testing.assert_allclose(lead(np.sin(w * t), 1e-3, omega=omega, zeta=zeta)[2:-2], expected[2:-2], atol=1e-6)
+
+
+@jax.jit
+def _kinked(root: float, start: float, bend: float) -> Root:
+    rise = lambda x: jnp.where(x > 0, bend * x, 0.3 * x) + 0.05 * x**3
+    return solve_rising(lambda x: rise(x) - rise(root), start, jnp.asarray(-3.0), jnp.asarray(3.0))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(-3, 3), st.floats(-2, 2), st.floats(0.1, 4))
+def test_bracketed_search_finds_roots_of_kinked_functions(root: float, start: float, bend: float) -> None:
+    found = _kinked(root, start, bend)
+    assert abs(float(found.x) - root) < 1e-12
+    assert bool(found.rising)
+
+
+def test_bad_input_says_what_to_do() -> None:
+    with pytest.raises(ModelError, match="give dt"):
+        invert(hf.Series(PIEZO, hf.LogCreep()), [1.0, 2.0])
+    with pytest.raises(ModelError, match="give limits"):
+        invert(hf.Sum(hf.BoucWen(), hf.Viscous(c=0.1)), [1.0, 2.0], 0.1)
+    with pytest.raises(ModelError, match="sample by sample"):
+        invert(hf.Series(hf.Delay(), PLAYS), [1.0, 2.0])
+    with pytest.raises(ModelError, match="low < high"):
+        invert(PLAYS, [1.0, 2.0], limits=(1.0, 0.0))
+    with pytest.raises(DataError, match="shape"):
+        invert(PLAYS, [])
+    with pytest.raises(DataError, match="sample faster"):
+        lead(np.zeros(10), 0.1, omega=100.0, zeta=0.1)

@@ -1,0 +1,318 @@
+"""Every model through the conformance suite; compositions by hand; and the suite itself against broken models."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hystfit
+from hystfit.errors import ModelError, ParameterError
+from hystfit.models import (
+    AbstractHysteresis,
+    AsymmetricBoucWen,
+    BoucWen,
+    BoucWenOscillator,
+    Delay,
+    Duhem,
+    Lag,
+    LinearCreep,
+    LogCreep,
+    Offset,
+    PrandtlIshlinskii,
+    Preisach,
+    SaturatingRate,
+    SecondOrder,
+    Series,
+    Sum,
+    Viscous,
+    simulate,
+)
+from hystfit.params import param
+from hystfit.testing import check_model
+
+LOOP = dict(c=1.1, mu=0.5, tau=1.7, rho=0.4, h0=0.07, offset=0.2)
+SKEWED = {**LOOP, "skew": 0.2, "b": (0.1, -0.05), "center": 0.1, "half": 1.2}
+CURVES = dict(alpha=1.3, f=(0.1, 1.0, 0.2, 0.1), g=(0.4, 0.1, 0.05), w0=0.1, center=0.05, half=1.1)
+PLAYS = dict(r=(0.05, 0.17, 0.33), b=(0.8, 0.1), offset=0.3, low=-1.1, high=1.2, level=0.02)
+RELAYS = dict(levels=(-0.71, -0.33, 0.13, 0.52), b=(0.4, 0.1), offset=0.2, center=0.03, half=1.1)
+WEIGHTS = np.linspace(0.05, 0.4, 10)
+
+# The thresholds of plays and the levels of cells leave kinks; relays have no derivative in their levels.
+MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
+    "bouc-wen": (BoucWen(**LOOP), {}),
+    "bouc-wen, exact": (BoucWen(**LOOP, scheme="exact"), {}),
+    "asymmetric": (AsymmetricBoucWen(**SKEWED, n=1.6), {}),
+    "asymmetric, exact": (AsymmetricBoucWen(**SKEWED, n=0.7, scheme="exact"), {}),
+    "duhem": (Duhem(**CURVES), {}),
+    "duhem, explicit": (Duhem(**CURVES, scheme="explicit"), {}),
+    "duhem, exact": (Duhem(**CURVES, scheme="exact"), {}),
+    "force": (hystfit.BoucWenForce(kappa_x=0.4, kappa_w=1.0, rho=2.0, sigma=0.9, n=2.0, w0=0.1), {}),
+    "relaxation": (hystfit.Relaxation(), {}),
+    "oscillator": (BoucWenOscillator(m=0.01, d=0.05, n=1.5), {}),
+    "relays": (Preisach(w=WEIGHTS, elements="relays", **RELAYS), dict(flat=["levels"])),
+    "cells": (Preisach(w=np.linspace(0.05, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),
+    "plays": (PrandtlIshlinskii(w=[[0.2, 0.1, 0.4]], **PLAYS), dict(kinked=["r"])),
+    "generalized plays": (
+        PrandtlIshlinskii(
+            w=np.linspace(0.1, 0.9, 9).reshape(3, 3), envelopes=("identity", "square", "mirror"), **PLAYS
+        ),
+        dict(kinked=["r"]),
+    ),
+    "hardening stops": (
+        PrandtlIshlinskii(w=[[0.2, 0.1, 0.4]], operator="stop", hardening=(0.1, -0.2, 0.3), s0=2.0, **PLAYS),
+        dict(kinked=["r"]),
+    ),
+    "delay": (Delay(lag=2.3), dict(counts_samples=True)),
+    "lag": (Lag(tau=0.02, level=0.1), {}),
+    "second order": (SecondOrder(omega=60.0, zeta=0.2), {}),
+    "viscous": (Viscous(c=0.1), {}),
+    "saturating": (SaturatingRate(F=0.3, v0=2.0), {}),
+    "log creep": (LogCreep(gamma=(0.01, 0.002), tau=(0.05, 0.5), weights=(0.9, 0.8)), {}),
+    "linear creep": (LinearCreep(a=(0.01, 0.05), tau=(0.03, 0.4), low=-1.0, high=1.0), {}),
+    "offset": (Offset(value=0.3), {}),
+    "series in a sum": (Sum(Series(Lag(tau=0.02, level=0.1), Duhem(**CURVES)), Viscous(c=0.02), Offset(value=0.1)), {}),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_keeps_the_laws(name: str) -> None:
+    model, options = MODELS[name]
+    check_model(model, samples=32, **options)
+
+
+def test_every_public_model_is_in_the_table() -> None:
+    def parts(model: Any) -> list[type]:
+        return [type(model)] + [kind for part in getattr(model, "parts", ()) for kind in parts(part)]
+
+    public = {
+        kind
+        for kind in vars(hystfit).values()
+        if isinstance(kind, type)
+        and issubclass(kind, AbstractHysteresis)
+        and not getattr(kind, "__abstractmethods__", 0)
+    }
+    assert public <= {kind for model, _ in MODELS.values() for kind in parts(model)}
+
+
+# -- rate independence -----------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=12, max_size=12).map(np.array),
+    st.sampled_from(["bouc-wen, exact", "relays", "plays", "duhem, exact"]),
+)
+def test_slower_and_resting_inputs_give_the_same_output(u: np.ndarray, name: str) -> None:
+    """Each branch run in three parts and each part held for a sample: what counts is the path, not its sampling."""
+    model, _ = MODELS[name]
+    parts = np.linspace(u[:-1], u[1:], 4, axis=1)[:, 1:]
+    parts[:, -1] = u[1:]
+    held = np.repeat(np.concatenate([u[:1], parts.reshape(-1)]), 2)
+    slow = np.asarray(simulate(model, held)[0])
+    np.testing.assert_allclose(slow[::6], simulate(model, u)[0], atol=1e-11)
+
+
+# -- composition -----------------------------------------------------------------------------------------------------------
+
+TIME = np.linspace(0.0, 1.0, 40)
+U = np.sin(9 * TIME) + 0.1
+DT = np.diff(TIME, prepend=0.0)
+
+
+def test_a_sum_adds_its_parts() -> None:
+    parts = BoucWen(**LOOP), Viscous(c=0.02), LinearCreep(a=0.1)
+    by_hand = sum(np.asarray(simulate(part, U, DT)[0]) for part in parts)
+    np.testing.assert_allclose(simulate(Sum(*parts), U, DT)[0], by_hand, atol=1e-14)
+    assert not Sum(*parts).rate_independent
+    assert Sum(BoucWen(), Offset()).rate_independent
+
+
+def test_a_series_feeds_each_output_into_the_next() -> None:
+    parts = Delay(lag=1.5), BoucWen(**LOOP), SecondOrder(omega=60.0, zeta=0.2), LogCreep(gamma=0.02)
+    signal = U
+    for part in parts:
+        signal = np.asarray(simulate(part, signal, DT)[0])
+    np.testing.assert_allclose(simulate(Series(*parts), U, DT)[0], signal, atol=1e-13)
+
+
+def test_the_advice_of_the_parts_is_passed_on() -> None:
+    coarse = BoucWen(tau=5.0)
+    said = coarse.advice(U)
+    assert len(said) == 1
+    assert Sum(coarse, Viscous()).advice(U) == said
+    assert Series(Lag(), coarse).advice(U) == said
+    assert Series(Lag(), BoucWen(tau=1e-3)).advice(U) == ()
+
+
+# -- bad arguments ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("as_users_run")
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Sum(), "at least 1"),
+        (lambda: Sum(BoucWen(), 3.0), "'float'"),
+        (lambda: Series(BoucWen()), "at least 2"),
+        (lambda: PrandtlIshlinskii(w=[[1.0, 2.0]], r=(0.1,)), "must have shape"),
+        (lambda: PrandtlIshlinskii(w=[[1.0]], r=(0.1,), envelopes=("cubic",)), "cubic"),
+        (lambda: Preisach(w=(1.0, 2.0), levels=(0.0, 0.5), elements="relays"), "weights"),
+        (lambda: Preisach(w=(1.0,), levels=(0.0,), elements="relays", initial="warm"), "'warm'"),
+        (lambda: simulate(BoucWen(), np.zeros((2, 3))), r"shape \(T,\).*\(2, 3\)"),
+        (lambda: simulate(BoucWen(), np.zeros(0)), r"T > 0"),
+        (lambda: simulate(BoucWen(), 3.0), r"shape \(T,\)"),
+        (lambda: simulate(Viscous(), np.zeros(3)), "Viscous depends on time: give dt"),
+        (lambda: simulate(Sum(BoucWen(), Viscous()), np.zeros(3)), "Sum depends on time"),
+        (lambda: simulate(Viscous(), np.zeros(3), np.zeros(4)), r"shape of the input \(3,\), got \(4,\)"),
+    ],
+)
+def test_bad_arguments_are_refused_with_what_was_found(make: Any, words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        make()
+
+
+def test_the_first_time_step_counts_where_the_rest_was_elsewhere() -> None:
+    """Two lags of 0.5 s from rest on 0: 1 - (1 + t / 0.5) exp(-t / 0.5), read 0.5 and 0.6 s after the input became 1."""
+    t = np.array([0.5, 0.6])
+    expected = 1 - (1 + 2 * t) * np.exp(-2 * t)
+    np.testing.assert_allclose(simulate(Lag(tau=1.0), np.ones(2), np.array([0.5, 0.1]))[0], expected, rtol=1e-13)
+    y, end = simulate(Lag(tau=1.0), np.ones(2), 0.1)
+    again, _ = simulate(Lag(tau=1.0), np.ones(2), 0.1, resume=end)
+    np.testing.assert_allclose(np.concatenate([y, again]), simulate(Lag(tau=1.0), np.ones(4), 0.1)[0], rtol=1e-14)
+
+
+# -- the suite finds broken models -----------------------------------------------------------------------------------------
+
+
+class Spring(AbstractHysteresis):
+    """A model of two lines that keeps every law; the classes below break one each."""
+
+    rate_independent: ClassVar[bool] = True
+    k: jax.Array = param(2.0, bounds=(0.0, np.inf), unit="y/u")
+
+    def init(self, u0: Any) -> Any:
+        return u0[None]
+
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return 0.5 * (state + u1), self.k * u1
+
+    def start(self, records: Any) -> Any:
+        return type(self)(k=1.0)
+
+
+class Whole(Spring):
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], self.k * u1
+
+
+class Pair(Whole):
+    def init(self, u0: Any) -> Any:
+        return jnp.stack([u0[None], u0[None]])
+
+
+class Stretching(Whole):
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return jnp.concatenate([state, state]), self.k * u1
+
+
+class Infinite(Whole):
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], self.k / (u1 - u1)
+
+
+class Hurried(Whole):
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], self.k * u1 + dt
+
+
+class Forgetful(Whole):
+    """Its state drifts with the number of samples."""
+
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return state + 0.1, self.k * (u1 + state[0])
+
+
+class Counting(Whole):
+    """Drifts with every sample, moved or not."""
+
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return state + 0.1 * jnp.sign(u1 - u0) + jnp.where(u1 == u0, 0.3, 0.0), self.k * (u1 + state[0])
+
+
+@jax.custom_jvp
+def _wrong_slope(x: Any) -> Any:
+    return x
+
+
+@_wrong_slope.defjvp
+def _(primals: Any, tangents: Any) -> Any:
+    return primals[0], 1.01 * tangents[0]
+
+
+class Crooked(Whole):
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], _wrong_slope(self.k) * u1
+
+
+class Rooted(Whole):
+    """Finite, with an infinite derivative."""
+
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], self.k * u1 + jnp.sqrt(0.0 * self.k)
+
+
+class Eager(Whole):
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], self.k * u1 + (1.0 if isinstance(u1, jax.core.Tracer) else 0.0)
+
+
+class Alien(Whole):
+    def start(self, records: Any) -> Any:
+        return BoucWen()
+
+
+class Hopeless(Whole):
+    def start(self, records: Any) -> Any:
+        return eqx.tree_at(lambda m: m.k, self, jnp.asarray(jnp.nan))
+
+
+@pytest.mark.parametrize(
+    ("model", "law"),
+    [
+        (Pair(), "one array of one dimension"),
+        (Stretching(), "state like that of init"),
+        (Infinite(), "not finite at sample 0"),
+        (Hurried(), "padding must keep the output"),
+        (Counting(), "first after a rest"),
+        (Forgetful(), "first after a rest"),
+        (Crooked(), "derivative in k against central differences"),
+        (Rooted(), "derivative in k is not finite"),
+        (Eager(), "without jit"),
+        (Alien(), "start returned a BoucWen"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, AbstractHysteresis) else "",
+)
+def test_the_suite_names_the_law_that_is_broken(model: Any, law: str) -> None:
+    with pytest.raises(AssertionError, match=law):
+        check_model(model, samples=24)
+
+
+def test_the_suite_accepts_a_model_of_the_user() -> None:
+    check_model(Whole(), samples=24, amplitude=50.0, center=20.0)
+
+
+def test_the_suite_refuses_starting_values_that_are_no_numbers() -> None:
+    with pytest.raises(ParameterError, match="nan"):
+        check_model(Hopeless(), samples=24)
+
+
+def test_the_suite_wants_known_names_and_values_inside_the_bounds() -> None:
+    with pytest.raises(AssertionError, match=r"no parameter \['kk'\]"):
+        check_model(Whole(), samples=24, kinked=["kk"])
+    with pytest.raises(AssertionError, match="on its bound"):
+        check_model(Whole(k=0.0), samples=24)

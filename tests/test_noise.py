@@ -1,0 +1,221 @@
+"""Noise likelihoods against dense Gaussian densities, and the fits that they refine against least squares with the dense covariance."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hystfit as hf
+from hystfit.data.batch import Batch
+from hystfit.errors import ParameterError
+from hystfit.fitting.fit import solve
+from hystfit.fitting.generalized import Whitened, linearize, refine, restricted
+from hystfit.noise import NOISES, Ar1, LoopDiscrepancy, OrnsteinUhlenbeck, Setting, StudentT, White, make_noise
+from hystfit.problem import Problem
+from hystfit.residuals import diagnose
+
+
+def setting_of(T: int, seed: int, even: bool = False, missing: bool = True) -> tuple[Setting, np.ndarray, np.ndarray]:
+    """A setting of one record, with its gaps (T,) and weights (T,)."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(T) * 0.1 if even else np.cumsum(rng.exponential(0.1, T))
+    u = np.sin(0.7 * t / t[-1] * 20)
+    y = rng.normal(size=T)
+    if missing:
+        y[rng.integers(0, T, T // 6)] = np.nan
+    weight = np.where(rng.random(T) < 0.5, 1.0, 2.5)
+    batch = Batch.of(hf.Record(u=u, y=y, t=t, weight=weight))
+    made = Setting.of(batch)
+    gap = np.broadcast_to(np.asarray(made.gap), np.asarray(made.weight).shape)[0]
+    return made, gap, np.asarray(made.weight)[0]
+
+
+def dense(noise: object, gap: np.ndarray, weight: np.ndarray, setting: Setting) -> np.ndarray:
+    """Covariance of the samples that count, entry by entry."""
+    on = weight > 0
+    time = np.cumsum(gap)[on]
+    cover = np.zeros((on.sum(), on.sum()))
+    if hasattr(noise, "noise_slow"):
+        cover += float(noise.noise_slow) ** 2 * np.exp(-np.abs(time[:, None] - time) / float(noise.noise_time))
+    if hasattr(noise, "noise_white"):
+        cover += np.diag(float(noise.noise_white) ** 2 / weight[on])
+    if hasattr(noise, "noise_loop"):
+        place, up = np.asarray(setting.place)[0][on], np.asarray(setting.rising)[0][on]
+        kernel = np.exp(-0.5 * ((place[:, None] - place) / float(noise.noise_length)) ** 2)
+        cover += float(noise.noise_loop) ** 2 * kernel * (up[:, None] == up)
+    return cover
+
+
+CASES = [
+    (White(noise_white=0.7), 1e-10),
+    (OrnsteinUhlenbeck(noise_white=0.5, noise_slow=1.3, noise_time=4.0), 1e-10),
+    (Ar1(noise_slow=1.3, noise_time=4.0), 1e-6),
+    # Twelve inducing points against the exact kernel: the difference is theirs, not the likelihood's.
+    (LoopDiscrepancy(noise_white=0.5, noise_slow=0.4, noise_time=4.0, noise_loop=0.8, noise_length=0.4), 1e-4),
+]
+
+
+@pytest.mark.parametrize(("noise", "tolerance"), CASES, ids=lambda v: getattr(v, "name", ""))
+@pytest.mark.parametrize("even", [False, True])
+def test_log_density_is_the_dense_gaussian(noise, tolerance, even):
+    setting, gap, weight = setting_of(60, 3, even)
+    r = np.random.default_rng(1).normal(size=weight.size)
+    on = weight > 0
+    want = scipy.stats.multivariate_normal(cov=dense(noise, gap, weight, setting)).logpdf(r[on])
+    assert float(noise.log_density(setting, jnp.asarray(r)[None])) == pytest.approx(want, rel=tolerance)
+
+
+@settings(max_examples=12, deadline=None)
+@given(white=st.floats(0.05, 3), slow=st.floats(0.05, 3), time=st.floats(0.3, 200), seed=st.integers(0, 99))
+def test_whitening_is_a_square_root_of_the_inverse_covariance(white, slow, time, seed):
+    setting, gap, weight = setting_of(25, seed)
+    noise = OrnsteinUhlenbeck(noise_white=white, noise_slow=slow, noise_time=time)
+    on = weight > 0
+    cover = dense(noise, gap, weight, setting)
+    rows = jnp.eye(weight.size)[None]
+    e, logs = noise.whiten(setting, rows)
+    W = np.asarray(e)[0][np.ix_(on, on)]
+    np.testing.assert_allclose(W @ cover @ W.T, np.eye(on.sum()), atol=1e-9)
+    assert float(logs.sum()) == pytest.approx(np.linalg.slogdet(cover)[1], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("noise", "_"), CASES[:3], ids=lambda v: getattr(v, "name", ""))
+def test_the_filter_sample_by_sample_is_the_one_over_records(noise, _):
+    setting, gap, weight = setting_of(30, 6)
+    r = jnp.asarray(np.random.default_rng(1).normal(size=weight.size))
+    state, total = noise.init(), 0.0
+    for k in range(30):
+        state, e, logs = noise.step(state, r[k], jnp.asarray(gap[k]), jnp.asarray(weight[k]))
+        total += float(noise.density(e, logs)) if weight[k] > 0 else 0.0
+    assert float(noise.log_density(setting, r[None])) == pytest.approx(total, rel=1e-10)
+
+
+def test_student_t_is_scipys():
+    setting, _, weight = setting_of(50, 2)
+    r = np.random.default_rng(4).normal(size=weight.size)
+    on = weight > 0
+    noise = StudentT(noise_white=0.6, noise_dof=3.5)
+    want = scipy.stats.t(3.5, scale=0.6 / np.sqrt(weight[on])).logpdf(r[on]).sum()
+    assert float(noise.log_density(setting, jnp.asarray(r)[None])) == pytest.approx(want, rel=1e-12)
+
+
+def test_records_add_and_padding_counts_nothing():
+    setting, _, weight = setting_of(40, 5, missing=False)
+    two = eqx.tree_at(
+        lambda s: (s.gap, s.weight, s.place, s.rising),
+        setting,
+        tuple(jnp.concatenate([v, v]) for v in (setting.gap, setting.weight, setting.place, setting.rising)),
+    )
+    r = jnp.asarray(np.random.default_rng(0).normal(size=weight.size))[None]
+    noise = OrnsteinUhlenbeck(noise_white=0.5, noise_slow=1.0, noise_time=6.0)
+    once = float(noise.log_density(setting, r))
+    assert float(noise.log_density(two, jnp.concatenate([r, r]))) == pytest.approx(2 * once, rel=1e-12)
+    changed = r + jnp.where(setting.weight > 0, 0.0, 100.0)
+    assert float(noise.log_density(setting, changed)) == once
+
+
+def test_restricted_likelihood_is_the_density_of_error_contrasts():
+    setting, gap, weight = setting_of(40, 8, missing=False)
+    on = weight > 0
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(weight.size, 2)) * on[:, None]
+    r = rng.normal(size=weight.size) * on
+    contrasts = scipy.linalg.null_space(J[on].T)
+    values = []
+    for noise in (
+        OrnsteinUhlenbeck(noise_white=0.5, noise_slow=1.0, noise_time=6.0),
+        OrnsteinUhlenbeck(noise_white=1.0, noise_slow=0.4, noise_time=2.0),
+    ):
+        cover = contrasts.T @ dense(noise, gap, weight, setting) @ contrasts
+        want = scipy.stats.multivariate_normal(cov=cover).logpdf(contrasts.T @ r[on])
+        got = restricted(noise, setting, jnp.asarray(r)[None], jnp.asarray(J)[None], jnp.ones(2, bool))
+        values.append((float(got), want))
+    (a, wa), (b, wb) = values
+    assert a - b == pytest.approx(wa - wb, rel=1e-6)  # the definitions differ by a constant
+
+
+def noisy_loop(seed: int, kind: str, T: int = 1500, cycles: float = 10) -> tuple[hf.Record, hf.BoucWen]:
+    """Bouc-Wen with white, slow or repeating error."""
+    rng = np.random.default_rng(seed)
+    phase = np.arange(T) / T
+    u = np.sin(2 * np.pi * cycles * phase) * (0.4 + 0.6 * phase)
+    model = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+    y = np.asarray(hf.simulate(model, u)[0]) + 0.01 * rng.normal(size=T)
+    if kind == "slow":
+        e, a = np.zeros(T), np.exp(-1 / 50)
+        for k in range(1, T):
+            e[k] = a * e[k - 1] + 0.02 * np.sqrt(1 - a * a) * rng.normal()
+        y = y + e
+    if kind == "repeating":
+        y = y + np.where(np.gradient(u) > 0, 0.03 * np.sin(5 * u), -0.03 * np.cos(4 * u))
+    return hf.Record(u=u, y=y), model
+
+
+def test_refined_fit_is_least_squares_with_the_dense_covariance():
+    record, model = noisy_loop(0, "slow")
+    problem = Problem(model, record)
+    found = refine(problem, solve(problem, "lm", 1, 0), "ou", np.ones(5, bool))
+    setting = Setting.of(problem.objective.batch)
+    weight = np.asarray(setting.weight)[0]
+    inverse = np.linalg.inv(dense(found.noise, np.ones(weight.size), weight, setting))
+    r, J = linearize(problem.objective, jnp.asarray(found.x))
+    on = weight > 0
+    r, J = np.asarray(r)[0][on], np.asarray(J)[0][on]
+    information = J.T @ inverse @ J
+    np.testing.assert_allclose(found.root.T @ found.root, information, rtol=1e-6, atol=1e-9 * information.max())
+    step = np.linalg.solve(information, J.T @ inverse @ r)
+    assert np.all(np.abs(step) < 1e-3 * np.sqrt(np.diag(np.linalg.inv(information))))  # no step is left to take
+    whitened = Whitened(problem.objective, found.noise, setting)
+    assert float(whitened.cost(jnp.asarray(found.x))) == pytest.approx(0.5 * r @ inverse @ r, rel=1e-8)
+
+
+@pytest.mark.parametrize("noise", ["ou", "student-t", "discrepancy"])
+def test_fit_takes_every_noise_model(noise):
+    record, model = noisy_loop(1, "slow")
+    result = hf.fit(model, record, noise=noise, starts=1)
+    assert result.usable
+    assert result.provenance["noise"]["name"] == noise
+    for name, truth in (("c", 1.0), ("mu", 0.5), ("tau", 2.0)):
+        error = result[name].stderr
+        assert error is not None
+        assert abs(result[name].value - truth) < 4 * error or noise == "student-t"
+    assert any("noise model" in line for line in result.notes)
+    values = result.provenance["noise"]["parameters"]
+    if noise == "ou":
+        assert values["noise_white"] == pytest.approx(0.01, rel=0.1)
+        assert values["noise_slow"] == pytest.approx(0.02, rel=0.4)
+        assert values["noise_time"] == pytest.approx(50.0, rel=0.8)
+
+
+@pytest.mark.parametrize(("kind", "want"), [("white", "iid"), ("slow", "ou"), ("repeating", "discrepancy")])
+def test_diagnosis_names_the_noise(kind, want):
+    names = []
+    for seed in range(3):
+        record, model = noisy_loop(seed, kind)
+        problem = Problem(model, record)
+        x = solve(problem, "lm", 1, 0).x
+        raw = np.asarray(problem.objective.predict_physical(jnp.asarray(x)) - problem.objective.batch.y)
+        names.append(diagnose(problem.objective.batch, raw).recommended)
+    assert names.count(want) >= 2, names
+
+
+def test_the_plain_fit_warns_of_error_that_repeats_and_iid_of_correlation():
+    record, model = noisy_loop(0, "repeating")
+    assert any("repeats with input and direction" in line for line in hf.fit(model, record, starts=1).notes)
+    slow, _ = noisy_loop(0, "slow")
+    assert any("correlated over" in line for line in hf.fit(model, slow, starts=1, noise="iid").notes)
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_unknown_noise_and_a_robust_loss_beside_one_are_refused():
+    record, model = noisy_loop(0, "white")
+    with pytest.raises(ParameterError, match="noise must be one of"):
+        hf.fit(model, record, noise="pink")
+    with pytest.raises(ParameterError, match="iid, ou, ar1"):
+        make_noise("pink")
+    with pytest.raises(ParameterError, match="likelihood of its own"):
+        hf.fit(model, record, noise="ou", loss="huber")
+    assert set(NOISES) == {"iid", "ou", "ar1", "student-t", "discrepancy"}

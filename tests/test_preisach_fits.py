@@ -1,0 +1,332 @@
+"""Preisach models from data: weights, reversal curves, tables, densities, and the properties they presume."""
+
+import itertools
+
+import numpy as np
+import pytest
+import scipy.optimize
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hystfit as hf
+from hystfit.data.record import Record
+from hystfit.errors import DataError, ModelError
+from hystfit.fitting.density import fit_density
+from hystfit.fitting.nonnegative import solve_nonnegative
+from hystfit.fitting.preisach import PreisachSystem, fit_preisach, fit_smooth
+from hystfit.models.compiled import features
+from hystfit.models.density import ParametricPreisach
+from hystfit.models.preisach import Preisach
+from hystfit.preisach import EverettTable, check_preisach, fit_forc, forc_diagram
+from hystfit.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
+
+
+def output(model, u):
+    A, index = features(model, u)
+    return (A @ np.concatenate([model.w, model.slopes, model.b]))[index] + float(model.offset)
+
+
+def bell(levels, h0=0.35, size=0.2):
+    """Masses of a smooth density in the cells between levels."""
+    middle = 0.5 * (levels[1:] + levels[:-1])
+    i, j = np.tril_indices(middle.size)
+    h, m = 0.5 * (middle[i] - middle[j]), 0.5 * (middle[i] + middle[j])
+    return np.exp(-0.5 * ((h - h0) / size) ** 2 - 0.5 * (m / size) ** 2)
+
+
+def truth(initial="demagnetized", n=12):
+    levels = np.linspace(-1, 1, n + 1)
+    return Preisach(w=bell(levels), levels=levels, initial=initial, spacing="given")
+
+
+class TestNonnegative:
+    @settings(max_examples=40, deadline=None, derandomize=True)
+    @given(seed=st.integers(0, 10_000), rows=st.integers(5, 30), p=st.integers(1, 12), free=st.integers(0, 3))
+    def test_equals_a_bounded_solver(self, seed, rows, p, free):
+        rng = np.random.default_rng(seed)
+        M, y = rng.normal(size=(rows, p)), rng.normal(size=rows)
+        bounded = np.arange(p) >= free
+        A = M.T @ M + 1e-3 * np.eye(p)
+        w, _ = solve_nonnegative(A, M.T @ y, bounded)
+        joint = np.vstack([M, np.sqrt(1e-3) * np.eye(p)]), np.append(y, np.zeros(p))
+        expected = scipy.optimize.lsq_linear(*joint, bounds=(np.where(bounded, 0, -np.inf), np.inf), tol=1e-14).x
+        cost = lambda w: 0.5 * w @ A @ w - w @ M.T @ y
+        assert cost(w) <= cost(expected) + 1e-8
+        assert (w[bounded] >= 0).all()
+
+
+class TestWeights:
+    def test_rich_input_gives_back_the_weights(self):
+        model = truth("negative")
+        u = hf.signals.random_reversals(duration=400, rate=20, speed=1.0, seed=1)[1]
+        fit = fit_preisach(Record(u, output(model, u)), model, smoothness=[1e-14], offsets="none")
+        assert fit.train.nrmse_percent < 1e-4
+        seen = fit.reach > 0.5
+        assert seen.sum() > 60
+        np.testing.assert_allclose(np.asarray(fit.model.w)[seen], np.asarray(model.w)[seen], atol=5e-3)
+
+    def test_cells_that_the_data_never_switched_are_told(self):
+        model = truth("negative")
+        u = np.concatenate([np.linspace(-1, 0, 50), np.linspace(0, -1, 50)])
+        fit = fit_preisach(Record(u, output(model, u)), model)
+        i, _ = np.tril_indices(12)
+        np.testing.assert_array_equal(fit.untouched, i >= 6)  # cells above u = 0
+        assert "never switched" in " ".join(fit.notes)
+
+    def test_distinct_states_give_the_normal_equations_of_all_samples(self):
+        rng = np.random.default_rng(3)
+        model = Preisach.of(6, initial="negative", spacing="given")
+        u = np.round(np.tile(np.sin(np.linspace(0, 6, 100)), 3), 2)
+        record = Record(u, rng.normal(size=300), weight=rng.integers(0, 3, 300))
+        system = PreisachSystem.of(model, record)
+        A, index = features(model, u)
+        joint = np.column_stack([A[index], np.ones(300), record.y / system.size]) * np.sqrt(record.weight)[:, None]
+        np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-9)
+        assert system.counts.sum() == record.weight.sum()
+
+    def test_held_parameters_stay_and_the_others_fit_around_them(self):
+        model = truth("negative", n=6)
+        u = hf.signals.random_reversals(duration=60, rate=20, speed=1.0, seed=2)[1]
+        system = PreisachSystem.of(model, Record(u, output(model, u) + 0.7))
+        held = np.full(system.roughness.shape[0], np.nan)
+        held[-1] = 0.7
+        fit = fit_smooth(system, [1e-12], held=held)
+        assert fit.weights[-1] == 0.7
+        assert fit.rss / system.counts.sum() < 1e-8 * system.size**2
+
+    def test_hystfit_fit_serves_the_model(self):
+        model = truth("negative", n=6)
+        u = hf.signals.random_reversals(duration=60, rate=20, speed=1.0, seed=2)[1]
+        flat = Preisach(w=np.ones(21), levels=model.levels, initial="negative")
+        result = hf.fit(flat, Record(u, output(model, u)))
+        assert result.train.nrmse_percent < 0.3
+        assert np.asarray(result.model.w).std() > 0.1
+
+    def test_left_out_records_need_one_inside_the_others(self):
+        u = np.linspace(0, 1, 50)
+        with pytest.raises(ModelError, match="inside the range"):
+            fit_preisach(Record(u, u), 4, left_out="records")
+
+
+def family(model, count=25, points=60):
+    """Curves that rise from reversal points to saturation."""
+    curves = []
+    for k, start in enumerate(np.linspace(0.9, -1, count)):
+        u = np.linspace(start, 1.0, points)
+        curves.append(Record(u, output(model, u), name=f"curve {k}"))
+    return curves
+
+
+class TestReversalCurves:
+    def test_other_curves_are_predicted(self):
+        curves = family(truth("positive"))
+        fit = fit_forc(curves[::2], 20)
+        y = np.concatenate([r.y for r in curves[1::2]])
+        error = np.concatenate([fit.predict(r.u) for r in curves[1::2]]) - y
+        assert np.sqrt(np.mean(error**2)) < 0.01 * np.ptp(y)
+
+    def test_diagram_peaks_where_the_density_does(self):
+        diagram = forc_diagram(family(truth("positive", n=30), 60, 120), smoothing=3)
+        at = np.unravel_index(np.nanargmax(diagram.density), diagram.density.shape)
+        assert diagram.coercivity[at] == pytest.approx(0.35, abs=0.08)
+        assert diagram.interaction[at] == pytest.approx(0.0, abs=0.08)
+
+    def test_diagram_of_a_quadratic_is_its_mixed_derivative(self):
+        curves = [
+            Record(np.linspace(a, 1, 80), 3.0 * a * np.linspace(a, 1, 80), name=f"{a:g}")
+            for a in np.linspace(-1, 0.8, 30)
+        ]
+        density = forc_diagram(curves).density
+        np.testing.assert_allclose(density[np.isfinite(density)], -1.5, rtol=1e-6)
+
+    def test_bad_families_are_told(self):
+        curves = family(truth("positive"), 6)
+        with pytest.raises(DataError, match="families"):
+            fit_forc(curves[:1], 4)
+        turned = curves[0].replace(u=np.append(curves[0].u[:-1], curves[0].u[0]))
+        with pytest.raises(DataError, match="turns round"):
+            fit_forc([turned, *curves[1:]], 4)
+        falling = curves[1].replace(u=curves[1].u[::-1], y=curves[1].y[::-1])
+        with pytest.raises(DataError, match="rise and the others fall"):
+            fit_forc([curves[0], falling], 4)
+        crossing = [r.replace(y=r.y + (40 if k == 3 else 0)) for k, r in enumerate(curves)]
+        notes = " ".join(fit_forc(crossing, 4, smoothness=[1e-3]).notes)
+        assert "cross" in notes
+        assert "do not close" in notes
+
+
+def plain_table_output(table, u):
+    """Eqs. (2) and (3) with lists of alternating extrema."""
+    out, extrema = [], [table.levels[0]]
+    for v in u:
+        kept = list(extrema)
+        while len(kept) > 1 and not min(kept[-2:]) < v < max(kept[-2:]):
+            kept.pop()
+        extrema = [*kept, v]
+        total = 0.0
+        for a, b in itertools.pairwise(extrema):
+            total += np.sign(b - a) * float(table(max(a, b), min(a, b)))
+        out.append(total)
+    return table.base + np.array(out)
+
+
+class TestPictures:
+    def test_axes_show_what_was_asked(self):
+        matplotlib = pytest.importorskip("matplotlib")
+        matplotlib.use("Agg")
+        from hystfit.plot_preisach import plot_curves, plot_density, plot_forc_diagram
+
+        curves = family(truth("positive"), 12)
+        model = truth("positive")
+        cells_untouched = np.arange(model.w.size) < 5
+        ax = plot_density(model, reach=1.0 - cells_untouched)
+        assert len(ax.patches) == 5  # one hatched cell each
+        assert ax.get_xlabel() == "switching down, beta"
+        drawn = ax.collections[0].get_array()
+        i, j = np.tril_indices(12)
+        area = np.where(i == j, 0.5, 1.0) / 36
+        np.testing.assert_allclose(drawn[i, j], np.asarray(model.w) / area)
+        diagram = forc_diagram(curves, 2)
+        shown = plot_forc_diagram(diagram).collections[0].get_array()
+        np.testing.assert_allclose(np.ma.filled(shown, np.nan), diagram.density)
+        lines = plot_curves(curves, [r.y for r in curves], every=3).lines
+        assert len(lines) == 8
+        matplotlib.pyplot.close("all")
+
+
+class TestEverettTable:
+    levels = np.linspace(0, 180, 13)
+
+    def table(self):
+        return EverettTable.from_masses(self.levels, np.random.default_rng(1).uniform(0, 1, 78), base=2.0)
+
+    def test_masses_and_table_are_inverse(self):
+        masses = np.random.default_rng(1).uniform(0, 1, 78)
+        np.testing.assert_allclose(self.table().masses(), masses, atol=1e-12)
+
+    def test_output_equals_a_plain_stack(self):
+        u = np.random.default_rng(2).uniform(0, 180, 80)
+        np.testing.assert_allclose(self.table().output(u), plain_table_output(self.table(), u), atol=1e-11)
+
+    def test_output_equals_the_model_off_the_diagonal(self):
+        i, j = np.tril_indices(12)
+        masses = np.where(i == j, 0.0, np.random.default_rng(1).uniform(0, 1, 78))
+        model = Preisach(w=masses, levels=self.levels, initial="negative")
+        u = np.append(0.0, np.random.default_rng(2).uniform(0, 180, 50))
+        y = output(model, u)
+        np.testing.assert_allclose(EverettTable.from_masses(self.levels, masses).output(u), y - y[0], atol=1e-11)
+
+    def test_curves_give_the_table_back(self):
+        table, curves = self.table(), []
+        for peak in self.levels[1:]:
+            u = np.concatenate([np.linspace(0, peak, 200), np.linspace(peak, 0, 200)])
+            curves.append(Record(u, table.output(u), name=f"{peak:g} V"))
+        found = EverettTable.from_descending(curves, self.levels)
+        np.testing.assert_allclose(found.X, table.X, atol=0.02 * table.X.max())
+        u = through(HIGHER_ORDER)
+        np.testing.assert_allclose(found.output(u), table.output(u), atol=0.02 * np.ptp(table.output(u)))
+
+    def test_admissible_tables_are_projections(self):
+        rng = np.random.default_rng(3)
+        table = self.table()
+        noisy = EverettTable(self.levels, table.X + rng.normal(0, 1.0, table.X.shape))
+        lower = np.tril_indices(12)
+        monotone, moved = noisy.admissible("monotone")
+        assert np.diff(monotone.X, axis=0)[lower].min() >= -1e-9
+        assert np.diff(monotone.X, axis=1)[1:][lower].max() <= 1e-9
+        positive, further = noisy.admissible("positive")
+        assert positive.masses().min() > -1e-9
+        assert 0 < moved.rms < further.rms  # positive masses imply monotone, not the other way round
+        # Nothing admissible is nearer than the projection: not the truth either.
+        for found in (monotone, positive):
+            assert np.sum((found.X - noisy.X) ** 2) <= np.sum((table.X - noisy.X)[np.tril_indices(13, -1)] ** 2)
+        _, still = positive.admissible("positive")
+        assert still.largest < 1e-6
+
+    def test_unreached_levels_are_refused(self):
+        u = np.concatenate([np.linspace(0, 90, 50), np.linspace(90, 0, 50)])
+        with pytest.raises(DataError, match="never reached"):
+            EverettTable.from_descending([Record(u, u)], self.levels)
+
+
+class TestProperties:
+    table = EverettTable.from_masses(np.linspace(0, 180, 37), bell(np.linspace(-1, 1, 37)))
+
+    def test_wiping_out_signals_end_alike(self):
+        long, short = (self.table.output(through(extrema)) for extrema in WIPING_OUT)
+        np.testing.assert_allclose(long[-101:], short[-101:], atol=1e-12)
+
+    def test_a_preisach_device_passes_and_another_does_not(self):
+        u = through(CONGRUENCY, 200)
+        y = self.table.output(u)
+        passed = check_preisach(Record(u, y))
+        assert "wiping-out holds" in passed.notes[0]
+        assert "congruency holds" in passed.notes[1]
+        bent = check_preisach(Record(u, y + 0.01 * y**2 * 180 / y.max()))  # output that stiffens: loops of other height
+        assert "congruency does not hold" in bent.notes[1]
+        drifting = check_preisach(Record(u, y + np.linspace(0, 0.2 * np.ptp(y), y.size)))
+        assert "wiping-out does not hold" in drifting.notes[0]
+
+    def test_closures_are_counted(self):
+        u = through((0, 150, 100, 180, 50, 120, 90, 180, 0))
+        found = wiping_out(Record(u, u))
+        assert sorted(found.at) == [120.0, 150.0, 180.0]
+        np.testing.assert_allclose(found.gap, 0.0, atol=1e-9)
+
+    def test_errors_are_split_by_order(self):
+        model = truth("positive")
+        u = through((1.0, -0.8, 0.6, -0.4), 50)
+        y = output(model, u)
+        orders = error_by_order(model, Record(u, y + 0.1))
+        assert sum(n for n, _, _ in orders.values()) == u.size
+        assert set(orders) == {0, 1, 2}
+        for _, rms, _ in orders.values():
+            assert rms == pytest.approx(10 / np.ptp(y), rel=1e-6)
+
+
+class TestDensities:
+    @pytest.mark.parametrize("kind", ["gaussian", "lorentzian", "factorised"])
+    def test_parameters_come_back(self, kind):
+        t = np.linspace(0, 8, 600)
+        u = np.sin(2 * np.pi * t) * np.exp(-0.2 * t)
+        true = ParametricPreisach(
+            saturation=2.0, coercivity=0.3, width=0.2, spread=0.25, shift=0.05, slope=0.3, offset=0.1, density=kind,
+            levels=np.linspace(u.min(), u.max(), 31), center=0.5 * (u.min() + u.max()), initial="negative",
+        )  # fmt: skip
+        record = Record(u, output(true.preisach(), u))
+        fix = ("spread",) if kind == "factorised" else ()
+        found, info = fit_density(
+            ParametricPreisach(density=kind, levels=np.linspace(-1, 1, 31), initial="negative"), record, fix=fix
+        )
+        assert np.sqrt(2 * info.cost / u.size) < 1e-6 * np.ptp(record.y)
+        for name in ("saturation", "coercivity", "width", "shift", "slope"):
+            assert float(getattr(found, name)) == pytest.approx(float(getattr(true, name)), rel=1e-3)
+
+
+class TestMeasured:
+    def test_ferrite_loops_in_sample(self, measured):
+        rows = np.genfromtxt(measured / "tidy" / "mag_bh_MnZn_HP_ferrite.csv", delimiter=",", skip_header=1)
+        loops = [Record(rows[rows[:, 0] == k, 1], rows[rows[:, 0] == k, 2], name=str(k)) for k in np.unique(rows[:, 0])]
+        span = np.ptp(rows[:, 2])
+        assert fit_preisach(loops, symmetric=True, offsets="none").train.nrmse_percent < 0.2
+        # The second largest loop, left out: held out at 0.69 % of the material's full scale.
+        order = np.argsort([np.ptp(r.u) for r in loops])
+        held = loops[order[-2]]
+        fit = fit_preisach([r for r in loops if r is not held], symmetric=True, offsets="none")
+        assert 100 * np.sqrt(np.mean((fit.predict(held.u) - held.y) ** 2)) / span <= 1.0
+        # The largest is extrapolation, and the model says so.
+        largest = loops[order[-1]]
+        small = fit_preisach([r for r in loops if r is not largest], 12, symmetric=True, offsets="none")
+        assert "extrapolation" in small.model.advice(largest.u)[0]
+
+    def test_reversal_curves_left_out(self, measured):
+        rows = np.genfromtxt(measured / "tidy" / "mag_forc_FeCo.csv", delimiter=",", skip_header=1, usecols=(0, 2, 3))
+        # A calibration point stands before each curve: the first row of each.
+        curves = [Record(*rows[rows[:, 0] == k][1:, 1:].T, name=f"{k:g}") for k in np.unique(rows[:, 0])]
+        span = np.ptp(np.concatenate([r.y for r in curves]))
+        held = [r for k, r in enumerate(curves) if k % 4]
+        for nonnegative, bar in ((True, 0.15), (False, 0.10)):
+            fit = fit_forc(curves[::4], 40, nonnegative=nonnegative, smoothness=[1e-5])
+            error = np.concatenate([output(fit.model, r.u) - r.y for r in held])
+            assert 100 * np.sqrt(np.mean(error**2)) / span <= bar
+            assert 100 * np.abs(error).max() / span <= 2.0

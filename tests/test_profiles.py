@@ -1,0 +1,151 @@
+"""Profiles against refits and closed forms, other covariances against plain sums, designs against simulation."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+
+import hystfit as hf
+from hystfit.errors import ParameterError
+from hystfit.uncertainty.covariances import covariance
+from hystfit.uncertainty.design import design
+from hystfit.uncertainty.profiles import profile
+
+TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+
+
+def loop(amplitude: float = 1.0, sigma: float = 0.01, T: int = 600, seed: int = 0) -> hf.Record:
+    u = amplitude * np.sin(2 * np.pi * 3 * np.arange(T) / T)
+    y = np.asarray(hf.simulate(TRUTH, u)[0]) + sigma * np.random.default_rng(seed).normal(size=T)
+    return hf.Record(u=u, y=y)
+
+
+@pytest.fixture(scope="module")
+def fitted() -> hf.FitResult:
+    return hf.fit(TRUTH, loop(), starts=1, noise="iid")
+
+
+@pytest.fixture(scope="module")
+def faint() -> hf.FitResult:
+    """One small amplitude in much noise: classic Bouc-Wen trouble."""
+    return hf.fit(TRUTH, loop(0.1, 0.01), starts=4, noise="iid")
+
+
+def test_profile_points_are_the_best_refits(fitted):
+    found = profile(fitted, ["tau"])["tau"]
+    record = fitted.data[0]
+    sd2 = fitted.sigma**2
+
+    def loss(rest: np.ndarray, tau: float) -> np.ndarray:
+        model = hf.BoucWen(c=rest[0], mu=rest[1], tau=tau, rho=rest[2], offset=rest[3])
+        return np.asarray(hf.simulate(model, record.u)[0]) - record.y
+
+    start = [fitted[n].value for n in ("c", "mu", "rho", "offset")]
+    free = scipy.optimize.least_squares(lambda x: loss(x[1:], x[0]), [found.value, *start], xtol=1e-12, ftol=1e-12)
+    for k in (0, len(found.x) // 2, -1):
+        held = scipy.optimize.least_squares(lambda x, k=k: loss(x, found.x[k]), start, xtol=1e-12, ftol=1e-12)
+        assert found.statistic[k] == pytest.approx(2 * (held.cost - free.cost) / sd2, rel=0.02, abs=0.02)
+
+
+def test_limits_of_a_well_determined_fit_are_those_of_its_errors(fitted):
+    found = profile(fitted)
+    assert found.usable
+    assert set(found.profiles) == set(fitted.free_names)
+    for name, p in found.profiles.items():
+        width = 2 * 1.96 * fitted[name].stderr
+        assert p.upper - p.lower == pytest.approx(width, rel=0.12), name
+        assert p.lower < fitted[name].value < p.upper
+
+
+def test_limits_cover_the_truth_about_as_often_as_they_say():
+    inside = []
+    for seed in range(12):
+        result = hf.fit(TRUTH, loop(seed=seed), starts=1, noise="iid")
+        found = profile(result, level=0.9)
+        inside += [found[n].lower < float(getattr(TRUTH, n)) < found[n].upper for n in ("c", "mu", "tau", "rho")]
+    assert np.mean(inside) >= 0.75  # 48 looks, correlated in fours, at 90 %
+
+
+def test_an_open_side_is_named_and_no_error_is_finite_there(faint):
+    found = profile(faint)
+    opened = [p for p in found.profiles.values() if not p.closed]
+    assert opened
+    assert not found.usable
+    assert any("open to" in note for note in found.notes)
+    for p in opened:
+        assert p.lower is None or p.upper is None
+        assert faint[p.name].stderr is None or faint[p.name].identifiable is False, p.name
+    assert any("not determined" in note for note in faint.notes)
+
+
+def test_the_design_closes_what_was_open(faint):
+    made = design(faint, low=-1.0, high=1.0, samples=600, steps=30)
+    assert made.closes
+    assert made.best.score <= min(c.score for c in made.candidates)
+    assert np.all((made.best.u >= -1.0) & (made.best.u <= 1.0))
+    y = np.asarray(hf.simulate(TRUTH, made.best.u)[0]) + 0.01 * np.random.default_rng(1).normal(size=600)
+    both = [faint.data[0], hf.Record(u=made.best.u, y=y, name="designed")]
+    again = profile(hf.fit(TRUTH, both, starts=4, noise="iid"), ["c", "mu", "tau", "rho"])
+    assert again.usable, str(again)
+
+
+def test_predicted_errors_are_those_of_a_fit_to_the_designed_record(fitted):
+    made = design(fitted, low=-1.0, high=1.0, samples=600, method="families")
+    assert {"two amplitudes", "decaying sine"} <= {c.name for c in made.candidates}
+    again = hf.fit(TRUTH, [fitted.data[0], made.record(seed=2)], starts=1, noise="iid")
+    for name in ("c", "mu", "tau", "rho"):
+        assert again[name].stderr == pytest.approx(made.best.stderr[name], rel=0.25)
+        assert made.best.stderr[name] < fitted[name].stderr
+
+
+def test_design_aims_at_one_parameter(fitted):
+    aimed = design(fitted, samples=300, aim=["rho"], method="families")
+    assert aimed.best.stderr["rho"] == min(c.stderr["rho"] for c in aimed.candidates)
+
+
+def test_sandwich_is_the_plain_double_sum_and_both_agree_with_iid_on_white_noise(fitted):
+    plain = covariance(fitted, "iid")
+    np.testing.assert_allclose(plain.stderr, [fitted[n].stderr for n in plain.names], rtol=1e-3)
+    for kind in ("sandwich", "bootstrap"):
+        other = covariance(fitted, kind, block=20, seed=1)
+        assert np.all((other.ratio > 0.6) & (other.ratio < 1.5)), kind
+    from hystfit.fitting.generalized import linearize
+    from hystfit.sampling.posterior import problem_of
+
+    problem, x = problem_of(fitted)
+    r, J = (np.asarray(v)[0][:600] for v in linearize(problem.objective, jnp.asarray(x)))
+    scores, meat = J * r[:, None], np.zeros((5, 5))
+    for i in range(600):
+        for j in range(max(0, i - 5), min(600, i + 6)):
+            meat += (1 - abs(i - j) / 6) * np.outer(scores[i], scores[j])
+    bread = np.linalg.inv(J.T @ J)
+    np.testing.assert_allclose(covariance(fitted, "sandwich", block=5).matrix, bread @ meat @ bread, rtol=1e-6)
+
+
+def test_correlated_noise_widens_sandwich_and_bootstrap():
+    rng = np.random.default_rng(3)
+    base = loop(T=600)
+    e = np.zeros(600)
+    for k in range(1, 600):
+        e[k] = 0.9 * e[k - 1] + 0.01 * rng.normal()
+    result = hf.fit(TRUTH, base.replace(y=base.y + e), starts=1)
+    for kind in ("sandwich", "bootstrap"):
+        assert covariance(result, kind, block=60).ratio.mean() > 1.5
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_bad_questions_are_refused(fitted):
+    with pytest.raises(ParameterError, match="no free parameter"):
+        profile(fitted, ["nu"])
+    with pytest.raises(ParameterError, match="level must"):
+        profile(fitted, level=2.0)
+    with pytest.raises(ParameterError, match="Gaussian noise"):
+        profile(fitted, noise="student-t")
+    with pytest.raises(ParameterError, match="low < high"):
+        design(fitted, low=1.0, high=0.0)
+    with pytest.raises(ParameterError, match="no free parameter"):
+        design(fitted, aim=["nu"])
+    with pytest.raises(ParameterError, match="fewer than four blocks"):
+        covariance(fitted, "bootstrap", block=500)
+    with pytest.raises(ParameterError, match="kind must be"):
+        covariance(fitted, "jackknife")

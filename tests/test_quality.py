@@ -1,0 +1,438 @@
+"""The data-quality verdict on records whose loops, noise, drift, lag and damage are known."""
+
+import functools
+import json
+import math
+import os
+import pathlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystfit import datasets, signals
+from hystfit.data import drift as drifting
+from hystfit.data import lag as lagging
+from hystfit.data import loops as geometry
+from hystfit.data import noise as small
+from hystfit.data.quality import check
+from hystfit.data.record import Dataset, Record
+
+SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
+needs_data = pytest.mark.skipif(not (SHARED / "piezo_dbo").is_dir(), reason="no measured data: set HYSTFIT_DATA")
+
+
+def backlash(u, radius):
+    """Play operator by a plain loop."""
+    out, state = [], u[0]
+    for value in u:
+        state = min(max(state, value - radius), value + radius)
+        out.append(state)
+    return np.array(out)
+
+
+def piezo(u):
+    """Counter-clockwise loop of eight plays."""
+    return u + sum(0.15 * backlash(u, radius) for radius in np.linspace(0.05, 0.75, 8))
+
+
+def steel(u, yield_at=0.25):
+    """Clockwise loop of a Bouc-Wen spring, by explicit small steps."""
+    out, z = [], 0.0  # y = z + 0.1 u
+    for step in np.diff(u, prepend=u[0]):
+        z += step * (1 - (abs(z) / yield_at) * (0.6 + 0.4 * np.sign(step * z)))
+        out.append(z)
+    return np.array(out) + 0.1 * u
+
+
+FINE = 20  # steps of the model per sample, so that fractional delays are exact
+
+
+@functools.cache
+def fine_output(wave, model, count):
+    """Times in samples and the model's output there, on the fine grid from ten samples early."""
+    early = np.arange(-10 * FINE, count * FINE) / FINE
+    return early, model(wave(early))
+
+
+def delayed(wave, model, lag, count):
+    """Record of `count` samples: input `wave(k)`, output of the model delayed by `lag` samples."""
+    k = np.arange(count)
+    return wave(k), np.interp(k - lag, *fine_output(wave, model, count))
+
+
+# --- turning points and loops -------------------------------------------------------------------------------------
+
+
+def test_reversals_of_a_zigzag_are_its_corners():
+    corners = [0.0, 3.0, 1.0, 2.0, -2.0, 4.0]
+    u = np.interp(np.arange(51) / 10, np.arange(6), corners)
+    np.testing.assert_array_equal(geometry.reversals(u), [10, 20, 30, 40])
+    np.testing.assert_array_equal(geometry.reversals(u, 1.5), [10, 40])
+    np.testing.assert_array_equal(geometry.branches(u, 1.5), [[0, 10], [10, 40], [40, 50]])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.lists(st.integers(-8, 8), min_size=2, max_size=60), threshold=st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.5])
+)
+def test_reversals_alternate_and_stand_out(values, threshold):
+    u = np.array(values, dtype=float)
+    turns = geometry.reversals(u, threshold)
+    assert (np.diff(turns) > 0).all()
+    steps = np.diff(u[turns])
+    assert (np.abs(steps) > threshold).all()
+    assert (steps[1:] * steps[:-1] < 0).all()
+    for start, stop in geometry.branches(u, threshold)[1:-1]:
+        assert {u[start], u[stop]} == {u[start : stop + 1].min(), u[start : stop + 1].max()}
+
+
+@settings(max_examples=40, deadline=None)
+@given(values=st.lists(st.integers(-8, 8), min_size=3, max_size=60))
+def test_closed_loops_return_to_their_level(values):
+    u = np.array(values, dtype=float)
+    for loop in geometry.closed_loops(u):
+        assert loop.start < loop.turn < loop.stop
+        inside = u[loop.start : loop.stop]
+        assert {inside.min(), inside.max()} == {u[loop.start], u[loop.turn]} == {loop.low, loop.high}
+        toward = np.sign(u[loop.start] - u[loop.turn])
+        assert toward * (u[loop.stop] - u[loop.start]) >= 0
+
+
+def test_loops_are_counted_with_the_nested_ones():
+    levels = [0, 10, 2, 8, 4, 6, 3, 9, 0, 10]  # one large loop (10-0) with nested ones inside its way down
+    u = np.interp(np.arange(0, 9.001, 0.05), np.arange(10), levels)
+    loops = geometry.closed_loops(u)
+    assert {(loop.low, loop.high, loop.depth) for loop in loops} == {(0, 10, 0), (2, 9, 1), (3, 8, 2), (4, 6, 3)}
+
+
+def test_a_repeated_cycle_counts_once_each_time():
+    _, u = signals.sine(7, 100, phase=-np.pi / 2)
+    assert len(geometry.closed_loops(u, 0.01)) == 7  # the last one closes within the threshold
+    assert len(geometry.cycles(u, 0.01)) == 6
+    np.testing.assert_allclose(np.diff(geometry.cycles(u, 0.01)[:, 0]), 100, atol=1)
+
+
+def test_chatter_is_not_counted_as_reversals():
+    _, u = signals.sine(7, 100)
+    noisy = u + 0.02 * np.random.default_rng(1).normal(size=u.size)
+    report = check(Record(noisy, piezo(u), t=np.arange(u.size) / 100))
+    assert report.records[0].motion.reversals == 14
+    assert report.records[0].motion.chatter_percent > 5
+    assert any("chatters" in line for line in report.findings)
+
+
+def test_area_width_and_direction_of_a_play_are_known():
+    _, u = signals.triangle(4, 400, low=-1, high=1)
+    y = backlash(u, 0.3)
+    loop = geometry.closed_loops(u, 0.01)[1]
+    part = slice(loop.start, loop.stop + 1)
+    assert geometry.loop_area(u[part], y[part]) == pytest.approx(2 * 0.3 * (2 - 2 * 0.3), rel=0.01)
+    assert geometry.loop_width(u[part], y[part]) == pytest.approx(0.6, rel=0.03)
+    shape = check(Record(u, y)).records[0].shape
+    assert shape.circulation == "counter-clockwise"
+    assert check(Record(u, u - y)).records[0].shape.circulation == "clockwise"
+    assert check(Record(u, u**3)).records[0].shape.circulation is None
+    assert shape.closure_percent == pytest.approx(0, abs=0.2)
+
+
+# --- small faults -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cycles", [0.2, 5, 40])
+@pytest.mark.parametrize("size", [1e-4, 1e-2])
+def test_noise_is_found_on_slow_and_fast_signals(cycles, size):
+    k = np.arange(8000)
+    y = np.sin(2 * np.pi * cycles * k / k.size) + size * np.random.default_rng(2).normal(size=k.size)
+    found, bound = small.noise_rms(y)
+    assert found == pytest.approx(size, rel=0.06)
+    assert not bound
+
+
+def test_noise_of_a_rounded_slow_signal_is_its_rounding():
+    y = np.round(np.sin(np.linspace(0, 1, 5000)) / 0.01) * 0.01
+    found, _ = small.noise_rms(y)
+    assert found == pytest.approx(0.01 / math.sqrt(12))
+    assert small.resolution(y) == pytest.approx(0.01)
+
+
+def test_jumps_are_not_noise():
+    for name in ("staircase", "step"):
+        found, _ = small.noise_rms(signals.make(name)[1])
+        assert found < 1e-12
+
+
+def test_noise_of_sparse_samples_is_an_upper_bound_and_of_few_unknown():
+    _, bound = small.noise_rms(np.sin(np.arange(300) * 0.9))
+    assert bound
+    assert small.noise_rms(np.arange(10.0)) == (None, False)
+
+
+def test_spikes_missing_samples_and_clipping_are_counted():
+    t, u = signals.sine(5, 200)
+    y = piezo(u)
+    y = y + 0.002 * np.random.default_rng(3).normal(size=y.size)
+    y[[130, 420, 777]] += [1.0, -1.2, 0.9]
+    y[600:610] = np.nan
+    record = check(Record(u, y, t=t)).records[0]
+    assert (record.spikes, record.sampling.missing) == (3, 10)
+    assert record.clipped == 0
+    top = np.minimum(piezo(u), 1.2)
+    assert check(Record(u, top, t=t)).records[0].clipped == (piezo(u) >= 1.2).sum()
+
+
+def test_sampling_tells_uneven_repeated_and_missing_time():
+    t, u = signals.sine(5, 100)
+    gap = np.delete(np.arange(t.size), np.arange(200, 205))
+    found = check(Record(u[gap], u[gap], t=t[gap])).records[0].sampling
+    assert (found.uniform, found.gaps, found.repeated_stamps) == (False, 1, 0)
+    assert found.rate == pytest.approx(100)
+    doubled = t.copy()
+    doubled[50] = doubled[49]
+    assert check(Record(u, u, t=doubled)).records[0].sampling.repeated_stamps == 1
+    assert check(Record(u, u)).records[0].sampling.rate is None
+
+
+def test_holds_are_rests_and_not_the_tops_of_a_slow_sine():
+    _, u = signals.staircase(100, levels=4, hold=2.0, ramp=0.5)
+    motion = check(Record(u, u)).records[0].motion
+    assert motion.holds == 7
+    assert motion.longest_hold == pytest.approx(200, abs=2)
+    for rate in (50, 500, 5000):
+        assert check(Record(*(2 * [signals.sine(3, rate)[1]]))).records[0].motion.holds == 0
+
+
+# --- drift --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slope", [0.02, -0.005])
+def test_linear_drift_per_cycle_is_recovered(slope):
+    t, u = signals.sine(20, 200)
+    y = piezo(u) + slope * t + 0.002 * np.random.default_rng(4).normal(size=t.size)
+    found = check(Record(u, y, t=t)).records[0].drift
+    assert found.law == "linear"
+    assert found.per_cycle == pytest.approx(slope, rel=0.02)
+    assert found.r2_linear > 0.99
+
+
+@pytest.mark.parametrize("gamma", [0.05, -0.2])
+def test_logarithmic_drift_per_decade_is_recovered_and_preferred(gamma):
+    t, u = signals.sine(60, 200)
+    y = piezo(u) + gamma * np.log10(np.maximum(t, 0.05)) + 0.002 * np.random.default_rng(5).normal(size=t.size)
+    found = check(Record(u, y, t=t)).records[0].drift
+    assert found.law == "logarithmic"
+    assert found.per_decade == pytest.approx(gamma, rel=0.03)
+
+
+def test_no_drift_is_said_and_unlike_cycles_are_not_compared():
+    t, u = signals.sine(30, 200)
+    quiet = check(Record(u, piezo(u) + 0.01 * np.random.default_rng(6).normal(size=t.size), t=t)).records[0].drift
+    assert quiet.law == "none"
+    assert abs(quiet.per_cycle) < 2e-4
+    _, sweep = signals.amplitude_sweep(200, cycles=8)
+    assert check(Record(sweep, piezo(sweep))).records[0].drift is None
+    levels = drifting.like_cycles(u, geometry.cycles(u, 0.01))
+    assert len(levels) == len(geometry.cycles(u, 0.01))
+
+
+# --- lag ----------------------------------------------------------------------------------------------------------
+
+WAVES = {
+    "sine": lambda k: np.sin(2 * np.pi * k / 200 + 0.3),
+    "sweep": lambda k: np.sin(2 * np.pi * k / 200) * np.clip(1.05 - k / 3000, 0, 1),
+    "triangle": lambda k: 1 - 2 * np.abs(1 - 2 * np.mod(k / 200 + 0.0013, 1)),
+}
+
+
+@pytest.mark.parametrize("wave", sorted(WAVES))
+@pytest.mark.parametrize("model", [piezo, steel, np.tanh])
+@pytest.mark.parametrize("lag", [0.0, 0.5, 1.3, 2.0, 4.0])
+def test_lag_is_recovered_whatever_the_hysteresis(wave, model, lag):
+    u, y = delayed(WAVES[wave], model, lag, 3000)
+    y = y + 0.002 * np.ptp(y) * np.random.default_rng(7).normal(size=y.size)
+    found = lagging.estimate_lag(u, y, np.arange(u.size) / 200, geometry.reversals(u, 0.02))
+    assert found is not None
+    assert found.samples == pytest.approx(lag, abs=0.45)
+    assert abs(found.samples - lag) < 4 * found.stderr
+    assert found.stderr < 0.7
+    assert found.seconds == pytest.approx(found.samples / 200)
+
+
+def test_lag_is_unknown_without_turns_or_time():
+    t, u = signals.sine(0.4, 200, frequency=0.5)
+    assert check(Record(u, u, t=t)).records[0].lag is None
+    _, u = signals.sine(5, 200)
+    assert check(Record(u, piezo(u))).records[0].lag is None
+
+
+def test_a_velocity_term_is_told_from_a_lag():
+    t, u = signals.sine(20, 200)
+    y = steel(u)
+    plain = check(Record(u, y, t=t))
+    assert not any("velocity" in line for line in plain.findings)
+    viscous = check(Record(u, y + 0.1 * np.tanh(np.gradient(u, t) / 3), t=t))
+    assert viscous.records[0].lag.samples < 0
+    assert any("velocity term" in line for line in viscous.findings)
+    assert viscous.verdict("bouc-wen").verdict == "partly"
+    late = check(Record(u[4:], piezo(u)[:-4], t=t[4:]))
+    assert late.records[0].lag.samples == pytest.approx(4, abs=0.4)
+    assert not any("velocity" in line for line in late.findings)
+
+
+def test_loops_that_widen_with_frequency_depend_on_rate():
+    slow, fast = signals.sine(8, 200, frequency=0.5)[1], signals.sine(4, 200, frequency=2.0)[1]
+    u = np.concatenate([slow, fast])
+    t = np.arange(u.size) / 200
+    assert check(Record(u, piezo(u), t=t)).records[0].rate_effect == pytest.approx(0, abs=0.03)
+    assert check(Record(u, piezo(u) - 0.02 * np.gradient(u, t), t=t)).records[0].rate_effect > 0.1
+
+
+# --- verdicts -----------------------------------------------------------------------------------------------------
+
+
+def test_a_monotonic_record_determines_no_hysteresis_model():
+    u = np.linspace(0, 1, 200)
+    report = check(Record(u, u**2, t=u))
+    assert report.records[0].motion.monotonic
+    assert {item.verdict for item in report.determines} == {"no"}
+    assert any("monotonic" in line for line in report.findings)
+
+
+def test_one_amplitude_leaves_preisach_and_bouc_wen_open():
+    t, u = signals.sine(10, 200)
+    report = check(Record(u, piezo(u), t=t))
+    assert report.verdict("preisach").verdict == "partly"
+    assert "major loop alone" in report.verdict("preisach").reasons[0]
+    assert "redundant" in report.verdict("bouc-wen").reasons[0]
+    assert report.verdict("creep").verdict == "no"
+
+
+def test_many_reversal_levels_determine_preisach():
+    t, u = signals.random_reversals(40, 200, speed=4)
+    assert check(Record(u, piezo(u), t=t)).verdict("preisach").verdict == "yes"
+    forc, curve = signals.forc_protocol(curves=12)
+    ends = np.flatnonzero(np.diff((curve > 0).astype(int)) < 0) + 1
+    records = [
+        Record(forc[a:b], piezo(forc[a:b]), name=f"curve-{n}")
+        for n, (a, b) in enumerate(zip([0, *ends[:-1]], ends, strict=True))
+    ]
+    assert check(Dataset(tuple(records))).verdict("preisach").verdict == "yes"
+
+
+def test_creep_needs_a_rest_with_motion_or_a_drift():
+    t, u = signals.staircase(100, levels=4, hold=5)
+    still = check(Record(u, piezo(u) + 1e-3 * np.random.default_rng(8).normal(size=t.size), t=t))
+    assert still.verdict("creep").verdict == "no"
+    creeping, state = [], 0.0
+    for value in u:
+        state += 0.005 * (value - state)
+        creeping.append(state)
+    assert check(Record(u, piezo(u) + 0.1 * np.array(creeping), t=t)).verdict("creep").verdict == "yes"
+    assert check(Record(u, piezo(u))).verdict("creep").verdict == "no"
+
+
+def damaged(u):
+    """Bouc-Wen force times a strength that falls with the farthest excursion so far."""
+    return steel(u) * np.exp(-np.cumsum(np.abs(np.diff(u, prepend=u[0]))) / 60)
+
+
+def test_lost_stiffness_is_seen_and_a_sound_loop_is_not_accused():
+    repeats = [signals.sine(3, 200, low=-a, high=a)[1] for a in (0.4, 0.7, 1.0)]
+    u = np.concatenate([*repeats, repeats[0]])
+    for model in (steel, piezo):
+        sound = check(Record(u, model(u)))
+        assert sound.records[0].stiffness_left > 0.95
+        assert sound.verdict("prandtl-ishlinskii").verdict == "yes"
+    broken = check(Record(u, damaged(u)))
+    assert broken.records[0].stiffness_left < 0.85
+    assert broken.verdict("bouc-wen").verdict == "no"
+    assert any("damage" in line for line in broken.findings)
+
+
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_any_record_gets_a_report_that_json_can_hold(data):
+    count = data.draw(st.integers(2, 120))
+    values = st.floats(-1e3, 1e3, allow_nan=False)
+    u = data.draw(st.lists(values, min_size=count, max_size=count))
+    y = data.draw(st.lists(values | st.just(math.nan), min_size=count, max_size=count))
+    if np.isnan(y).all():
+        y[0] = 1.0
+    t = data.draw(st.none() | st.just(np.arange(count) / 10))
+    report = check(Record(np.array(u), np.array(y), t=t))
+    assert json.loads(json.dumps(report.to_dict(), allow_nan=False))["records"][0]["sampling"]["n"] == count
+    assert "What these data determine" in report.text()
+
+
+def test_constant_columns_are_reported_and_do_not_break():
+    report = check(Record(np.ones(50), np.arange(50.0), t=np.arange(50.0)))
+    assert report.records[0].motion.monotonic
+    report = check(Record(np.sin(np.arange(500) / 10), np.ones(500), t=np.arange(500.0)))
+    assert report.records[0].drift.law == "none"
+
+
+# --- measured data ------------------------------------------------------------------------------------------------
+
+
+@needs_data
+def test_piezo_model_has_its_known_noise_drift_and_lag():
+    record = check(datasets.load("piezo_dbo/model", folder=SHARED)).records[0]
+    assert record.y.noise_rms == pytest.approx(0.07, rel=0.05)
+    assert record.motion.cycles == 39
+    assert record.drift.law == "logarithmic"
+    assert record.drift.per_decade == pytest.approx(0.42, abs=0.03)
+    assert record.drift.r2_log > 0.97
+    assert 2 < record.lag.samples < 4.5
+    assert record.shape.circulation == "counter-clockwise"
+
+
+@needs_data
+def test_piezo_test_has_nested_loops_and_two_holds():
+    report = check(datasets.load("piezo_dbo/test", folder=SHARED))
+    motion = report.records[0].motion
+    assert motion.holds == 2
+    assert motion.nested > 10
+    assert report.verdict("preisach").verdict == "yes"
+    assert report.verdict("creep").verdict == "yes"
+
+
+@needs_data
+def test_the_monotonic_coupon_has_no_loop():
+    report = check(datasets.load("steel_resspylab/example_3", folder=SHARED))
+    assert {item.verdict for item in report.determines} == {"no"}
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["trial2", "spc1"])
+def test_damaged_structures_are_out_of_reach(name):
+    report = check(datasets.load(f"struct_slotboom/{name}", folder=SHARED))
+    assert report.verdict("bouc-wen").verdict == "no"
+    assert "damage" in report.verdict("bouc-wen").reasons[0]
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["struct_slotboom/u-damper", "steel_resspylab/example_1", "steel_resspylab/example_2"])
+def test_sound_steel_is_within_reach(name):
+    report = check(datasets.load(name, folder=SHARED))
+    assert report.verdict("bouc-wen").verdict == "yes"
+    assert report.records[0].shape.circulation == "clockwise"
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["M130_27s", "MnZn_ferrite"])
+def test_magnetic_loops_close_and_have_no_time(name):
+    report = check(datasets.load(f"mag_ja_bh/{name}", folder=SHARED))
+    for record in report.records:
+        assert abs(record.shape.closure_percent) < 0.5
+        assert record.shape.circulation == "counter-clockwise"
+        assert record.lag is None
+    assert report.verdict("preisach").verdict == "partly"
+    assert report.verdict("creep").verdict == "no"
+
+
+@needs_data
+def test_the_damper_needs_a_velocity_term():
+    report = check(datasets.load("mr_labcontrol/4.1", folder=SHARED))
+    assert any("velocity term" in line for line in report.findings)
+    assert report.records[0].spikes > 0

@@ -1,0 +1,588 @@
+"""Reading files as laboratories write them: each read right, or refused with a message that says what to do."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hystfit.data import Dataset, Record, read, read_csv
+from hystfit.data.columns import quantity
+from hystfit.data.header import split_unit
+from hystfit.data.text import read_table
+from hystfit.errors import DataError
+
+T = [0.0, 0.5, 1.0, 1.5]
+U = [0.0, 1.25, -2.5, 1000.5]
+Y = [10.0, -0.125, 3.0, 4.75]
+
+
+def _rows(mark: str, columns: Any = None, end: str = "", point: str = ".") -> str:
+    rows = zip(*(columns or [T, U, Y]), strict=True)
+    return "".join(mark.join(f"{v:g}".replace(".", point) for v in row) + end + "\n" for row in rows)
+
+
+# name: (content, arguments, what must be found: t, u, y, units, or names)
+GOOD: dict[str, tuple[str | bytes, dict[str, Any], dict[str, Any]]] = {
+    "plain": ("t_s,u_V,y_um\n" + _rows(","), {}, {"units": ("s", "V", "um")}),
+    "no header": (_rows(","), {}, {}),
+    "first row of whole numbers is no header": ("0 0 10\n0.5 1.25 -0.125\n1 -2.5 3\n1.5 1000.5 4.75\n", {}, {}),
+    "semicolons and decimal commas": ("t;u;y\n" + _rows(";", point=","), {}, {}),
+    "thousands dots beside decimal commas": (
+        "t;u;y\n0;0;10\n0,5;1,25;-0,125\n1;-2,5;3\n1,5;1.000,50;4,75\n",
+        {},
+        {},
+    ),
+    "thousands spaces": ("t;u;y\n0;0;10\n0,5;1,25;-0,125\n1;-2,5;3\n1,5;1 000,5;4,75\n", {}, {}),
+    "thousands commas in quotes": (
+        '"t","u","y"\n"0","0","10"\n"0.5","1.25","-0.125"\n"1","-2.5","3"\n"1.5","1,000.5","4.75"\n',
+        {},
+        {},
+    ),
+    "tabs with trailing tabs": ("t\tu\ty\t\n" + _rows("\t", end="\t"), {}, {}),
+    "trailing commas": ("t,u,y,,\n" + _rows(",", end=",,"), {}, {}),
+    "trailing commas below the header only": ("t,u,y\n" + _rows(",", end=","), {}, {}),
+    "aligned white space": ("  t      u     y\n" + _rows("   ").replace("\n", "\n   "), {}, {}),
+    "units row": ("time,voltage,disp\ns,V,um\n" + _rows(","), {}, {"units": ("s", "V", "um")}),
+    "units row in brackets": ("time;voltage;disp\n[s];[V];[um]\n" + _rows(";"), {}, {"units": ("s", "V", "um")}),
+    "units in the names": (
+        "Time (s),Voltage [V],Displacement / um\n" + _rows(","),
+        {},
+        {"units": ("s", "V", "um")},
+    ),
+    "two header rows": (
+        "Clock,Stage,Sensor\nt,x,x\ns,um,um\n" + _rows(","),
+        {"input": "Stage x", "output": 2},
+        {"units": ("s", "um", "um")},
+    ),
+    "metadata lines": ("Operator: Kim\nDate,2024-01-02\nGain = 3\nRate,200\n\nt,u,y\n" + _rows(","), {}, {}),
+    "header in a comment": ("# saved by numpy\n# t_s u_V y_um\n" + _rows(" "), {}, {"units": ("s", "V", "um")}),
+    "header with its own delimiter": ("t, u, y\n" + _rows("\t"), {}, {}),
+    "bracketed units between spaces": ("t (s)   u (V)   y (um)\n" + _rows("  "), {}, {"units": ("s", "V", "um")}),
+    "quoted numbers": ('"t","u","y"\n' + '"' + _rows('","', end='"').replace("\n", '\n"')[:-1], {}, {}),
+    "quoted decimal commas": (
+        't,u,y\n"0,0","0,0","10,0"\n"0,5","1,25","-0,125"\n1,"-2,5",3\n"1,5","1000,5","4,75"\n',
+        {},
+        {},
+    ),
+    "byte-order mark": (b"\xef\xbb\xbft_s,u_V,y_um\n" + _rows(",").encode(), {"time": "t_s"}, {}),
+    "UTF-16": (("t_s\tu_V\ty_µm\n" + _rows("\t")).encode("utf-16"), {}, {"units": ("s", "V", "µm")}),
+    "UTF-16 without a mark": (("t,u,y\n" + _rows(",")).encode("utf-16-le"), {}, {}),
+    "cp1252": (("t_s;Spannung_V;y_µm\n" + _rows(";")).encode("cp1252"), {}, {"units": ("s", "V", "µm")}),
+    "bytes that only latin-1 has": (b"t,u,y\n" + _rows(",").encode() + b"# \x81\x8d end\n", {}, {}),
+    "old Mac line ends": ("t,u,y\n" + _rows(",")).replace("\n", "\r"),
+    "doubled line ends": ("t,u,y\n" + _rows(",")).replace("\n", "\r\r\n").encode(),
+    "NUL padding at the end": ("t,u,y\n" + _rows(",") + "\0" * 64, {}, {}),
+    "empty first column": (",t,u,y\n" + "".join("," + row + "\n" for row in _rows(",").splitlines()), {}, {}),
+    "row numbers first": (
+        ",t,u,y\n" + "".join(f"{k},{row}\n" for k, row in enumerate(_rows(",").splitlines())),
+        {},
+        {},
+    ),
+    "row numbers without a name": (
+        "t,u,y\n" + "".join(f"{k},{row}\n" for k, row in enumerate(_rows(",").splitlines(), 1)),
+        {"time": 1, "input": 2, "output": 3},
+        {},
+    ),
+    "repeated header while time goes on": (
+        "t,u,y\n0,0,10\n0.5,1.25,-0.125\nt,u,y\n1,-2.5,3\n1.5,1000.5,4.75\n",
+        {},
+        {},
+    ),
+    "footer lines": ("t,u,y\n" + _rows(",") + "\nEnd of test,,\nChecksum: 4711\n", {}, {}),
+    "ragged row": ("t,u,y\n0,0,10\n0.5,1.25,-0.125\n0.7,1\n1,-2.5,3\n1.5,1000.5,4.75\n", {}, {}),
+    "truncated last line": ("t,u,y\n" + _rows(",") + "2,10", {}, {}),
+    "exponent D": ("0D0 0D0 1D1\n5.0D-01 1.25d0 -0.125D+00\n1.0D0 -0.25D1 3D0\n1.5D0 1.0005D+03 4.75D0\n", {}, {}),
+    "Unicode minus": ("t;u;y\n" + _rows(";").replace("-", "\u2212"), {}, {}),
+    "ISO time stamps": (
+        "".join(f"2024-03-31T23:59:{59 + t:06.3f},{u},{y}\n" for t, u, y in zip(T[:2], U, Y, strict=False))
+        + "".join(f"2024-04-01T00:00:{t - 1:06.3f},{u},{y}\n" for t, u, y in zip(T[2:], U[2:], Y[2:], strict=True)),
+        {},
+        {"units": ("s", "", "")},
+    ),
+    "time of day over midnight": (
+        "clock,u,y\n23:59:59.0,0,10\n23:59:59.5,1.25,-0.125\n00:00:00.0,-2.5,3\n00:00:00.5,1000.5,4.75\n",
+        {},
+        {},
+    ),
+    "German dates": (
+        "Zeit;Spannung;Weg\n31.12.2024 23:59:59,0;0;10\n31.12.2024 23:59:59,5;1,25;-0,125\n"
+        "01.01.2025 00:00:00,0;-2,5;3\n01.01.2025 00:00:00,5;1000,5;4,75\n",
+        {},
+        {},
+    ),
+    "date and time in two columns": (
+        "date time u y\n2024-01-02 10:00:00.0 0 10\n2024-01-02 10:00:00.5 1.25 -0.125\n"
+        "2024-01-02 10:00:01.0 -2.5 3\n2024-01-02 10:00:01.5 1000.5 4.75\n",
+        {"time": "time"},
+        {},
+    ),
+    "nanoseconds since 1970": (
+        "t_ns,u_V,y\n1700000000000000000,0,10\n1700000000000000001,1.25,-0.125\n1700000000000000002,-2.5,3\n1700000000000000003,1000.5,4.75\n",
+        {},
+        {"t": [0, 1, 2, 3], "units": ("ns", "V", "")},
+    ),
+    "output first": ("Force [kN],Displacment [mm]\n" + _rows(",", [Y, U]), {}, {"t": None, "units": ("s", "mm", "kN")}),
+    "y before x": ("y,x\n" + _rows(",", [Y, U]), {}, {"t": None}),
+    "stress before strain": ("sigma_MPa,eps\n" + _rows(",", [Y, U]), {}, {"t": None, "units": ("s", "", "MPa")}),
+    "induction before field": ("B_T,H_A_per_m\n" + _rows(",", [Y, U]), {}, {"t": None, "units": ("s", "A/m", "T")}),
+    "displacement before voltage": ("Position (um),Voltage (V)\n" + _rows(",", [Y, U]), {}, {"t": None}),
+    "velocity beside displacement": ("t_s,x,v,F\n" + _rows(",", [T, U, [1, 2, 4, 3], Y]), {}, {}),
+    "constant columns": ("\n".join(f"{u} 0 0 {y} -317.2" for u, y in zip(U, Y, strict=True)), {}, {"t": None}),
+    "columns by number as text": (
+        _rows(",", [Y, [7, 7, 8, 9], U]),
+        {"input": "2", "output": "0", "time": False},
+        {"t": None},
+    ),
+    "names without units or case": (
+        "T_s,Drive_V,Sense_um\n" + _rows(","),
+        {"time": "t", "input": "drive", "output": "SENSE"},
+        {},
+    ),
+    "two columns of one name": ("t,u,y,y\n" + _rows(",", [T, U, [1, 2, 4, 3], Y]), {"output": 3}, {}),
+    "missing outputs": (
+        "t,u,y\n0,0,10\n0.5,1.25,#N/A\n1,-2.5,--\n1.5,1000.5,4.75\n",
+        {},
+        {"y": [10, np.nan, np.nan, 4.75]},
+    ),
+    "infinite output": (
+        "t,u,y\n0,0,10\n0.5,1.25,inf\n1,-2.5,nan\n1.5,1000.5,4.75\n",
+        {},
+        {"y": [10, np.nan, np.nan, 4.75]},
+    ),
+    "input missing at the ends": ("t,u,y\n-1,,5\n" + _rows(",") + "2,nan,6\n3,,7\n", {}, {}),
+    "repeated time stamps": (
+        "t,u,y\n0,0,10\n0.5,1.25,-0.125\n0.5,-2.5,3\n1.5,1000.5,4.75\n",
+        {},
+        {"t": [0, 0.5, 0.5, 1.5]},
+    ),
+    "double spacing": ("t,u,y\n\n" + _rows(",").replace("\n", "\n\n"), {}, {}),
+    "tagged rows": (
+        "SetupTitle, test\nSize, 4, 4, 4\nNames, t, u, y\n"
+        + "".join(f"Value, {row}\n" for row in _rows(", ").splitlines()),
+        {},
+        {},
+    ),
+    "decimal comma told": (
+        "1,234;1,500\n2,345;2,500\n",
+        {"decimal": ","},
+        {"t": None, "u": [1.234, 2.345], "y": [1.5, 2.5]},
+    ),
+    "thousands told": (
+        "1,234;1,500\n2,345;2,500\n",
+        {"decimal": "."},
+        {"t": None, "u": [1234, 2345], "y": [1500, 2500]},
+    ),
+    "row names without a header": (
+        '"t" "u" "y"\n' + "".join(f'"{k}" {r}\n' for k, r in enumerate(_rows(" ").splitlines(), 1)),
+        {},
+        {},
+    ),
+    "header of a comment column without cells": ("X_Value\tVoltage\tWeg\tComment\n" + _rows("\t"), {}, {}),
+    "separator line of a spreadsheet": ("sep=;\nt;u;y\n" + _rows(";", point=","), {}, {}),
+    "comment that is no header": ("# loop1\n" + _rows(" ", [U, Y]), {"input": "column 0"}, {"t": None}),
+    "temperature beside": (
+        "t_s,Temp_C,Cmd_V,Pos_um\n" + _rows(",", [T, [20, 21, 22, 23], U, Y]),
+        {},
+        {"units": ("s", "V", "um")},
+    ),
+    "text column beside": (
+        "t,state,u,y\n"
+        + "".join(f"{t},{w},{u},{y}\n" for t, w, u, y in zip(T, ["on", "on", "off", "on"], U, Y, strict=True)),
+        {},
+        {},
+    ),
+    "delimiter told": (_rows(":"), {"delimiter": ":"}, {}),
+}
+
+
+def _write(folder: Path, content: str | bytes, name: str = "file.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize("case", GOOD)
+def test_odd_file_is_read_right(case: str, tmp_path: Path) -> None:
+    entry = GOOD[case]
+    content, arguments, expected = entry if isinstance(entry, tuple) else (entry, {}, {})
+    path = _write(tmp_path, content)
+    record = read(path, **arguments)
+    assert isinstance(record, Record)
+    np.testing.assert_array_equal(record.u, expected.get("u", U))
+    np.testing.assert_array_equal(record.y, expected.get("y", Y))
+    if expected.get("t", T) is None:
+        assert record.t is None
+    else:
+        np.testing.assert_allclose(record.t, expected.get("t", T), rtol=0, atol=1e-11)
+    if "units" in expected:
+        assert (record.t_unit, record.u_unit, record.y_unit) == expected["units"]
+    assert record.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert record.name == "file"
+
+
+BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
+    "empty": (b"", {}, "is empty"),
+    "blank lines": ("\n \n\n", {}, "blank lines"),
+    "text only": ("this is\na letter\nto nobody\n", {}, "no row of numbers.*delimiter="),
+    "header only": ("t,u,y\n", {}, "no row of numbers"),
+    "one row": ("t,u,y\n1,2,3\n", {}, "only 1 row"),
+    "single column": ("u\n1.5\n2.5\n3.5\n", {}, "input and an output.*1 column"),
+    "one changing column": ("t,u,y\n0,1,0\n1,1,2\n2,1,1\n", {}, "input and an output"),
+    "binary": (bytes(range(256)) * 8, {}, "binary or damaged"),
+    "NUL within": ("t,u,y\n1,2,3\n2,\0 3,4\n", {}, "line 3.*NUL"),
+    "Excel in disguise": (b"PK\x03\x04" + b"\0" * 99, {}, "Excel.*xlsx"),
+    "wrong encoding told": ("t,u,µ\n1,2,3\n2,3,4\n".encode("cp1252"), {"encoding": "utf-8"}, "not text in utf-8"),
+    "unknown encoding told": ("1,2\n2,3\n", {"encoding": "klingon"}, "no encoding 'klingon'"),
+    "thousands or decimals (comma)": ("1,234;1,500\n2,345;2,500\n", {}, "ambiguous.*decimal="),
+    "thousands or decimals (quoted)": ('"1,234","1,500"\n"2,345","2,500"\n', {}, "ambiguous.*decimal="),
+    "thousands or decimals (dot)": ("1.234;0,5\n2.345;0,7\n", {}, "line 1.*ambiguous.*decimal="),
+    "comma twice, by the names": ("t,y\n0,10,1,20\n0,20,1,35\n0,30,1,41\n", {}, "ambiguous.*delimiter="),
+    "comma twice, by zeros": ("0,05,1,20\n0,10,1,35\n0,15,1,41\n", {}, "ambiguous.*delimiter="),
+    "comma twice, by spaces": ("0,5, 1,20\n0,6, 1,35\n0,7, 1,41\n", {}, "ambiguous.*delimiter="),
+    "day or month": ("01/02/2024 10:00:00,1,2\n01/03/2024 10:00:00,2,3\n", {}, "ambiguous.*day or month"),
+    "no such day": ("2024-02-30 10:00:00,1,2\n2024-02-31 10:00:00,2,3\n", {}, "not a date"),
+    "two tables": ("1,2,3\n" * 10 + "1,2,3,4\n" * 6, {}, "line 11: 6 rows do not have the 3 cells"),
+    "time runs back": ("t,u,y\n0,1,2\n1,2,3\n0.5,3,4\n2,4,5\n", {}, "line 4: time runs back from 1 to 0.5.*by="),
+    "time stands still": ("t,u,y\n1,1,2\n1,2,3\n1,3,4\n", {"time": "t"}, "time does not move"),
+    "input missing within": ("t,u,y\n0,1,2\n1,,3\n2,3,4\n", {}, r"missing in 1 rows.*line 3.*gaps='split'"),
+    "infinite input": ("t,u,y\n0,1,2\n1,inf,3\n2,3,4\n", {}, "line 3"),
+    "no input at all": ("t,u,y,z\n0,,2,1\n1,,3,2\n2,,1,3\n", {"input": "u"}, "'u' for input is empty"),
+    "unknown column": ("t,u,y\n0,1,2\n1,2,3\n", {"input": "voltage"}, "no column 'voltage' for input.*0: 't'"),
+    "number too high": ("t,u,y\n0,1,2\n1,2,3\n", {"output": 7}, "output column 7.*there are 3"),
+    "name given twice in the file": (
+        "t,u,y,y\n0,1,2,4\n1,2,3,3\n",
+        {"output": "y"},
+        "2 columns.*numbers 2, 3.*by number",
+    ),
+    "text column as input": ("t,k,y\n0,a,2\n1,b,3\n", {"input": "k"}, "'k' for input is text"),
+    "same column twice": ("t,u,y\n0,1,2\n1,2,3\n", {"input": "u", "output": "u"}, "same column"),
+    "time is also input": (
+        "t,u,y\n0,1,2\n1,2,3\n",
+        {"input": "t", "time": "t", "output": "y"},
+        "cannot be time and input",
+    ),
+    "wrong delimiter told": ("t,u,y\n0,1,2\n1,2,3\n", {"delimiter": ";"}, "no row of numbers"),
+    "wrong decimal told": ("0,1\n1,2\n", {"decimal": "x"}, "decimal mark must be"),
+    "gaps unknown": ("0,1\n1,2\n", {"gaps": "fill"}, "gaps must be"),
+    "only without curves": ("0,1\n1,2\n", {"only": "0"}, "one curve.*by="),
+    "by without such a column": ("0,1\n1,2\n", {"by": "loop"}, "no column 'loop' for by"),
+    "sheet of a text": ("0,1\n1,2\n", {"sheet": 0}, "no sheets"),
+    "where finds nothing": ("k,u,y\na,1,2\na,2,3\n", {"where": "k=b"}, "no row has k = 'b'.*a"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_file_is_refused_with_advice(case: str, tmp_path: Path) -> None:
+    content, arguments, message = BAD[case]
+    path = _write(tmp_path, content)
+    with pytest.raises(DataError, match=rf"(?s){message}"):
+        read(path, **arguments)
+
+
+def test_missing_folder_and_unknown_kinds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file"):
+        read(tmp_path / "nothing.csv")
+    with pytest.raises(DataError, match="is a folder"):
+        read(tmp_path)
+    with pytest.raises(DataError, match=r"kind '.docx'.*read_csv"):
+        read(_write(tmp_path, "0,1\n1,2\n", "a.docx"))
+    assert isinstance(read_csv(_write(tmp_path, "0,1\n1,2\n", "a.docx")), Record)
+    for suffix in (".mat", ".npz", ".npy", ".xlsx", ".h5"):
+        with pytest.raises(DataError, match=r"damaged|cannot be read"):
+            read(_write(tmp_path, "0,1\n1,2\n", "a" + suffix))
+        with pytest.raises(DataError, match="empty"):
+            read(_write(tmp_path, b"", "a" + suffix))
+
+
+def test_everything_left_out_is_counted(tmp_path: Path) -> None:
+    text = "made by hand\nt,u,y\n0,1,2\n# pause\n1,2,nan\n2,3\nt,u,y\n3,4,5\n3,5,6\nthe end\n"
+    table = read_table(_write(tmp_path, text))
+    assert table.left_out == {
+        "metadata": 1,
+        "comment line": 1,
+        "row with another number of cells than 3": 1,
+        "repeated header": 1,
+        "line with text where numbers are expected": 1,
+    }
+    assert table.line.tolist() == [3, 5, 8, 9]
+    assert table.rows + sum(table.left_out.values()) + 1 == len(text.splitlines())
+    notes = " | ".join(read(tmp_path / "file.csv").notes)  # type: ignore[union-attr]
+    for said in (
+        "1 outputs are missing",
+        "1 time stamps repeat",
+        "line 9",
+        "time taken from 't'",
+        "input guessed: 'u'",
+    ):
+        assert said in notes
+
+
+CURVES = "loop,kind,u,y\n1,up,0,1\n1,up,1,2\n1,down,0.5,3\n2,up,0,4\n2,up,2,5\n5,up,0,6\n5,down,3,7\n9,up,1,1\n"
+
+
+def test_curves_by_a_column(tmp_path: Path) -> None:
+    path = _write(tmp_path, CURVES)
+    data = read(path, by="loop")
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["loop=1", "loop=2", "loop=5"]
+    assert [record.u.tolist() for record in data] == [[0, 1, 0.5], [0, 2], [0, 3]]
+    assert any("loop=9 has a single row (1, 1)" in note for note in data[0].notes)
+    assert [r.name for r in read(path, by="loop", only="5,1")] == ["loop=5", "loop=1"]  # type: ignore[union-attr]
+    assert [r.name for r in read(path, by="loop", only=[2.0])] == ["loop=2"]  # type: ignore[union-attr]
+    assert [r.name for r in read(path, by=0, only="1::2")] == ["loop=2"]  # type: ignore[union-attr]
+    assert [r.name for r in read(path, by="kind")] == ["kind=up", "kind=down"]  # type: ignore[union-attr]
+    up = read(path, by="loop", where={"kind": "up"})
+    assert [r.y.tolist() for r in up] == [[1, 2], [4, 5]]  # type: ignore[union-attr]
+    assert any("by='loop'" in note for note in read(path).notes)  # type: ignore[union-attr]
+    for only, message in (("3", "no curve 3; there are 1, 2, 5"), ("7:", "chooses none of 3"), ("::0", "step")):
+        with pytest.raises(DataError, match=message):
+            read(path, by="loop", only=only)
+
+
+def test_curves_between_blank_lines_keep_single_points_apart(tmp_path: Path) -> None:
+    path = _write(tmp_path, "H,M\n9,1.5\n\n0,1\n1,2\n\n9,1.25\n\n0,3\n2,4\n3,5\n")
+    data = read(path)
+    assert isinstance(data, Dataset)
+    assert [record.u.tolist() for record in data] == [[0, 1], [0, 2, 3]]
+    assert any("2 blocks of a single row" in note for note in data[0].notes)
+    assert any("line 7): input 9, output 1.25" in note for note in data["curve=1"].notes)
+    assert [len(record) for record in read(path, only="1")] == [3]  # type: ignore[union-attr]
+
+
+def test_header_repeated_where_time_starts_again_begins_a_curve(tmp_path: Path) -> None:
+    data = read(_write(tmp_path, "t,u,y\n0,1,2\n1,2,3\nt,u,y\n0,4,5\n1,5,6\n"))
+    assert [record.u.tolist() for record in data] == [[1, 2], [4, 5]]  # type: ignore[union-attr]
+
+
+def test_gaps_split_into_pieces(tmp_path: Path) -> None:
+    data = read(_write(tmp_path, "t,u,y\n0,1,2\n1,2,3\n2,,4\n3,4,5\n4,5,nan\n5,,7\n6,1,1\n"), gaps="split")
+    assert isinstance(data, Dataset)
+    assert [record.t.tolist() for record in data] == [[0, 1], [3, 4]]
+    notes = " | ".join(data[0].notes)
+    assert "2 rows without input or time" in notes
+    assert "1 pieces of a single row" in notes
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ("t_s", ("t", "s")),
+        ("H_A_per_m", ("H", "A/m")),
+        ("Sigma_true", ("Sigma_true", "")),
+        ("x_min", ("x_min", "")),
+        ("v_in", ("v_in", "")),
+        ("x_in", ("x", "in")),
+        ("Kraft / kN", ("Kraft", "kN")),
+        ("x[0]", ("x[0]", "")),
+        ("P (µC/cm^2)", ("P", "µC/cm^2")),
+    ],
+)
+def test_units_in_names(header: str, expected: tuple[str, str]) -> None:
+    assert split_unit(header) == expected
+
+
+@pytest.mark.parametrize(
+    ("header", "kind"),
+    [("V", "voltage"), ("v_in_per_s", "velocity"), ("BmeasT", "magnetization"), ("Lead Actuator Displacment", "displacement"),
+     ("e_true", "strain"), ("MeasResult1_time", "time"), ("loop", "index"), ("foo", "")],
+)  # fmt: skip
+def test_quantities_of_names(header: str, kind: str) -> None:
+    assert quantity(header) == kind
+
+
+def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
+    import h5py
+    import openpyxl
+
+    t, u, y = (np.array(values) for values in (T, U, Y))
+    np.savez(tmp_path / "a.npz", t_s=t, u_V=u, y_um=y, gain=np.array(3.0), other=np.arange(7.0))
+    np.save(tmp_path / "a.npy", np.column_stack([t, u, y]))
+    scipy.io.savemat(tmp_path / "a.mat", {"run": {"t_s": t, "u_V": u, "y_um": y}, "who": "Kim"})
+    for name in ("a.h5", "b.mat"):
+        with h5py.File(tmp_path / name, "w", userblock_size=512 if name == "b.mat" else 0) as file:
+            for key, values in (("t_s", t), ("u_V", u), ("y_um", y)):
+                file[key] = values[:, None].T  # MATLAB 7.3 stores a column as (1, N)
+    with open(tmp_path / "b.mat", "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(128))
+    book = openpyxl.Workbook()
+    book.active.title = "about"  # type: ignore[union-attr]
+    book.active["A1"] = "made by hand"  # type: ignore[index]
+    page = book.create_sheet("run 1")
+    for row in (["my loop"], ["t", "u", "y"], ["s", "V", "um"], *zip(T, U, Y, strict=True)):
+        page.append(list(row))
+    book.save(tmp_path / "a.xlsx")
+    for name in ("a.npz", "a.mat", "a.h5", "b.mat", "a.xlsx"):
+        record = read(tmp_path / name)
+        assert isinstance(record, Record)
+        np.testing.assert_array_equal(np.stack([record.t, record.u, record.y]), [T, U, Y])  # type: ignore[arg-type]
+        assert (record.t_unit, record.u_unit, record.y_unit) == ("s", "V", "um")
+    array = read(tmp_path / "a.npy")
+    np.testing.assert_array_equal(np.stack([array.t, array.u, array.y]), [T, U, Y])  # type: ignore[union-attr]
+    assert any("other" in note for note in read(tmp_path / "a.npz").notes)  # type: ignore[union-attr]
+    with pytest.raises(DataError, match="no sheet 'run 2'; there are about, run 1"):
+        read(tmp_path / "a.xlsx", sheet="run 2")
+    with pytest.raises(DataError, match="no rows of numbers in 'about'"):
+        read(tmp_path / "a.xlsx", sheet=0)
+    np.savez(tmp_path / "c.npz", B=np.ones((9, 3)) * np.arange(9.0)[:, None] ** [1, 2, 3])
+    with pytest.raises(DataError, match="every column is 'B'"):
+        read(tmp_path / "c.npz")
+
+
+def test_many_rows_are_fast(tmp_path: Path) -> None:
+    rows = np.column_stack([np.arange(200_000) * 0.005, np.random.default_rng(0).normal(size=(200_000, 2))])
+    path = tmp_path / "long.csv"
+    path.write_text("t_s,u_V,y_um\n" + "".join(f"{a:.3f},{b!r},{c!r}\n" for a, b, c in rows.tolist()))
+    began = time.process_time()
+    record = read(path)
+    spent = time.process_time() - began
+    np.testing.assert_array_equal(record.u, rows[:, 1])  # type: ignore[union-attr]
+    np.testing.assert_array_equal(record.y, rows[:, 2])  # type: ignore[union-attr]
+    assert spent < 3.0  # 0.8 s on a common core; a cell-by-cell reader takes ten times as long
+
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
+)
+@given(
+    rows=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=3, max_size=30),
+    mark=st.sampled_from([",", ";", "\t", "|", "  "]),
+    comma=st.booleans(),
+    header=st.sampled_from(["", "names", "names and units", "metadata"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "cp1252"]),
+    quoted=st.booleans(),
+    end=st.sampled_from(["\n", "\r\n"]),
+)
+def test_what_is_written_is_read_back(
+    tmp_path: Path, rows: list, mark: str, comma: bool, header: str, encoding: str, quoted: bool, end: str
+) -> None:
+    comma, quoted = comma and mark != ",", quoted and mark not in ("  ",)
+    point = "," if comma else "."
+    cell = lambda v: f"{v:.17e}".replace(".", point)
+    lines = [mark.join(f'"{cell(v)}"' if quoted else cell(v) for v in row) for row in rows]
+    head = {
+        "": [],
+        "names": [mark.join(["one", "two", "three"])],
+        "names and units": [mark.join(["one", "two", "three"]), mark.join(["mm", "kN", "µm"])],
+        "metadata": ["Prüfstand 4", "Gain = 12.5", "", mark.join(["one", "two", "three"])],
+    }[header]
+    path = tmp_path / "file.dat"
+    path.write_bytes((end.join(head + lines) + end).encode(encoding))
+    table = read_table(path)
+    np.testing.assert_array_equal(np.column_stack(table.columns), np.array(rows))
+    assert table.names == (("one", "two", "three") if header else ("column 0", "column 1", "column 2"))
+    assert table.units == (("mm", "kN", "µm") if header == "names and units" else ("", "", ""))
+
+
+def _plain(path: Path) -> np.ndarray:
+    return np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+def test_measured_piezo(measured: Path) -> None:
+    for raw, tidy in (("Model_Vi_Do", "model"), ("Test_Vi_Do_Di", "test")):
+        record = read(measured / "piezo_dbo" / f"{raw}.dat", input=0, output=4)
+        told = _plain(measured / "tidy" / f"piezo_dbo_{tidy}.csv")
+        np.testing.assert_array_equal(np.column_stack([record.u, record.y]), told[:, 1:])  # type: ignore[union-attr]
+        again = read(measured / "tidy" / f"piezo_dbo_{tidy}.csv")
+        np.testing.assert_array_equal(np.column_stack([again.t, again.u, again.y]), told)  # type: ignore[union-attr]
+    guessed = read(measured / "piezo_dbo" / "Model_Vi_Do.dat")
+    assert (guessed.u_name, guessed.y_name) == ("column 0", "column 4")  # type: ignore[union-attr]
+
+
+def test_measured_magnetics(measured: Path) -> None:
+    lines = (measured / "tidy" / "mag_forc_FeCo.csv").read_text().splitlines()[1:]
+    rows = [line.split(",") for line in lines]
+    curves: dict[str, list[list[float]]] = {}
+    for curve, kind, field, moment in rows:
+        if kind == "forc":
+            curves.setdefault(curve, []).append([float(field), float(moment)])
+    raw = read(measured / "mag_forc_pyforc" / "hchb_forc")
+    tidy = read(measured / "tidy" / "mag_forc_FeCo.csv", by="curve", where="kind=forc")
+    for data in (raw, tidy):
+        assert isinstance(data, Dataset)
+        assert len(data) == len(curves) == 152
+        for record, points in zip(data, curves.values(), strict=True):
+            np.testing.assert_array_equal(np.column_stack([record.u, record.y]), points)
+    assert any("152 blocks of a single row" in note for note in raw[0].notes)  # type: ignore[union-attr]
+    for name in ("M130_27s", "MnZn_ferrite", "MnZn_HP_ferrite"):
+        data = read(measured / "tidy" / f"mag_bh_{name}.csv", by="loop")
+        for position, record in enumerate(data):
+            for symbol, values in (("H", record.u), ("B", record.y)):
+                path = measured / "mag_ja_bh" / f"{symbol}_{name}.mat"
+                columns = scipy.io.loadmat(path)[f"{symbol}measT"]
+                match = [
+                    k for k in range(columns.shape[1]) if np.allclose(columns[:, k], values, rtol=1e-9, atol=1e-12)
+                ]
+                assert match, (name, position, symbol)
+        with pytest.raises(DataError, match="give input= and output="):
+            read(measured / "mag_ja_bh" / f"H_{name}.mat")
+        two = read(measured / "mag_ja_bh" / f"H_{name}.mat", input=0, output="HmeasT[1]")
+        found = scipy.io.loadmat(measured / "mag_ja_bh" / f"H_{name}.mat")["HmeasT"]
+        np.testing.assert_array_equal(two.y, found[:, 1])  # type: ignore[union-attr]
+
+
+def test_measured_structures_and_steel(measured: Path) -> None:
+    folder = measured / "struct_slotboom"
+    for path in sorted(folder.glob("*.csv")):
+        lines = [line.split(",") for line in path.read_text().splitlines()]
+        numbers = np.array(
+            [[float(c) for c in row] for row in lines if row[0].strip(" -").replace(".", "")[:1].isdigit()]
+        )
+        record = read(path)
+        order = [1, 0] if path.name == "SPC1.csv" else [0, 1]
+        np.testing.assert_array_equal(np.column_stack([record.u, record.y]), numbers[:, order])  # type: ignore[union-attr]
+    record = read(folder / "SPC1.csv")
+    assert (record.u_unit, record.y_unit) == ("mm", "kN")  # type: ignore[union-attr]
+    for number in (1, 2, 3):
+        path = measured / "steel_resspylab" / f"example_{number}.csv"
+        record, told = read(path), _plain(path)
+        np.testing.assert_array_equal(np.column_stack([record.u, record.y]), told[:, [0, -1]])  # type: ignore[union-attr]
+        assert (record.t is not None) == (number == 3)  # type: ignore[union-attr]
+
+
+def test_measured_dampers(measured: Path) -> None:
+    for number in ("4.1", "4.2"):
+        tidy = _plain(measured / "tidy" / f"mr_labcontrol_{number}.csv")
+        record = read(measured / "tidy" / f"mr_labcontrol_{number}.csv")
+        np.testing.assert_array_equal(np.column_stack([record.t, record.u, record.y]), tidy[:, [0, 1, 3]])  # type: ignore[union-attr]
+        raw = read(
+            measured / "mr_labcontrol" / f"data_simulation_{number}_MRdamper.mat",
+            input="x_F[0]",
+            output="x_F[2]",
+            time="Tout",
+        )
+        np.testing.assert_allclose(np.column_stack([raw.u, raw.y]), tidy[:, [1, 3]], rtol=1e-12)  # type: ignore[union-attr]
+    for path in sorted((measured / "mr_labcontrol").glob("*.mat")):
+        arrays = scipy.io.loadmat(path)
+        name = "x_FS" if "4.4" in path.name else "x_F"
+        record = read(path, input=f"{name}[0]", output=f"{name}[2]", time=False)
+        np.testing.assert_array_equal(np.column_stack([record.u, record.y]), arrays[name][:, [0, 2]])  # type: ignore[union-attr]
+    for path in sorted((measured / "tidy").glob("friction_brfd_*.csv")):
+        record = read(path)
+        np.testing.assert_array_equal(np.column_stack([record.t, record.u, record.y]), _plain(path)[:, :3])  # type: ignore[union-attr]
+        assert (record.t_unit, record.u_unit, record.y_unit) == ("s", "in", "kip")  # type: ignore[union-attr]
+
+
+def test_measured_ferroelectric(measured: Path) -> None:
+    path = measured / "ferro_hzo_forc" / "FORC_+3V_4m.csv"
+    told = [
+        line.split(",")[1:]
+        for line in path.read_text(encoding="utf-8-sig").splitlines()
+        if line.startswith("DataValue")
+    ]
+    data = read(path)
+    assert isinstance(data, Dataset)
+    assert [len(record) for record in data] == [5000, 5000]
+    both = np.concatenate([np.column_stack([record.u, record.y, record.t]) for record in data])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(both, np.array(told, dtype=float)[:, :3])
+    assert sum("left out" in note for note in data[0].notes) == 3

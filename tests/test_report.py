@@ -1,0 +1,256 @@
+"""The report and its pictures."""
+
+import dataclasses
+import html.parser
+import math
+import re
+
+import matplotlib
+import matplotlib.figure
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystfit import plot, report
+from hystfit.data.record import Record
+from hystfit.errors import HystfitError
+from hystfit.fitting.fit import fit, with_test
+from hystfit.models import BoucWen, simulate
+from hystfit.results import FitResult, ParameterEstimate
+
+
+@pytest.fixture(scope="module")
+def result() -> FitResult:
+    t = np.arange(200) / 50
+    u = 30 * np.sin(2 * np.pi * t / 2) * (1 - t / 8)
+    y = np.asarray(simulate(BoucWen(c=0.2, mu=0.5, tau=0.05, rho=0.3), u)[0])
+    y = y + 0.02 * np.random.default_rng(5).standard_normal(t.size)
+    record = Record(u=u, y=y, t=t, u_unit="V", y_unit="um", u_name="u_V", y_name="y_um", name="run <b>1</b> & more")
+    fitted = fit(BoucWen(), record.window(0.0, 3.0), starts=1)
+    return with_test(fitted, record.window(3.0, None))
+
+
+def weights(count: int, zeros: int) -> tuple[ParameterEstimate, ...]:
+    rows = []
+    for k in range(count):
+        value = 0.0 if k < zeros else 0.5 + k
+        bound = "lower" if k < zeros else None
+        rows.append(
+            ParameterEstimate(f"w[{k}]", value, None if k < zeros else 0.1, "um/V", 0.0, None, False, bound, k >= zeros)
+        )
+    return tuple(rows)
+
+
+# -- numbers ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "told"),
+    [
+        (0.156789, 0.00087, ("0.15679", "0.00087")),
+        (123.456, 12.3, ("123", "12")),
+        (123456.0, 1234.0, ("123500", "1200")),
+        (-1.23456e-7, 1.1e-9, ("-1.235e-07", "0.011e-07")),
+        (3.0e9, 2.0e7, ("3.000e+09", "0.020e+09")),
+        (0.001, 914.0, ("0.001", "9.1e+02")),
+        (0.0, 0.02, ("0", "0.02")),
+        (1.5, None, ("1.5", "-")),
+        (1.5, math.nan, ("1.5", "-")),
+        (1.5, 0.0, ("1.5", "-")),
+    ],
+)
+def test_rounding(value, stderr, told):
+    assert report.rounded(value, stderr) == told
+
+
+@given(value=st.floats(1e-12, 1e12).flatmap(lambda v: st.sampled_from([v, -v])), relative=st.floats(1e-9, 1.0))
+def test_rounded_numbers_say_no_more_and_no_less_than_the_error(value, relative):
+    stderr = abs(value) * relative
+    shown_value, shown_error = map(float, report.rounded(value, stderr))
+    assert abs(shown_error - stderr) <= 0.051 * stderr  # two digits
+    assert abs(shown_value - value) <= 0.051 * stderr + 1e-14 * abs(value)
+
+
+# -- text ------------------------------------------------------------------------------------------------------------------
+
+
+def test_text_has_what_a_reader_needs(result):
+    text = report.text_report(result)
+    assert text.startswith("BoucWen fitted to run <b>1</b> & more: usable\n====")
+    for p in result.parameters:
+        if p.fixed:
+            assert f"{p.name} = {p.value:.5g}" in text
+        else:
+            value, error = report.rounded(p.value, p.stderr)
+            assert re.search(
+                rf"^  {p.name} +{re.escape(value)} +{re.escape(error)} +{re.escape(p.unit)}", text, re.MULTILINE
+            )
+    flat = " ".join(text.split())
+    for note in result.notes:
+        assert " ".join(note.split()) in flat
+    assert f"{result.test.nrmse_percent:.3g}" in text
+    assert f"{result.starts}" in text
+    assert result.provenance["records"][0]["data_sha256"] in text
+    assert "200 samples, 150 fitted" in flat
+    assert max(map(len, text.splitlines())) <= 100
+    assert not re.search(r"\b(nan|None|inf)\b", text)
+
+
+def test_status_advice_and_unknown_values(result):
+    poor = dataclasses.replace(result, status="poor", test=None, compile_s=None, run_s=None, rank=None, condition=None)
+    text = report.text_report(poor)
+    assert "NOT USABLE (poor)" in text
+    assert "try hystfit compare" in text
+    assert re.search(r"^  test +- +- +- +- +- +-$", text, re.MULTILINE)
+    assert "- s compiling, - s running" in text
+    assert not re.search(r"\b(nan|None|inf)\b", text)
+
+
+def test_many_weights_take_one_line(result):
+    many = dataclasses.replace(result, parameters=weights(30, 11))
+    (line,) = report.lines(many)
+    assert (line.name, line.value) == ("w[30]", "0 to 29.5")
+    assert line.remark == "30 values, 11 zero"
+    few = dataclasses.replace(result, parameters=weights(12, 3))
+    assert [row.name for row in report.lines(few)] == [f"w[{k}]" for k in range(12)]
+    assert report.lines(few)[0].remark == "at its lower bound"
+
+
+def test_bounds_and_remarks(result):
+    row = ParameterEstimate("a", 1.0, None, "", None, 4.0, False, None, False)
+    (line,) = report.lines(dataclasses.replace(result, parameters=(row,)))
+    assert (line.stderr, line.bounds, line.remark) == ("-", "<= 4", "not determined")
+
+
+def test_a_perfect_fit_is_not_rounded_up(result):
+    close = dataclasses.replace(result.train, r2=0.9999999)
+    assert report._metric_rows(dataclasses.replace(result, train=close))[1][5] == "0.999999"
+
+
+# -- page and files --------------------------------------------------------------------------------------------------------
+
+
+class Links(html.parser.HTMLParser):
+    """Everything that a page would load, its tags, and its text."""
+
+    def __init__(self):
+        super().__init__()
+        self.loaded, self.tags, self.words = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.loaded += [value for key, value in attrs if key in ("src", "href", "srcset", "data", "action")]
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_page_is_whole_and_self_contained(result):
+    page = report.html_report(result)
+    links = Links()
+    links.feed(page)
+    assert len(links.loaded) == 5
+    assert all(link.startswith("data:image/png;base64,") for link in links.loaded)
+    assert not re.search(r"https?://|@import|url\(", page)
+    assert not {"script", "link", "iframe", "object", "b"} & set(links.tags)
+    text = " ".join(links.words)
+    assert "run <b>1</b> & more" in text  # a name from a file is text, not markup
+    for note in result.notes:
+        assert note in text
+    assert "part of the slope that the hysteresis takes at a reversal" in text
+    assert 'name="viewport"' in page
+
+
+def test_files(result, tmp_path):
+    import matplotlib.pyplot as plt
+
+    record = result.data[0].replace(name="other")
+    folder = report.write(result, tmp_path / "out", test=record, refit_offset=True)
+    names = ("loop", "series", "residuals", "autocorrelation", "parameters", "test")
+    assert {p.name for p in folder.iterdir()} == {"report.html", "report.txt"} | {
+        f"{n}.{e}" for n in names for e in ("png", "svg")
+    }
+    for name in names:
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (folder / f"{name}.svg").read_text()
+    assert plt.get_fignums() == []
+    with pytest.raises(HystfitError, match="does not exist"):
+        report.write(result, tmp_path / "no" / "such")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(HystfitError, match="it is a file"):
+        report.write(result, tmp_path / "file")
+
+
+# -- pictures --------------------------------------------------------------------------------------------------------------
+
+
+def axes():
+    return matplotlib.figure.Figure().subplots()
+
+
+def test_loop_and_series_show_the_numbers(result):
+    record = result.data[0]
+    for kind, x in (("loop", record.u), ("series", record.t)):
+        ax = axes()
+        assert plot.fit(result, kind, ax) is ax
+        drawn = {line.get_label(): line for line in ax.get_lines()}
+        assert np.array_equal(drawn["model"].get_xdata(), x)
+        assert np.array_equal(drawn["model"].get_ydata(), result.predict(record))
+        inside = record.t < 3
+        assert np.array_equal(drawn["measured"].get_ydata()[inside], record.y[inside])
+        assert np.isnan(drawn["measured"].get_ydata()[~inside]).all()
+        assert np.array_equal(drawn["measured, not fitted"].get_ydata()[~inside], record.y[~inside])
+        assert ax.get_xlabel() == {"loop": "u [V]", "series": "time [s]"}[kind]
+        assert ax.get_ylabel() == "y [um]"
+
+
+def test_every_kind_leaves_the_result_alone(result):
+    before = result.to_dict(), result.data[0].digest()
+    for kind in plot.KINDS:
+        assert plot.fit(result, kind, axes()).get_xlabel()
+    assert (result.to_dict(), result.data[0].digest()) == before
+    with pytest.raises(HystfitError, match="there are loop, series"):
+        plot.fit(result, "pie", axes())
+
+
+def test_axes_are_made_where_none_are_given(result):
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    ax = result.plot()
+    assert ax.figure.number in plt.get_fignums()
+    plt.close(ax.figure)
+
+
+def test_autocorrelation_starts_at_one_and_parameters_show_relative_errors(result):
+    (line,) = [
+        line for line in plot.fit(result, "autocorrelation", axes()).collections if hasattr(line, "get_segments")
+    ]
+    assert line.get_segments()[0][1][1] == pytest.approx(1.0)
+    ax = plot.fit(result, "parameters", axes())
+    dots = [line.get_xdata()[0] for line in ax.get_lines() if line.get_marker() == "o"]
+    free = [p for p in result.parameters if not p.fixed]
+    assert dots == pytest.approx([100 * p.stderr / abs(p.value) for p in free])
+    assert [label.get_text() for label in ax.get_yticklabels()] == [p.name for p in free]
+
+
+@given(seed=st.integers(0, 1000), size=st.integers(50, 3000), most=st.integers(8, 200))
+@settings(max_examples=50)
+def test_thinning_keeps_ends_and_extremes(seed, size, most):
+    rng = np.random.default_rng(seed)
+    a, b = rng.standard_normal((2, size))
+    b[rng.integers(size, size=size // 10)] = np.nan
+    at = plot.thin(most, a, b)
+    assert (np.diff(at) > 0).all()
+    assert (at[0], at[-1]) == (0, size - 1)
+    assert at.size <= max(most, 8) + 2
+    assert (a[at].min(), a[at].max()) == (a.min(), a.max())
+    assert (np.nanmin(b[at]), np.nanmax(b[at])) == (np.nanmin(b), np.nanmax(b))
+
+
+def test_labels_drop_a_unit_said_twice():
+    assert plot._label("u_V", "V") == "u [V]"
+    assert plot._label("H [Oe]", "Oe") == "H [Oe]"
+    assert plot._label("V", "V") == "V [V]"
+    assert plot._label("force", "") == "force"

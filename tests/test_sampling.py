@@ -1,0 +1,292 @@
+"""Samplers against grids, closed forms and each other; diagnostics against ArviZ; runs killed and resumed; bad input."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import warnings
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+import hystfit as hf
+from hystfit import priors
+from hystfit.errors import DataError, ParameterError
+from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
+from hystfit.sampling.draws import load_posterior
+from hystfit.sampling.ensemble import Ensemble
+from hystfit.sampling.nuts import Nuts
+from hystfit.sampling.posterior import prepare
+from hystfit.sampling.sample import sample
+
+
+def loop(T: int = 500, seed: int = 0, sigma: float = 0.01) -> tuple[hf.Record, hf.BoucWen]:
+    rng = np.random.default_rng(seed)
+    phase = np.arange(T) / T
+    u = np.sin(2 * np.pi * 8 * phase) * (0.4 + 0.6 * phase)
+    model = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+    return hf.Record(u=u, y=np.asarray(hf.simulate(model, u)[0]) + sigma * rng.normal(size=T)), model
+
+
+@pytest.fixture(scope="module")
+def fitted() -> hf.FitResult:
+    record, model = loop()
+    return hf.fit(model, record, starts=1, fix={"rho": 0.5})
+
+
+@pytest.fixture(scope="module")
+def posterior(fitted):
+    return sample(fitted, "nuts", noise="iid", chains=2, draws=900, warmup=200, seed=3)
+
+
+def test_density_is_likelihood_prior_and_jacobian(fitted):
+    setup = prepare(fitted, noise="iid", priors={"tau": priors.Normal(2.0, 0.3)})
+    target, record = setup.target, fitted.data[0]
+    density = eqx.filter_jit(lambda z: target.log_density(z))
+    map_out = eqx.filter_jit(lambda z: target.physical(z))
+    physical = lambda z: np.asarray(map_out(jnp.asarray(z)))
+    for shift in (0.0, 0.3):
+        z = target.center + shift * target.factor[:, 0]
+        x = dict(zip(setup.names, physical(z), strict=True))
+        model = hf.BoucWen(c=x["c"], mu=x["mu"], tau=x["tau"], rho=0.5, offset=x["offset"])
+        want = scipy.stats.norm.logpdf(record.y, np.asarray(hf.simulate(model, record.u)[0]), x["noise_white"]).sum()
+        want += scipy.stats.norm.logpdf(x["tau"], 2.0, 0.3)
+        scale = 0.01 * setup.problem.scales.y
+        want += scipy.stats.lognorm.logpdf(x["noise_white"], 3.0, scale=scale)
+        c_scale = setup.problem.scales.size("y/u")
+        want += scipy.stats.lognorm.logpdf(x["c"], 3.0, scale=c_scale)
+        want += scipy.stats.norm.logpdf(x["offset"], 0.0, 10 * setup.problem.scales.y)  # mu is uniform: 0
+        steps = 1e-6 * np.eye(z.size)
+        slopes = [(physical(z + e) - physical(z - e))[k] / 2e-6 for k, e in enumerate(steps)]
+        want += np.sum(np.log(np.abs(slopes)))
+        assert float(density(z)) == pytest.approx(want, rel=1e-6)
+
+
+def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
+    target = prepare(fitted, noise="ou").target
+    value = eqx.filter_jit(lambda q: target(q))
+    slope = eqx.filter_jit(jax.grad(lambda q: target(q)))
+    lean = eqx.filter_jit(lambda q: target.log_density(target.unwhitened(q), lean=True))
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        q = jnp.asarray(rng.normal(size=target.center.size))
+        steps = 1e-5 * np.eye(q.size)
+        want = np.array([(float(value(q + e)) - float(value(q - e))) / 2e-5 for e in steps])
+        np.testing.assert_allclose(np.asarray(slope(q)), want, rtol=1e-4, atol=1e-4)
+        assert float(lean(q)) == pytest.approx(float(value(q)), rel=1e-10)
+
+
+def test_least_squares_nuts_and_emcee_agree_on_a_well_determined_problem(fitted, posterior):
+    ensemble = sample(fitted, "emcee", noise="iid", walkers=32, draws=3000, seed=1)
+    assert posterior.usable
+    assert ensemble.usable
+    for name in ("c", "mu", "tau"):
+        width = fitted[name].stderr
+        # 900 effective draws or so give a standard deviation to 2.5 %.
+        assert posterior[name].std() == pytest.approx(width, rel=0.1)
+        assert ensemble[name].std() == pytest.approx(posterior[name].std(), rel=0.1)
+        assert abs(ensemble[name].mean() - posterior[name].mean()) < 0.15 * width
+    assert "emcee.moves.DESnookerMove" not in str(ensemble)
+
+
+def test_banana_in_two_dimensions_agrees_with_a_grid(fitted):
+    record, _ = loop(seed=5)
+    u = 0.12 * record.u
+    y = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5), u)[0])
+    y = y + 0.05 * np.random.default_rng(5).normal(size=u.size)
+    fit = hf.fit(hf.BoucWen(), hf.Record(u=u, y=y), starts=1, fix={"rho": 0.5}, noise="iid")
+    own = {"c": priors.LogNormal(1.0, 1e-6), "offset": priors.Normal(0.0, 1e-7), "tau": priors.LogNormal(2.0, 1.0)}
+    own |= {"noise_white": priors.LogNormal(0.05, 1e-5)}
+    centered = dataclasses.replace(
+        fit,
+        model=eqx.tree_at(lambda m: (m.c, m.offset), fit.model, tuple(jnp.asarray(np.float64(v)) for v in (1.0, 0.0))),
+    )
+    centered = dataclasses.replace(centered, models=(centered.model,))
+    setup = prepare(centered, noise="iid", priors=own)
+    z, at = setup.target.center, [setup.names.index(name) for name in ("mu", "tau")]
+    scale = setup.problem.scales.size("1/u")
+    axes = [np.linspace(-4, 4, 141), np.log(np.geomspace(0.02, 100.0, 141) / scale)]  # logit of mu, log of tau
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    full = np.tile(np.asarray(z), (len(mesh), 1))
+    full[:, at] = mesh
+    logs = np.asarray(eqx.filter_jit(lambda t, p: jax.lax.map(t.log_density, p))(setup.target, jnp.asarray(full)))
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    x = np.asarray(eqx.filter_jit(lambda z: jax.vmap(setup.target.physical)(z))(jnp.asarray(full)))
+    skew = []
+    for sampler, options in (
+        ("nuts", {"chains": 2, "draws": 1500, "warmup": 200}),
+        ("emcee", {"walkers": 32, "draws": 3000}),
+    ):
+        draws = sample(centered, sampler, noise="iid", priors=own, seed=2, **options)
+        for k, name in zip(at, ("mu", "tau"), strict=True):
+            mean = np.sum(weight * x[:, k])
+            spread = np.sqrt(np.sum(weight * (x[:, k] - mean) ** 2))
+            skew.append(np.sum(weight * ((x[:, k] - mean) / spread) ** 3))
+            assert draws[name].mean() == pytest.approx(mean, abs=0.15 * spread), sampler
+            assert draws[name].std() == pytest.approx(spread, rel=0.12), sampler
+    assert max(np.abs(skew)) > 0.5  # it is no Gaussian
+
+
+def test_diagnostics_are_arvizs(posterior):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import arviz
+
+    rng = np.random.default_rng(0)
+    walk = np.zeros((4, 400))
+    for k in range(1, 400):
+        walk[:, k] = 0.9 * walk[:, k - 1] + rng.normal(size=4)
+    for draws in (posterior["tau"], walk, walk + np.arange(4)[:, None], rng.standard_t(2, size=(3, 301))):
+        assert rhat(draws) == pytest.approx(float(arviz.rhat(draws)), rel=1e-6)
+        assert bulk_ess(draws) == pytest.approx(float(arviz.ess(draws)), rel=1e-6)
+        assert tail_ess(draws) == pytest.approx(float(arviz.ess(draws, method="tail")), rel=0.02)
+
+
+def test_chains_apart_and_chains_too_short_are_told():
+    rng = np.random.default_rng(0)
+    apart = rng.normal(size=(4, 500, 1)) + np.arange(4)[:, None, None]
+    good, notes = Convergence.of(apart).verdict(("c",))
+    assert not good
+    assert "R-hat of c" in notes[0]
+    good, notes = Convergence.of(rng.normal(size=(2, 40, 1))).verdict(("c",))
+    assert not good
+    assert "effective draws" in notes[-1]
+
+
+def test_a_short_run_is_not_called_converged(fitted):
+    short = sample(fitted, "nuts", noise="iid", chains=2, draws=40, warmup=200)
+    assert short.status == "not-converged"
+    assert "too few effective draws" in str(short)
+
+
+def test_saved_and_read_back(posterior, tmp_path):
+    posterior.save(tmp_path / "p")
+    again = load_posterior(tmp_path / "p")
+    np.testing.assert_array_equal(again.draws, posterior.draws)
+    np.testing.assert_array_equal(again.log_density, posterior.log_density)
+    assert (again.names, again.status, again.notes) == (posterior.names, posterior.status, posterior.notes)
+    with pytest.raises(DataError, match="no posterior"):
+        load_posterior(tmp_path)
+
+
+def test_bands_derived_quantities_and_pictures(posterior, fitted):
+    import matplotlib.pyplot as plt
+
+    record, model = loop(seed=9)
+    low, _, high = posterior.bands(record, 0.9)
+    inside = np.mean((record.y > low) & (record.y < high))
+    assert 0.8 < inside < 0.97
+    inner = posterior.bands(record, 0.9, kind="credible")
+    assert np.all(inner[2] - inner[0] < high - low)
+    found = posterior.derived()
+    u = np.concatenate(
+        [np.linspace(record.u.min(), record.u.max(), 2000), np.linspace(record.u.max(), record.u.min(), 2000)]
+    )
+    y = np.asarray(hf.simulate(model, np.tile(u, 3))[0])[-4000:]
+    area = abs(np.trapezoid(y[:2000], u[:2000]) + np.trapezoid(y[2000:], u[2000:]))
+    assert found["loop_area"].mean() == pytest.approx(area, rel=0.03)
+    assert found["hysteresis_percent"].std() > 0
+    with pytest.raises(ParameterError, match="no creep"):
+        posterior.derived(["creep_percent_per_decade"])
+    for kind in ("corner", "trace", "rank", "bands"):
+        plt.close(posterior.plot(kind))
+
+
+KILLED = """
+import sys
+from tests.test_sampling import loop
+import hystfit as hf
+from hystfit.sampling.sample import sample
+hf.enable_x64()
+record, model = loop()
+result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
+sample(result, "emcee", noise="iid", walkers=16, draws=200000, check=50, folder=sys.argv[1], seed=4)
+"""
+
+
+def test_nuts_goes_on_after_a_kill_with_the_same_draws(fitted, tmp_path, monkeypatch):
+    options = {"noise": "iid", "chains": 1, "warmup": 100, "seed": 4}
+    whole = sample(fitted, "nuts", draws=300, **options)
+    seen = []
+
+    def dies(words: str) -> None:
+        seen.append(words)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    setup = prepare(fitted, noise="iid")
+    settings = Nuts(chains=1, warmup=100, draws=300)
+    with pytest.raises(KeyboardInterrupt):
+        settings.run(setup, 4, tmp_path, dies)
+    (tmp_path / ".nuts-0-00003.npz").write_bytes(b"half a file")  # what a kill during a write leaves
+    raw = settings.run(setup, 4, tmp_path, lambda words: None)
+    whole_raw = settings.run(setup, 4, None, lambda words: None)
+    np.testing.assert_array_equal(raw.z, whole_raw.z)
+    assert whole.draws.shape == (1, 300, 5)
+
+
+def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
+    folder = tmp_path / "run"
+    script = tmp_path / "run.py"
+    script.write_text(textwrap.dedent(KILLED))
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    process = subprocess.Popen([sys.executable, str(script), str(folder)], env={**os.environ, "PYTHONPATH": root})
+    until = time.monotonic() + 120
+    while not (folder / "emcee.h5").exists() and time.monotonic() < until:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    import emcee
+
+    backend = emcee.backends.HDFBackend(str(folder / "emcee.h5"), read_only=True)
+    kept = backend.get_chain()
+    assert len(kept) >= 50
+    posterior = sample(fitted, "emcee", noise="iid", walkers=16, draws=len(kept) + 100, check=50, folder=folder, seed=4)
+    after = emcee.backends.HDFBackend(str(folder / "emcee.h5"), read_only=True).get_chain()
+    np.testing.assert_array_equal(after[: len(kept)], kept)
+    assert len(after) == len(kept) + 100
+    assert posterior.draws.shape[0] == 16
+    with pytest.raises(DataError, match="another run"):
+        sample(fitted, "emcee", noise="iid", walkers=16, draws=100, check=50, folder=folder, seed=5)
+
+
+def test_an_emcee_run_resumed_is_the_unbroken_one(fitted, tmp_path):
+    setup = prepare(fitted, noise="iid")
+    quiet = lambda words: None
+    whole = Ensemble(walkers=16, draws=200, check=50).run(setup, 3, None, quiet)
+    Ensemble(walkers=16, draws=100, check=50).run(setup, 3, tmp_path, quiet)
+    again = Ensemble(walkers=16, draws=200, check=50).run(setup, 3, tmp_path, quiet)
+    np.testing.assert_array_equal(again.z, whole.z)
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_bad_settings_priors_and_names_are_refused(fitted):
+    with pytest.raises(ParameterError, match="sampler must be one of"):
+        sample(fitted, "gibbs")
+    with pytest.raises(ParameterError, match="settings of nuts"):
+        sample(fitted, "nuts", walkers=3)
+    with pytest.raises(ParameterError, match="warmup >= 50"):
+        sample(fitted, "nuts", warmup=1)
+    with pytest.raises(ParameterError, match="at least 12 walkers"):
+        sample(fitted, "emcee", noise="iid", walkers=8)
+    with pytest.raises(ParameterError, match="no free parameter"):
+        sample(fitted, priors={"nu": priors.Normal(0, 1)})
+    with pytest.raises(ParameterError, match="flat or has no width"):
+        sample(fitted, priors={"tau": priors.Uniform(0.0, np.inf)})
+    with pytest.raises(ParameterError, match="outside the prior of tau"):
+        sample(fitted, noise="iid", priors={"tau": priors.Uniform(5.0, 6.0)})
+
+
+def test_a_parameter_that_the_data_do_not_move_is_named(fitted):
+    told = sample(fitted, noise="iid", chains=2, draws=900, warmup=200, priors={"tau": priors.LogNormal(2.03, 1e-6)})
+    assert "tau is hardly determined" in str(told)
+    assert np.log(told["tau"]).std() == pytest.approx(1e-6, rel=0.15)
