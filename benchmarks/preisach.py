@@ -154,7 +154,8 @@ def main() -> None:
         print(name, json.dumps({k: round(v, 3) for k, v in row.items()}))
     if not quick:
         for name, bar in BARS.items():
-            got = next(row[name] for row in results.values() if name in row)
+            found = [row[name] for row in results.values() if name in row]
+            got = max(found) if name == "memory_mb" else min(found)  # the worst row counts
             met = got <= bar if name == "memory_mb" else got >= bar
             print(f"{'ok  ' if met else 'MISS'} {name}: {got:.1f} (bar {bar})")
 

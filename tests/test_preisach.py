@@ -211,7 +211,51 @@ class TestLaws:
         np.testing.assert_allclose(short[-3:], exact[-3:], atol=1e-12)  # large ones are still known
 
 
+def remembered(u, rest, center):
+    """Dominant extrema before and at every sample, by a plain stack."""
+    far = {"negative": -np.inf, "positive": np.inf}
+    out, stack = [], []
+    for v in u:
+        while stack:
+            other = stack[-2] if len(stack) > 1 else far.get(rest, 2 * center - stack[-1])
+            if min(stack[-1], other) < v < max(stack[-1], other):
+                break
+            stack.pop()
+        stack.append(v)
+        out.append(tuple(stack))
+    return out
+
+
 class TestStaircase:
+    @pytest.mark.parametrize("rest", RESTS)
+    @pytest.mark.parametrize("kind", ["ties", "walk", "noise", "growing", "shrinking"])
+    def test_many_reversals_at_once_equal_a_stack(self, rest, kind):
+        for seed in range(4):
+            rng, t = np.random.default_rng(seed), np.arange(400)
+            u = {
+                "ties": rng.integers(0, 9, 400),
+                "walk": np.cumsum(rng.integers(-2, 3, 400)),
+                "noise": 3 * np.sin(t / 30) + rng.normal(size=400),
+                "growing": (-1.0) ** t * np.sort(np.abs(rng.normal(size=400))),
+                "shrinking": (-1.0) ** t * np.sort(np.abs(rng.normal(size=400)))[::-1],
+            }[kind]
+            u = u - u.min() if kind == "walk" else u  # whole numbers are codes: none is negative
+            stairs = compile_input(u, rest, 1.5)
+            histories = []
+            for value, node in zip(stairs.state_value, stairs.state_parent, strict=True):
+                history = [value]
+                while node >= 0:
+                    history.append(stairs.node_value[node])
+                    node = stairs.node_parent[node]
+                histories.append(tuple(history[::-1]))
+            expected = remembered(u.tolist(), rest, 1.5)
+            assert [histories[k] for k in stairs.index] == expected
+            # Every node and state once.
+            assert len(set(histories)) == len(histories)
+            assert len(set(zip(stairs.node_parent.tolist(), stairs.node_value.tolist(), strict=True))) == (
+                stairs.node_value.size
+            )
+
     def test_states_of_a_periodic_input_do_not_grow(self):
         u = np.tile(np.sin(np.linspace(0, 2 * np.pi, 100, endpoint=False)), 20)
         stairs = compile_input(np.round(u, 6), "negative")
