@@ -35,15 +35,13 @@ def rounded(value: float, stderr: float | None) -> tuple[str, str]:
     """A value and its standard error as text: two digits of the error, the value to the same decimal; "-" where unknown."""
     if stderr is None or not math.isfinite(stderr) or stderr <= 0:
         return f"{value:.5g}", "-"
-    if stderr > abs(value):
-        return f"{value:.3g}", f"{stderr:.2g}"
-    exponent = math.floor(math.log10(abs(value)))
+    exponent = math.floor(math.log10(max(abs(value), stderr)))
     scale = 0 if -4 <= exponent < 6 else exponent
     decimals = min(15, 1 - math.floor(math.log10(stderr)) + scale)
     tail = f"e{scale:+03d}" if scale else ""
     if decimals < 0:
-        return f"{round(value, decimals):.0f}", f"{round(stderr, decimals):.0f}"
-    return f"{value / 10**scale:.{decimals}f}{tail}", f"{stderr / 10**scale:.{decimals}f}{tail}"
+        return f"{round(value, decimals):z.0f}", f"{round(stderr, decimals):.0f}"
+    return f"{value / 10**scale:z.{decimals}f}{tail}", f"{stderr / 10**scale:.{decimals}f}{tail}"
 
 
 def _number(value: float | None, form: str = ".4g") -> str:
@@ -140,7 +138,6 @@ def _metric_rows(result: FitResult) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("", f"rms{suffix}", "rms [%]", f"largest{suffix}", "largest [%]", "R2", "samples")]
     for what, m in (("fitted", result.train), ("test", result.test)):
         if m is None:
-            rows.append((what, "-", "-", "-", "-", "-", "-"))
             continue
         percents = (_number(m.nrmse_percent, ".3g"), _number(m.max_error_percent, ".3g"))
         r2 = "-" if m.r2 is None else f"{math.floor(m.r2 * 1e6) / 1e6:.6g}"  # never rounded up to 1

@@ -119,7 +119,7 @@ def test_auto_takes_the_winner_and_says_so(loop, capsys, monkeypatch):
     monkeypatch.setattr(compare, "compare", lambda data, models=None, **k: everything(data, ["bouc-wen"], **k))
     assert run(["fit", str(loop), "--test-window", "2:"]) == 0
     text = capsys.readouterr().out
-    assert "BoucWen fitted to loop: usable" in text
+    assert "bouc-wen fitted to loop: usable" in text
     assert "bouc-wen was chosen among 1 models" in " ".join(text.split())
     assert "hystfit compare shows them all" in " ".join(text.split())
 
@@ -162,7 +162,7 @@ def test_compare_ranks_and_saves_the_winner(folder, loop, capsys):
     assert result["schema"] == "hystfit.compare/1"
     assert result["rows"][0]["name"] == "bouc-wen"
     assert set(result["test"]) == METRIC_KEYS
-    assert load_fit(out / "winner").name == "BoucWen"
+    assert load_fit(out / "winner").name == "bouc-wen"
 
 
 def test_check(folder, loop, capsys):
@@ -227,7 +227,7 @@ def test_refit_offset_takes_the_mean_error_out(folder, loop, fitted, capsys):
 
 def test_report_again(fitted, folder, capsys):
     assert run(["report", str(fitted), "--out", str(folder / "again")]) == 0
-    assert "BoucWen fitted to loop: usable" in capsys.readouterr().out
+    assert "bouc-wen fitted to loop: usable" in capsys.readouterr().out
     assert (folder / "again" / "report.html").is_file()
     assert run(["report", str(fitted), "--out", str(folder / "again"), "--json"]) == 0
     assert strict(capsys.readouterr().out) == strict((fitted / "result.json").read_text())

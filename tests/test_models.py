@@ -30,6 +30,7 @@ from hystfit.models import (
     Series,
     Sum,
     Viscous,
+    registry,
     simulate,
 )
 from hystfit.params import param
@@ -316,3 +317,12 @@ def test_the_suite_wants_known_names_and_values_inside_the_bounds() -> None:
         check_model(Whole(), samples=24, kinked=["kk"])
     with pytest.raises(AssertionError, match="on its bound"):
         check_model(Whole(k=0.0), samples=24)
+
+
+@pytest.mark.parametrize("name", registry.MODELS)
+def test_name_of_a_model_makes_it_again(name):
+    expression = (
+        name if registry.MODELS[name].place == "core" else registry.model_name(registry.make_model(f"bouc-wen+{name}"))
+    )
+    assert registry.model_name(registry.make_model(expression)) == expression
+    assert name in expression.split("+")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.util
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
@@ -31,11 +33,13 @@ class Entry:
         make: builds it with its defaults.
         place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
         doc: what it is for, one line.
+        variant: tells this model from others of its class that stand before it.
     """
 
     make: Callable[[], AbstractHysteresis]
     place: str
     doc: str
+    variant: Callable[[Any], bool] = lambda model: True
 
 
 MODELS: dict[str, Entry] = {
@@ -59,9 +63,13 @@ MODELS: dict[str, Entry] = {
         lambda: Preisach.of(40, symmetric=True),
         "core",
         "Preisach of a material without remembered sign: mirror cells are tied",
+        lambda model: model.symmetric,
     ),
     "preisach-relays": Entry(
-        lambda: Preisach.of(20, elements="relays"), "core", "Preisach with the classical point relays"
+        lambda: Preisach.of(20, elements="relays"),
+        "core",
+        "Preisach with the classical point relays",
+        lambda model: model.elements == "relays",
     ),
     "prandtl-ishlinskii": Entry(
         PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"
@@ -70,14 +78,19 @@ MODELS: dict[str, Entry] = {
         lambda: PrandtlIshlinskii.of(operator="stop"),
         "core",
         "weighted stops; force against displacement (dampers, steel); convex solve",
+        lambda model: model.operator == "stop",
     ),
     "prandtl-ishlinskii-generalized": Entry(
-        PrandtlIshlinskii.generalized, "core", "weighted plays with envelopes: asymmetric loops; convex solve"
+        PrandtlIshlinskii.generalized,
+        "core",
+        "weighted plays with envelopes: asymmetric loops; convex solve",
+        lambda model: model.operator == "play" and len(model.envelopes) > 1,
     ),
     "prandtl-ishlinskii-hardening": Entry(
         lambda: PrandtlIshlinskii.of(degree=3, operator="stop", hardening=True),
         "core",
         "weighted stops that fade with the path: cyclic hardening",
+        lambda model: model.hardening.size > 0,
     ),
     "delay": Entry(Delay, "before", "pure delay of the input, in samples"),
     "lag": Entry(Lag, "before", "two first-order lags of the input (amplifier, sensor); needs time"),
@@ -154,7 +167,16 @@ def load_class(path: str, name: str) -> type[AbstractHysteresis]:
 
 
 def model_name(model: AbstractHysteresis) -> str:
-    """A readable name: class names joined by "+" in the order of the signal."""
+    """Names as `make_model` takes them, joined by "+" in the order of the signal; the class's own for a model of the user's.
+
+    Arguments that are no choice of a model, such as the number of plays, are not in the name.
+    """
     if isinstance(model, (Sum, Series)):
         return "+".join(model_name(part) for part in model.parts)
-    return type(model).__name__
+    fitting = [name for name, kind in _kinds().items() if type(model) is kind and MODELS[name].variant(model)]
+    return fitting[-1] if fitting else type(model).__name__
+
+
+@functools.cache
+def _kinds() -> dict[str, type[AbstractHysteresis]]:
+    return {name: type(entry.make()) for name, entry in MODELS.items()}
