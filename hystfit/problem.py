@@ -17,6 +17,7 @@ from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis, run
+from hystfit.models.free_run import free_run, has_short_cut
 from hystfit.models.starting import input_range, output_range
 from hystfit.params import Coordinates, ParameterSpace
 from hystfit.units import Scales
@@ -139,6 +140,9 @@ class Problem:
 
     def predict_at(self, x: Any) -> list[np.ndarray]:
         """Free-run output of every record at physical x, shapes (T_r,)."""
+        if has_short_cut(self.model):
+            models = [self.space.coordinates.assemble(jnp.asarray(x), k) for k in range(len(self.data))]
+            return [free_run(model, r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
         rows = np.asarray(_predict_physical(self.objective, jnp.asarray(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.metrics import Metrics
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.free_run import free_run
 from hystfit.models.registry import model_name
 
 SCHEMA = "hystfit.fit/1"
@@ -130,8 +130,7 @@ class FitResult:
         """
         names = [own.name for own in self.data]
         model = self.models[names.index(record.name)] if record.name in names else self.model
-        dt = None if record.t is None else jnp.asarray(record.dt)
-        y = np.asarray(simulate(model, jnp.asarray(record.u), dt)[0])
+        y = free_run(model, record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")

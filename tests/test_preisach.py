@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.models.compiled import compile_for, features, respond
+from hystfit.models.density import ParametricPreisach
 from hystfit.models.everett import Everett, place
+from hystfit.models.free_run import free_run, has_short_cut
 from hystfit.models.preisach import Preisach
 from hystfit.models.staircase import compile_input
 
@@ -144,6 +146,19 @@ class TestTwoForms:
         scan = jax.grad(at(lambda m: hf.simulate(m, u)[0]))(model.w)
         look_up = jax.grad(at(lambda m: respond(m, compiled)))(model.w)
         np.testing.assert_allclose(look_up, scan, atol=1e-12)
+
+    def test_free_runs_by_look_ups_equal_the_scan(self):
+        cells = make("cells", "negative", 0.0, False, 4)
+        rng = np.random.default_rng(6)
+        u, dt = rng.uniform(-1, 1, 80), rng.uniform(0.01, 0.1, 80)
+        density = ParametricPreisach(levels=np.linspace(-1, 1, 9), slope=0.3)
+        slow = hf.Relaxation(a=(0.1, 0.2), tau=(0.05, 0.5))
+        for model in (cells, make("relays", "demagnetized", 0.1, True, 5), density, hf.Sum(cells, hf.Offset(2.0))):
+            assert has_short_cut(model)
+            np.testing.assert_allclose(free_run(model, u), hf.simulate(model, u)[0], atol=1e-12)
+        for model in (hf.Series(cells, slow), hf.Series(hf.Lag(), cells), hf.Series(slow, hf.Lag())):
+            assert has_short_cut(model) == (model.parts[0] is cells)
+            np.testing.assert_allclose(free_run(model, u, dt), hf.simulate(model, u, dt)[0], atol=1e-12)
 
     def test_two_halves_equal_one_run(self):
         model = make("cells", "negative", 0.0, False, 4)

@@ -13,7 +13,9 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.fitting.density import fit_density
 from hystfit.fitting.nonnegative import solve_nonnegative
-from hystfit.fitting.preisach import PreisachSystem, fit_preisach, fit_smooth
+from hystfit.fitting.preisach import fit_preisach
+from hystfit.fitting.preisach_system import PreisachSystem
+from hystfit.fitting.smooth import fit_smooth
 from hystfit.models.compiled import features
 from hystfit.models.density import ParametricPreisach
 from hystfit.models.preisach import Preisach

@@ -131,11 +131,10 @@ def _changed(model: Any, values: dict[str, float | None]) -> Any:
 def _model_record(
     what: str, t: Any, u: Any, values: dict[str, float | None], noise: float, seed: int, signal: str
 ) -> Record:
-    import jax.numpy as jnp
     import numpy as np
 
     from hystfit.data.record import Record
-    from hystfit.models.base import simulate as run
+    from hystfit.models.free_run import free_run
     from hystfit.models.registry import make_model
     from hystfit.saved import load_fit
 
@@ -148,7 +147,7 @@ def _model_record(
     if values:
         model = _changed(model, values)
     blank = Record(u=u, y=np.zeros_like(u), t=t, name=f"{what}-{signal}", source="simulated", **units)
-    y = np.asarray(run(model, jnp.asarray(u), jnp.asarray(blank.dt))[0])
+    y = free_run(model, u, blank.dt)
     if not np.isfinite(y).all():
         raise DataError(f"{what} is not finite on this signal: sample it faster (--rate) or change --set")
     return blank.replace(y=y + noise * np.random.default_rng(seed).standard_normal(y.size))

@@ -15,7 +15,8 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
 from hystfit.fitting.fit import ESTIMATORS, fit
-from hystfit.fitting.preisach import SMOOTHNESS, PreisachSystem, fit_smooth
+from hystfit.fitting.preisach_system import PreisachSystem
+from hystfit.fitting.smooth import SMOOTHNESS, fit_smooth
 from hystfit.fitting.structure import search_structure
 from hystfit.models.preisach import Preisach
 from hystfit.models.registry import make_model

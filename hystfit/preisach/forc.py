@@ -12,7 +12,8 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
-from hystfit.fitting.preisach import SMOOTHNESS, PreisachFit, fit_preisach
+from hystfit.fitting.preisach import PreisachFit, fit_preisach
+from hystfit.fitting.smooth import SMOOTHNESS
 from hystfit.models.compiled import compile_for, respond
 from hystfit.models.levels import sharp_levels
 from hystfit.models.preisach import Elements, Preisach
