@@ -354,7 +354,6 @@ BAD = [
     (["simulate", "bouc-wen", "--set", "mu=3", "--out", "x.csv"], "outside its bounds"),
     (["simulate", "stage"], "--out data.csv"),
     (["simulate", "stage", "--out", "no/x.csv"], "does not exist"),
-    (["simulate", "stage", "--signal", "forc-protocol", "--out", "x.csv"], "has no time"),
     (["models", "foo"], "no model 'foo'"),
     (["datasets", "foo"], "no data set 'foo'"),
     (["datasets", "--out", "x.csv"], "say which"),

@@ -90,6 +90,13 @@ def test_amplitude_sweep_grows_or_decays(start, stop, order):
     assert (np.diff(top) * order > 0).all()
 
 
+def test_counts_may_be_floating_numbers():
+    """The command line reads every number as one."""
+    for name, values in (("amplitude-sweep", {"cycles": 4}), ("staircase", {"levels": 3}), ("multisine", {"tries": 2})):
+        floating = signals.make(name, **{key: float(value) for key, value in values.items()})
+        np.testing.assert_array_equal(floating[1], signals.make(name, **values)[1])
+
+
 @pytest.mark.parametrize(("anchor", "shared"), [("low", -1.0), ("high", 3.0)])
 def test_amplitude_sweep_loops_share_the_anchor(anchor, shared):
     _, u = signals.amplitude_sweep(400, cycles=4, low=-1, high=3, start=1, stop=0.25, anchor=anchor)
@@ -135,6 +142,12 @@ def test_random_reversals_are_seeded_turn_often_and_keep_their_speed():
     assert np.unique(np.round(turns, 3)).size > 12
 
 
+def test_random_reversals_cross_a_wide_range_as_often_as_a_narrow_one():
+    _, narrow = signals.random_reversals(20, 100, seed=1)
+    _, wide = signals.random_reversals(20, 100, low=-20, high=100, seed=1)
+    np.testing.assert_allclose((wide - 40) / 60, narrow, atol=1e-9)
+
+
 @pytest.mark.parametrize("spacing", ["log", "linear"])
 def test_chirp_runs_between_its_frequencies(spacing):
     t, u = signals.chirp(20, 2000, start=1, stop=20, spacing=spacing)
@@ -166,6 +179,13 @@ BAD = [
     ("forc-protocol", {"curves": 0}, "curves"),
     ("random-reversals", {"start": 5.0}, "between low and high"),
     ("chirp", {"spacing": "cubic"}, "spacing"),
+    ("sine", {"phase": float("nan")}, "phase"),
+    ("sine", {"rate": 1e9, "duration": 1e6}, "1e\\+15 samples"),
+    ("amplitude-sweep", {"cycles": float("inf")}, "cycles"),
+    ("staircase", {"levels": float("nan")}, "levels"),
+    ("staircase", {"ramp": float("nan")}, "ramp"),
+    ("multisine", {"seed": -1}, "seed"),
+    ("random-reversals", {"seed": -1}, "seed"),
     ("sine", {"freq": 1.0}, "frequency"),
     ("sawtooth", {}, "triangle"),
 ]
@@ -175,6 +195,12 @@ BAD = [
 def test_bad_arguments_are_refused_by_name(name, parameters, told):
     with pytest.raises(DataError, match=told):
         signals.make(name, **parameters)
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_words_for_numbers_are_refused():
+    with pytest.raises(DataError, match="numbers in Hz"):
+        signals.make("multisine", frequencies="low")
 
 
 def test_registry_names_defaults_and_description():

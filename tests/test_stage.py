@@ -21,6 +21,7 @@ from hystfit.stage import (
     Stage,
     axis_plant,
     calibrate,
+    in_turn,
     perturbed,
     piezo,
     population,
@@ -217,6 +218,31 @@ def test_stages_and_seeds_run_as_one():
     assert np.std(records["x"].y - Stage.of().simulate(u, np.diff(t, prepend=0.0))[:, 0]) == pytest.approx(
         0.005, rel=0.2
     )
+
+
+def test_a_calibration_from_the_stages_own_records():
+    """Gauges and probes while each actuator moves in turn; the modes rest when the drive is slow."""
+    t, u = signals.sine(2.0, 500.0, frequency=1.0, low=0.0, high=100.0)
+    times, volts = in_turn(t, u)
+    np.testing.assert_allclose(np.diff(times), 0.002, rtol=1e-9)
+    for k in range(3):
+        turn = slice(1000 * k, 1000 * (k + 1))
+        np.testing.assert_array_equal(volts[turn, k], u)
+        assert (np.ptp(np.delete(volts[turn], k, axis=1), axis=0) == 0).all()
+    truth = Stage.of(kinematics=Kinematics(amplification=6.2, arm=41.0, direction=0.05))
+    measured = truth.measure(times, volts, seed=0)
+    found = calibrate(measured.extension, measured.pose)
+    np.testing.assert_allclose(found.jacobian, truth.kinematics.jacobian(), rtol=1e-3, atol=1e-3)
+    np.testing.assert_array_equal(truth.records(times, volts, seed=0)["theta"].y, measured.pose[:, 2])
+    assert list(measured.columns())[-1] == "theta_mrad"
+    again = truth.measure(times, 2 * volts, seed=1)
+    assert again.u.max() == 120
+    assert "beyond the amplifiers" in again.notes[0]
+    assert not np.array_equal(again.pose, measured.pose)
+    with pytest.raises(DataError, match="rising"):
+        truth.measure(times[::-1], volts, seed=0)
+    with pytest.raises(ParameterError, match="no sensor 'z'"):
+        truth.measure(times, volts, seed=0, sensors={"z": IDEAL})
 
 
 def test_an_axis_is_the_scaled_actuator():

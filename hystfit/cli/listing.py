@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +12,8 @@ from hystfit.cli.output import show
 from hystfit.errors import DataError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hystfit.data.record import Dataset
 
 Json = Annotated[bool, Parameter(name="--json")]
@@ -104,39 +107,49 @@ def datasets(name: str | None = None, /, *, out: Path | None = None, json: Json 
     return 0
 
 
-def write_csv(out: Path, data: Dataset, name: str, content: dict[str, Any]) -> Path:
+def write_csv(
+    out: Path, data: Dataset, name: str, content: dict[str, Any], extra: Mapping[str, np.ndarray] | None = None
+) -> Path:
     """Records as one CSV: `out` itself where it ends in a suffix, else a folder, with result.json beside the file.
+
+    `extra` are further columns, of one record.
 
     Raises:
         HystfitError: it cannot be written.
     """
+    several, timed = len(data) > 1, all(record.t is not None for record in data)
+    units = data.units
+    unit = lambda symbol: f"{symbol}_{units[symbol]}" if units[symbol] else symbol
+    head = ["record"] * several + [unit("t")] * timed + [unit("u"), unit("y"), *(extra or {})]
+    rows: list[list[Any]] = []
+    for record in data:
+        columns = [record.t] * timed + [record.u, record.y, *(extra or {}).values()]
+        rows += ([record.name] * several + list(row) for row in zip(*columns, strict=True))
+    return _write(out, head, rows, name, content)
+
+
+def write_columns(out: Path, columns: Mapping[str, np.ndarray], name: str, content: dict[str, Any]) -> Path:
+    """Columns of one length as a CSV; see `write_csv`."""
+    return _write(out, list(columns), zip(*columns.values(), strict=True), name, content)
+
+
+def _write(out: Path, head: Sequence[str], rows: Iterable[Sequence[Any]], name: str, content: dict[str, Any]) -> Path:
+    """A CSV with ten significant digits, missing values empty."""
+    import csv
+    import math
+
     from hystfit.saved import dump_json, writing
 
     is_file = bool(out.suffix) and not out.is_dir()
     folder, target = (out.parent, out) if is_file else (out, out / name)
     if is_file and not folder.is_dir():
         raise DataError(f"cannot write {str(out)!r}: the folder {str(folder)!r} does not exist; make it first")
+    text = lambda value: value if isinstance(value, str) else "" if math.isnan(value) else f"{value:.10g}"
     with writing(folder) as scratch:
         with (scratch / target.name).open("w", encoding="utf-8", newline="") as file:
-            _rows(file, data)
+            writer = csv.writer(file)
+            writer.writerow(head)
+            writer.writerows([text(value) for value in row] for row in rows)
         if not is_file:
             dump_json(scratch / "result.json", content)
     return target
-
-
-def _rows(file: Any, data: Dataset) -> None:
-    """Columns record (where there are several), t (where there is time), u, y, with units in their names."""
-    import csv
-
-    import numpy as np
-
-    writer = csv.writer(file)
-    several, timed = len(data) > 1, all(record.t is not None for record in data)
-    units = data.units
-    unit = lambda symbol: f"{symbol}_{units[symbol]}" if units[symbol] else symbol
-    writer.writerow(["record"] * several + [unit("t")] * timed + [unit("u"), unit("y")])
-    for record in data:
-        columns = [record.t] * timed + [record.u, record.y]
-        for row in zip(*columns, strict=True):
-            values = ["" if np.isnan(value) else f"{value:.10g}" for value in row]
-            writer.writerow([record.name] * several + values)

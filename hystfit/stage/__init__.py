@@ -8,6 +8,8 @@ from hystfit.stage.actuator import population as population
 from hystfit.stage.kinematics import JacobianEstimate as JacobianEstimate
 from hystfit.stage.kinematics import Kinematics as Kinematics
 from hystfit.stage.kinematics import calibrate as calibrate
+from hystfit.stage.measured import Measured as Measured
+from hystfit.stage.measured import in_turn as in_turn
 from hystfit.stage.stage import Stage as Stage
 from hystfit.stage.stage import axis_plant as axis_plant
 from hystfit.stage.stage import perturbed as perturbed

@@ -14,6 +14,7 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.params import param
 
 AXES = ("x", "y", "theta")
+UNITS = {"x": "um", "y": "um", "theta": "mrad"}
 
 
 class Kinematics(eqx.Module):

@@ -14,10 +14,11 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
-from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series
+from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
 from hystfit.params import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo, population
 from hystfit.stage.kinematics import AXES, Kinematics
+from hystfit.stage.measured import Measured
 
 RATE = 10_000.0  # samples/s of the simulated controller
 MODES = {"x": (630.0, 0.02), "y": (630.0, 0.02), "theta": (900.0, 0.02)}  # Hz and damping ratio
@@ -116,43 +117,45 @@ class Stage(eqx.Module):
         fine, times = refine(u, steps, finer)
         return np.asarray(_run(self, jnp.asarray(fine), jnp.asarray(times)))[::finer]
 
-    def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:
-        """Measured poses: one record an axis, its input the voltage of the actuator that moves it most.
+    def measure(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> Measured:
+        """A measurement of all channels: voltages that reached the actuators, strain gauges on them, probes on the platform.
 
         Args:
             t: times [s], shape (T,).
-            u: voltages, shape (T, 3).
+            u: voltages asked for, shape (T, 3).
             seed: of the sensors' noise.
-            sensors: by axis; 5 nm (and 5 nm on the arm for theta) if None.
+            sensors: by axis, and "gauge"; those of `sensors()` where not given.
 
         Raises:
-            DataError: see `simulate`.
+            DataError: times of another length or that run back; see `simulate`.
+            ParameterError: a sensor of no such channel.
         """
-        sensors = dict(self.sensors() if sensors is None else sensors)
+        known = self.sensors()
+        if sensors is not None and (unknown := set(sensors) - set(known)):
+            raise ParameterError(f"no sensor {unknown.pop()!r}; there are {', '.join(known)}")
+        known |= dict(sensors or {})
         t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
-        poses = self.simulate(u, np.diff(t, prepend=t[0]))
-        reached = np.clip(u, float(self.low), float(self.high))
-        strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
+        if t.shape != u.shape[:1] or not (np.diff(t) >= 0).all():
+            raise DataError(f"times must have shape (T,) with the T of the voltages, rising; got {t.shape}, {u.shape}")
+        steps = np.diff(t, prepend=t[0])
+        poses, reached = self.simulate(u, steps), np.clip(u, float(self.low), float(self.high))
+        lengths = np.asarray(_lengths(self.actuators, jnp.asarray(reached.T), jnp.asarray(steps))).T
         rng = np.random.default_rng(seed)
-        return {
-            axis: Record(
-                u=reached[:, strongest[k]],
-                y=sensors[axis].read(poses[:, k], rng),
-                t=t,
-                u_unit="V",
-                y_unit="mrad" if axis == "theta" else "um",
-                u_name=f"voltage{strongest[k] + 1}",
-                y_name=axis,
-                name=f"stage-{axis}",
-                source="simulated stage",
-            )
-            for k, axis in enumerate(AXES)
-        }
+        probes = np.stack([known[axis].read(poses[:, k], rng) for k, axis in enumerate(AXES)], axis=1)
+        beyond = int(np.count_nonzero(reached != u))
+        notes = (f"{beyond} commands beyond the amplifiers' limits",) if beyond else ()
+        return Measured(t, reached, known["gauge"].read(lengths, rng), probes, notes)
+
+    def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:
+        """Measured poses: one record an axis, its input the voltage of the actuator that moves it most. See `measure`."""
+        measured = self.measure(t, u, seed=seed, sensors=sensors)
+        strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
+        return {axis: measured.record(axis, int(strongest[k])) for k, axis in enumerate(AXES)}
 
     def sensors(self) -> dict[str, Sensor]:
-        """5 nm of noise and 1 nm of resolution at the probes."""
+        """5 nm of noise and 1 nm of resolution at the probes and the gauges."""
         arm = float(self.kinematics.arm)
-        return {"x": Sensor(), "y": Sensor(), "theta": Sensor(0.005 / arm, 0.001 / arm)}
+        return {"x": Sensor(), "y": Sensor(), "theta": Sensor(0.005 / arm, 0.001 / arm), "gauge": Sensor()}
 
     def scattered(self, count: int, *, spread: Mapping[str, float], seed: int) -> Stage:
         """`count` stages whose actuators scatter about the first one's: one stage with a leading axis on every number."""
@@ -164,6 +167,9 @@ class Stage(eqx.Module):
 
 
 _run = eqx.filter_jit(lambda stage, u, dt: stage.run(u, dt))
+_lengths = eqx.filter_jit(
+    lambda actuators, u, dt: jax.vmap(lambda model, own: simulate(model, own, dt)[0])(actuators, u)
+)
 
 
 def refine(u: np.ndarray, dt: np.ndarray, finer: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,73 @@
+"""What all signals share: their time axis, the map onto their limits, and refusals in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hystfit.errors import DataError
+
+Series = tuple[np.ndarray, np.ndarray]
+Real = float | int
+_MOST = 10**8  # samples: beyond them a rate or a duration is more likely mistyped than meant
+
+
+def positive(**values: Real) -> None:
+    """Refuse what is not a finite number above zero, by name.
+
+    Raises:
+        DataError: it is not.
+    """
+    for name, value in values.items():
+        if not np.isfinite(value) or value <= 0:
+            raise DataError(f"{name} must be a positive number, got {value}")
+
+
+def limits(low: Real, high: Real) -> None:
+    """Refuse limits that are not in order.
+
+    Raises:
+        DataError: low is not below high, or one is not finite.
+    """
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise DataError(f"low must be less than high, got low {low} and high {high}")
+
+
+def whole_number(name: str, value: Real, least: int) -> int:
+    """A whole number of at least `least`.
+
+    Raises:
+        DataError: it is not.
+    """
+    if not np.isfinite(value) or int(value) != value or value < least:
+        raise DataError(f"{name} must be a whole number of at least {least}, got {value}")
+    return int(value)
+
+
+def time_axis(duration: Real, rate: Real) -> np.ndarray:
+    """Times from 0 at `rate` samples/s, the end left out, shape (T,).
+
+    Raises:
+        DataError: a number is not positive, fewer than two samples fit, or more than 1e8.
+    """
+    positive(duration=duration, rate=rate)
+    if duration * rate > _MOST:
+        raise DataError(f"{duration} s at {rate} samples/s makes {duration * rate:.3g} samples: at most {_MOST:.0e}")
+    samples = round(duration * rate)
+    if samples < 2:
+        raise DataError(f"{duration} s at {rate} samples/s makes {samples} sample(s); a signal needs at least 2")
+    return np.arange(samples) / rate
+
+
+def below_nyquist(frequency: Real, rate: Real) -> None:
+    """Refuse a frequency that the sampling cannot carry.
+
+    Raises:
+        DataError: it is above half the rate.
+    """
+    if frequency > rate / 2:
+        raise DataError(f"frequency {frequency} Hz is above half the rate of {rate} samples/s: raise the rate")
+
+
+def between(low: Real, high: Real, wave: np.ndarray) -> np.ndarray:
+    """Map a wave in [-1, 1] onto [low, high]."""
+    return 0.5 * (low + high) + 0.5 * (high - low) * wave

@@ -1,0 +1,138 @@
+"""Signals that repeat or sweep in frequency: sine, triangle, decaying sine, multisine, chirp."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.errors import DataError
+from hystfit.signals.checks import Real, Series, below_nyquist, between, limits, positive, time_axis, whole_number
+
+
+def sine(
+    duration: Real = 5.0,
+    rate: Real = 200.0,
+    *,
+    frequency: Real = 1.0,
+    low: Real = -1.0,
+    high: Real = 1.0,
+    phase: Real = 0.0,
+) -> Series:
+    """Sine between low and high: one loop, repeated.
+
+    `frequency` in Hz, `phase` in radians (0 starts at the middle and rises, -pi/2 starts at low).
+
+    Raises:
+        DataError: a number is out of its range.
+    """
+    t = time_axis(duration, rate)
+    positive(frequency=frequency)
+    below_nyquist(frequency, rate)
+    limits(low, high)
+    if not np.isfinite(phase):
+        raise DataError(f"phase must be finite, got {phase}")
+    return t, between(low, high, np.sin(2 * np.pi * frequency * t + phase))
+
+
+def triangle(
+    duration: Real = 5.0,
+    rate: Real = 200.0,
+    *,
+    frequency: Real = 1.0,
+    low: Real = -1.0,
+    high: Real = 1.0,
+) -> Series:
+    """Triangle from low to high and back: constant speed between sharp reversals; `frequency` in Hz."""
+    t = time_axis(duration, rate)
+    positive(frequency=frequency)
+    below_nyquist(frequency, rate)
+    limits(low, high)
+    cycle = np.mod(frequency * t, 1.0)
+    return t, low + (high - low) * (1 - np.abs(1 - 2 * cycle))
+
+
+def decaying_sine(
+    duration: Real = 10.0,
+    rate: Real = 200.0,
+    *,
+    frequency: Real = 1.0,
+    low: Real = -1.0,
+    high: Real = 1.0,
+    decay: Real = 0.3,
+) -> Series:
+    """Sine about the middle whose amplitude falls as exp(-decay t): nested minor loops that end near the middle.
+
+    `frequency` in Hz, `decay` in 1/s.
+    """
+    t, u = sine(duration, rate, frequency=frequency, low=low, high=high)
+    positive(decay=decay)
+    middle = 0.5 * (low + high)
+    return t, middle + (u - middle) * np.exp(-decay * t)
+
+
+def crest_factor(u: np.ndarray) -> float:
+    """Largest excursion from the mean over the RMS about it, dimensionless (sqrt(2) for a sine)."""
+    about = np.asarray(u, dtype=float) - np.mean(u)
+    return float(np.max(np.abs(about)) / np.sqrt(np.mean(about**2)))
+
+
+def multisine(
+    duration: Real = 10.0,
+    rate: Real = 200.0,
+    *,
+    frequencies: Sequence[Real] = (0.5, 1.0, 2.0, 5.0, 10.0),
+    low: Real = -1.0,
+    high: Real = 1.0,
+    tries: Real = 32,
+    seed: int = 0,
+) -> Series:
+    """Sum of equal sines, scaled to reach at most low and high about their middle.
+
+    `frequencies` in Hz. Of `tries` draws of the phases (by `seed`) the one with the lowest crest factor is kept, so
+    that most of the range is used most of the time.
+    """
+    t = time_axis(duration, rate)
+    limits(low, high)
+    try:
+        lines = np.atleast_1d(np.asarray(frequencies, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise DataError(f"frequencies must be numbers in Hz, got {frequencies!r}") from error
+    if lines.size == 0:
+        raise DataError("frequencies is empty: give at least one in Hz")
+    for line in lines:
+        positive(frequency=float(line))
+        below_nyquist(float(line), rate)
+    rng = np.random.default_rng(whole_number("seed", seed, 0))
+    phases = rng.uniform(0, 2 * np.pi, size=(whole_number("tries", tries, 1), lines.size))
+    waves = [np.sin(2 * np.pi * t[:, None] * lines + phase).sum(axis=1) for phase in phases]
+    best = min(waves, key=crest_factor)
+    return t, between(low, high, best / np.max(np.abs(best)))
+
+
+def chirp(
+    duration: Real = 10.0,
+    rate: Real = 1000.0,
+    *,
+    start: Real = 0.5,
+    stop: Real = 50.0,
+    low: Real = -1.0,
+    high: Real = 1.0,
+    spacing: str = "log",
+) -> Series:
+    """Sine whose frequency runs from `start` to `stop` [Hz], geometrically ("log") or evenly ("linear") in time.
+
+    It shows rate dependence: the same loop at many speeds.
+    """
+    t = time_axis(duration, rate)
+    positive(start=start, stop=stop)
+    below_nyquist(max(start, stop), rate)
+    limits(low, high)
+    if spacing not in ("log", "linear"):
+        raise DataError(f"spacing must be 'log' or 'linear', got {spacing!r}")
+    if spacing == "linear" or start == stop:
+        turns = start * t + 0.5 * (stop - start) / duration * t**2
+    else:
+        growth = np.log(stop / start) / duration
+        turns = start * np.expm1(growth * t) / growth
+    return t, between(low, high, np.sin(2 * np.pi * turns))

@@ -1,0 +1,109 @@
+"""`hystfit simulate stage`: training records of one actuator and of the three-axis stage, every signal, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit import signals
+from hystfit.cli import run
+from hystfit.stage import Kinematics, calibrate
+
+
+@pytest.mark.parametrize("name", sorted(signals.SIGNALS))
+def test_every_signal_drives_the_stage(name, tmp_path):
+    out = tmp_path / "data.csv"
+    assert run(["simulate", "stage", "--signal", name, "--out", str(out)]) == 0
+    record = hf.read_csv(out, time="t", input="u", output="y")
+    assert (record.u_unit, record.y_unit, record.t_unit) == ("V", "um", "s")
+    assert record.u.min() >= -20
+    assert np.ptp(record.u) > 100  # the stage's range is used where no limits are given
+    header = out.read_text().splitlines()[0]
+    assert header == ("t_s,u_V,y_um,curve" if name == "forc-protocol" else "t_s,u_V,y_um")
+
+
+def test_reversal_curves_are_numbered_and_sampled_evenly(tmp_path):
+    drive = ["--signal", "forc-protocol", "--curves", "4", "--points", "20", "--rate", "50", "--low", "0"]
+    assert run(["simulate", "stage", *drive, "--out", str(tmp_path)]) == 0
+    t, u, _, curve = np.loadtxt(tmp_path / "data.csv", delimiter=",", skiprows=1).T
+    expected = signals.forc_protocol(curves=4, points=20, low=0.0, high=100.0)
+    np.testing.assert_allclose(u, expected[0], rtol=1e-9)
+    np.testing.assert_array_equal(curve, expected[1])
+    np.testing.assert_allclose(np.diff(t), 0.02, rtol=1e-9)
+    assert json.loads((tmp_path / "result.json").read_text())["signal"]["rate"] == 50
+
+
+def test_numbers_written_as_counts_and_commands_beyond_the_limits(tmp_path, capsys):
+    drive = ["--signal", "amplitude-sweep", "--cycles", "3", "--high", "150"]
+    assert run(["simulate", "stage", *drive, "--out", str(tmp_path / "x.csv")]) == 0
+    assert "beyond the amplifier's limits" in capsys.readouterr().out
+
+
+def test_three_axes_are_enough_to_calibrate_from(tmp_path):
+    """The file alone gives the Jacobian; the same seed gives the same file, another one other noise."""
+    drive = ["simulate", "stage", "--axes", "3", "--duration", "2", "--seed", "5", "--out"]
+    assert run([*drive, str(tmp_path)]) == 0
+    header = (tmp_path / "data.csv").read_text().splitlines()[0]
+    assert header == "t_s,u1_V,u2_V,u3_V,extension1_um,extension2_um,extension3_um,x_um,y_um,theta_mrad"
+    table = np.loadtxt(tmp_path / "data.csv", delimiter=",", skiprows=1)
+    assert table.shape == (3 * 400, 10)
+    found = calibrate(table[:, 4:7], table[:, 7:])
+    # the 630 Hz modes ring where a turn begins, so that pulls are those of more than the sensors' noise
+    np.testing.assert_allclose(found.jacobian, Kinematics().jacobian(), rtol=0.01, atol=0.01)
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert (content["schema"], content["axes"], content["drive"]) == ("hystfit.simulate/1", 3, "in-turn")
+    assert content["range"]["u3_V"] == pytest.approx([-20, 100], abs=0.01)
+    assert run([*drive, str(tmp_path / "again.csv")]) == 0
+    assert (tmp_path / "again.csv").read_text() == (tmp_path / "data.csv").read_text()
+    drive[drive.index("5")] = "6"
+    assert run([*drive, str(tmp_path / "other.csv")]) == 0
+    other = np.loadtxt(tmp_path / "other.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(other[:, :4], table[:, :4])
+    # the difference of two readings of 5 nm (and 1 nm steps), 1200 of them: 4 standard deviations
+    assert np.std(other[:, 7] - table[:, 7]) == pytest.approx(7.1e-3, rel=0.09)
+
+
+def test_one_actuator_of_three_and_all_together(tmp_path):
+    common = ["simulate", "stage", "--axes", "3", "--noise", "0", "--set", "gamma=0", "--duration", "1", "--out"]
+    poses = {}
+    for drive in ("1", "2", "3", "together"):
+        out = tmp_path / f"{drive}.csv"
+        assert run([*common, str(out), "--drive", drive]) == 0
+        table = np.loadtxt(out, delimiter=",", skiprows=1)
+        moved = np.ptp(table[:, 1:4], axis=0) > 0
+        assert moved.sum() == (3 if drive == "together" else 1)
+        poses[drive] = table[:, 7:] - table[0, 7:]
+    # without creep and far below the modes the pose is the sum of what each actuator does; readings have steps of 1 nm
+    np.testing.assert_allclose(poses["1"] + poses["2"] + poses["3"], poses["together"], atol=0.01)
+    assert np.ptp(poses["together"][:, 2]) > 1.9  # all together only turn the platform
+    assert np.ptp(poses["together"][:, :2]) < 0.01
+
+
+BAD = [
+    (["--axes", "2"], "--axes is 1, or 3 for the stage"),
+    (["--drive", "2"], "--drive 2 needs --axes 3"),
+    (["--axes", "3", "--drive", "4"], "in-turn, together, 1, 2 or 3"),
+    (["--axes", "3", "--set", "gamma=4"], "outside its bounds"),
+    (["--axes", "3", "--set", "beta=4"], "no parameter 'beta'"),
+    (["--noise", "nan"], "--noise must be finite"),
+    (["--seed", "-1"], "--seed must not be negative"),
+    (["--signal", "forc-protocol", "--rate", "0"], "--rate must be a positive"),
+    (["--signal", "random-reversals", "--speed", "fast"], "--speed is one number"),
+    (["--signal", "multisine", "--frequencies", "low"], "numbers in Hz"),
+    (["--signal", "amplitude-sweep", "--cycles", "2.5"], "whole number"),
+]
+
+
+@pytest.mark.usefixtures("as_users_run")
+@pytest.mark.parametrize(("arguments", "told"), BAD)
+def test_bad_input_is_refused_in_words(arguments, told, tmp_path, capsys):
+    out = tmp_path / "x.csv"
+    assert run(["simulate", "stage", *arguments, "--out", str(out)]) == 2
+    assert told in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_model_has_no_axes(tmp_path, capsys):
+    assert run(["simulate", "bouc-wen", "--axes", "3", "--out", str(tmp_path / "x.csv")]) == 2
+    assert "3 for the stage; got 3 for bouc-wen" in capsys.readouterr().err
