@@ -73,6 +73,12 @@ def _as_array(value: Any) -> Any:
     return value
 
 
+def _strong(leaf: Any) -> Any:
+    # Python numbers leave a weak type behind, and compiled code would be made anew for every mixture of weak and strong.
+    weak = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.weak_type
+    return jnp.asarray(np.asarray(leaf)) if weak else leaf
+
+
 def _as_vector(value: Any) -> Any:
     array = _as_array(value)
     return jnp.atleast_1d(array) if isinstance(array, jax.Array) else array
@@ -255,7 +261,7 @@ class ParameterSpace:
             if not np.isfinite(array).all():
                 raise ParameterError(f"parameter {name!r} must be finite, got {value!r}")
             flat[leaf.index] = jnp.asarray(array, dtype=jnp.result_type(float))
-        return jax.tree_util.tree_unflatten(treedef, flat)
+        return jax.tree_util.tree_unflatten(treedef, [_strong(leaf) for leaf in flat])
 
     def _masks(self, fix: Mapping[str, Any], free: Sequence[str]) -> list[np.ndarray]:
         masks = [np.full(leaf.size, not leaf.info.fixed) for leaf in self.leaves]

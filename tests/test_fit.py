@@ -8,6 +8,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.fitting.compare import left_out_error
 from hystfit.fitting.fit import ESTIMATORS
 from hystfit.fitting.multistart import spread_starts
 
@@ -198,21 +199,32 @@ def test_time_is_asked_for_where_a_model_needs_it():
         hf.fit(hf.BoucWenOscillator(), hf.Record(u=sweep(), y=sweep()))
 
 
-def test_a_second_record_of_the_same_shape_compiles_nothing(piezo, fitted):
-    """Traces are counted by JAX itself."""
-    compiled = []
+@pytest.fixture
+def compiled():
+    """Compilations since the test began or cleared it, counted by JAX itself."""
+    events = []
 
     def listen(event, seconds, **_):
         if event == "/jax/core/compile/backend_compile_duration":
-            compiled.append(event)
+            events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
+    return events
+
+
+def test_a_second_record_of_the_same_shape_compiles_nothing(piezo, fitted, compiled):
     hf.fit(hf.BoucWen(), piezo)
     compiled.clear()
     u = 0.9 * sweep()
     fresh = record(hf.BoucWen(**TRUTH), u=u, seed=5, name="another name").segment(0, 560)
     hf.fit(hf.BoucWen(), fresh)
     assert not compiled
+
+
+def test_refits_without_a_block_use_the_programs_of_the_fit(fitted, compiled):
+    error = left_out_error(fitted)
+    assert not compiled
+    assert fitted.train.rmse < error < 2 * fitted.train.rmse
 
 
 def test_starts_stay_inside_the_bounds_and_repeat(piezo):
