@@ -19,7 +19,7 @@ from hystfit.fitting.smooth import fit_smooth
 from hystfit.models.compiled import features
 from hystfit.models.density import ParametricPreisach
 from hystfit.models.preisach import Preisach
-from hystfit.preisach import EverettTable, check_preisach, fit_forc, forc_diagram
+from hystfit.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
 from hystfit.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
 
 
@@ -273,7 +273,48 @@ class TestProperties:
         u = through((0, 150, 100, 180, 50, 120, 90, 180, 0))
         found = wiping_out(Record(u, u))
         assert sorted(found.at) == [120.0, 150.0, 180.0]
+        assert sorted(found.width) == [30.0, 50.0, 130.0]
         np.testing.assert_allclose(found.gap, 0.0, atol=1e-9)
+
+    def test_branches_that_wipe_out_a_loop_on_their_way_are_not_compared(self):
+        # 120 to 0 passes 90 and 60, where older loops end; 150 to 0 from 180 passes nothing.
+        u = through((0, 120, 0, 180, 60, 150, 90, 120, 0, 120, 0), 200)
+        found = check_preisach(Record(u, self.table.output(u)))
+        assert found.outcomes["congruency"] == "holds"
+        assert [(c.low, c.high, c.branches) for c in found.loops] == [(0.0, 120.0, 2), (0.0, 120.0, 2)]
+
+    def test_a_record_without_minor_loops_is_said_to_test_nothing(self):
+        u = np.sin(np.linspace(0, 20, 400))
+        found = check_preisach(Record(u, self.table.output(90 + 90 * u)), model=True)
+        assert not found.tested
+        assert set(found.outcomes.values()) == {"untested"}
+        assert "only the major loop closes" in found.notes[0]
+        rising = check_preisach(Record(np.linspace(0, 1, 50), np.linspace(0, 1, 50)), model=True)
+        assert "no loop closes" in rising.notes[0]
+        assert "more than one reversal" in rising.notes[2]
+
+    def test_reversal_curves_predict_higher_orders_of_a_preisach_device_only(self):
+        tops = [v for top in np.linspace(9, 180, 20) for v in (top, 0)]
+        u = through((0, *tops, *HIGHER_ORDER[1:], 100, 40, 150, 70, 130), 40)
+        y = self.table.output(u)
+        found = check_preisach(Record(u, y), model=True)
+        assert found.higher is not None
+        assert found.higher.held_out
+        assert found.outcomes["higher-order"] == "holds"
+        assert set(found.higher.errors) == {0, 1, 2, 3, 4, 5}
+        # A device with local memory: after each reversal it starts anew.
+        local, w = [], 0.0
+        for v, du in zip(u, np.diff(u, prepend=u[0]), strict=True):
+            w += 0.03 * abs(du) * (v - w) + 0.5 * du
+            local.append(w)
+        found = check_preisach(Record(u, np.array(local)), model=True)
+        assert found.higher is not None
+        assert found.higher.held_out
+        assert found.outcomes["higher-order"] == "fails"
+        alone = through((0, *HIGHER_ORDER[1:]), 40)
+        undetermined = higher_order(Record(alone, self.table.output(alone)))
+        assert undetermined is not None
+        assert not undetermined.held_out
 
     def test_errors_are_split_by_order(self):
         model = truth("positive")

@@ -24,6 +24,7 @@ def check(
     loop: str,
     /,
     *,
+    preisach: bool = False,
     reading: Reading = Reading(),  # noqa: B008  (frozen)
     out: Path | None = None,
     json: Json = False,
@@ -32,6 +33,8 @@ def check(
 
     Args:
         loop: file or data set.
+        preisach: also measure what a Preisach model presumes: wiping-out, congruency, higher-order reversals; the exit status
+            is then 1 where the record can test none of them.
         out: folder for result.json and check.txt.
         json: print result.json alone.
     """
@@ -48,6 +51,9 @@ def check(
     content["provenance"] = provenance(data, None)
     notes = [f"  - {note}" for note in dict.fromkeys(note for record in data for note in record.notes)]
     text = "\n".join([found.text().rstrip(), *(["", "How it was read", *notes] if notes else [])])
+    if preisach:
+        words, content["preisach"] = _properties(data)
+        text += f"\n\n{words}"
     if out is not None:
         from hystfit.saved import dump_json, writing
 
@@ -55,7 +61,34 @@ def check(
             dump_json(scratch / "result.json", content)
             (scratch / "check.txt").write_text(text + "\n", encoding="utf-8")
     show(text, content, json)
-    return 0 if able else 1
+    usable = content["preisach"]["status"] != "untested" if preisach else bool(able)
+    return 0 if usable else 1
+
+
+_SHOWN = 8  # most findings of Preisach properties that are printed
+
+
+def _properties(data: Dataset) -> tuple[str, dict[str, Any]]:
+    """Preisach properties of every record: as text, and for result.json."""
+    from hystfit.preisach import check_preisach
+
+    with progress("measuring Preisach properties"):
+        checks = [check_preisach(record, model=True) for record in data]
+    tested = [found for found in checks if found.tested]
+    failed = any(outcome == "fails" for found in tested for outcome in found.outcomes.values())
+    status = "untested" if not tested else "fails" if failed else "holds"
+    groups: dict[str, list[str]] = {}  # records of which the same is to be said
+    for found in tested or checks:
+        groups.setdefault(found.text(), []).append(found.record)
+    lines = ["Preisach properties (limit: 2 % of the output's range)"]
+    for text, names in list(groups.items())[:_SHOWN]:
+        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+        lines += [f"  {', '.join(names[:5])}{more}", text]
+    if not tested:
+        lines.append("  Nothing here speaks for or against a Preisach model: measure a record with nested loops.")
+    if len(groups) > _SHOWN:
+        lines.append(f"  (the other records are in result.json: {len(groups) - _SHOWN})")
+    return "\n".join(lines), {"status": status, "records": {found.record: found.to_dict() for found in checks}}
 
 
 def report(folder: Path, /, *, out: Path | None = None, json: Json = False) -> int:

@@ -18,7 +18,7 @@ from hystfit.models.staircase import compile_input, turning_points
 WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
 CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
 HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
-_NOISE = 0.02  # reversals smaller than this part of the input's range are taken for noise
+NOISE = 0.02  # reversals smaller than this part of the input's range are taken for noise
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
@@ -39,16 +39,20 @@ class Closures:
 
     Attributes:
         at: inputs at which loops closed, shape (K,).
+        width: how far each loop went, in units of the input, shape (K,).
         gap: differences of the outputs there, shape (K,).
+        span: the output's range.
         percent: root mean square and largest gap, in percent of the output's range; None without any closure.
     """
 
     at: np.ndarray
+    width: np.ndarray
     gap: np.ndarray
+    span: float
     percent: tuple[float, float] | None
 
 
-def wiping_out(record: Record, noise: float = _NOISE) -> Closures:
+def wiping_out(record: Record, noise: float = NOISE) -> Closures:
     """Return-point memory: every time the input passes an earlier dominant extremum, the output should pass its value there.
 
     Args:
@@ -57,7 +61,7 @@ def wiping_out(record: Record, noise: float = _NOISE) -> Closures:
     """
     u, y = record.u, record.y
     corners = _corners(u, noise)
-    at, gap = [], []
+    at, width, gap = [], [], []
     stack: list[int] = []
     for before, now in itertools.pairwise(corners):
         stack.append(int(before))
@@ -69,6 +73,7 @@ def wiping_out(record: Record, noise: float = _NOISE) -> Closures:
             back = float(_crossing(u[run], y[run], float(u[where]), sign))
             if np.isfinite(back) and np.isfinite(y[where]):
                 at.append(float(u[where]))
+                width.append(abs(float(u[stack[-1]] - u[where])))
                 gap.append(back - float(y[where]))
             del stack[-2:]
     gaps = np.array(gap)
@@ -76,7 +81,7 @@ def wiping_out(record: Record, noise: float = _NOISE) -> Closures:
     percent = (
         (100 * float(np.sqrt(np.mean(gaps**2))) / span, 100 * float(np.abs(gaps).max()) / span) if gaps.size else None
     )
-    return Closures(np.array(at), gaps, percent)
+    return Closures(np.array(at), np.array(width), gaps, span, percent)
 
 
 def _crossing(u: np.ndarray, y: np.ndarray, level: float, sign: float) -> float:
@@ -124,8 +129,8 @@ class Congruency:
     percent_of_range: float
 
 
-def congruency(record: Record, tolerance: float = 0.01, noise: float = _NOISE) -> list[Congruency]:
-    """Compare all branches that run between the same two inputs in the same direction.
+def congruency(record: Record, tolerance: float = 0.01, noise: float = NOISE) -> list[Congruency]:
+    """Compare all branches that run between the same two inputs in the same direction, and wipe out nothing on their way.
 
     Args:
         record: measured.
@@ -142,7 +147,7 @@ def congruency(record: Record, tolerance: float = 0.01, noise: float = _NOISE) -
     groups: dict[int, list[np.ndarray]] = {}
     ends: dict[int, tuple[float, float]] = {}
     part = np.linspace(0.0, 1.0, 101)
-    for a, b in itertools.pairwise(corners):
+    for a, b in _undisturbed(u, corners, tolerance * reach):
         near = lambda end, a=a, b=b: max(abs(u[a] - end[0]), abs(u[b] - end[1])) <= tolerance * reach
         key = next((k for k, end in ends.items() if near(end)), None)
         if key is None:
@@ -163,18 +168,19 @@ def congruency(record: Record, tolerance: float = 0.01, noise: float = _NOISE) -
     return sorted(out, key=lambda c: c.low - c.high)
 
 
-def error_by_order(model: Preisach, record: Record) -> dict[int, tuple[int, float, float]]:
+def error_by_order(model: Preisach, record: Record, noise: float = 0.0) -> dict[int, tuple[int, float, float]]:
     """Error of a model split by how many reversals the state remembers: 1 on a first-order curve, 2 on a second-order one, ...
+
+    Args:
+        model: any with cells or relays.
+        record: measured.
+        noise: see `orders`.
 
     Returns:
         For each order (number of samples, root mean square error, largest error), the errors in percent of the record's range.
     """
     error = np.asarray(respond(model, compile_for(model, record.u))) - record.y
-    stairs = compile_input(record.u, model.initial, float(model.center))
-    depth = np.zeros(stairs.node_parent.size + 1, dtype=int)
-    for number, layer in enumerate(stairs.layers(), start=1):
-        depth[layer] = number
-    order = depth[stairs.state_parent][stairs.index]
+    order = orders(model, record, noise)
     span = float(np.ptp(record.y[record.used])) or 1.0
     out = {}
     for k in np.unique(order[record.used]):
@@ -183,45 +189,32 @@ def error_by_order(model: Preisach, record: Record) -> dict[int, tuple[int, floa
     return out
 
 
-@dataclasses.dataclass(frozen=True)
-class PreisachCheck:
-    """Whether records look like a Preisach model's.
+def _undisturbed(u: np.ndarray, corners: np.ndarray, slack: float) -> list[tuple[int, int]]:
+    """Runs from corner to corner that pass no earlier extremum before their end: their start alone decides their shape."""
+    out, stack = [], []
+    for a, b in itertools.pairwise(corners.tolist()):
+        stack.append(a)
+        sign = 1.0 if u[b] > u[a] else -1.0
+        disturbed = False
+        while len(stack) > 1 and sign * (u[b] - u[stack[-2]]) >= 0:
+            disturbed |= bool(sign * (u[b] - u[stack[-2]]) > slack)
+            del stack[-2:]
+        if not disturbed:
+            out.append((a, b))
+    return out
 
-    Attributes:
-        closures: of the record.
-        loops: congruency of its minor loops.
-        notes: what that means, one sentence each.
-    """
 
-    closures: Closures
-    loops: tuple[Congruency, ...]
-    notes: tuple[str, ...]
-
-
-def check_preisach(record: Record, limit: float = 2.0) -> PreisachCheck:
-    """Test the two properties that a Preisach model has and nothing else has (Mayergoyz): wiping-out and congruency.
+def orders(model: Preisach, record: Record, noise: float = 0.0) -> np.ndarray:
+    """How many reversals the state remembers at every sample, for the model's initial state, shape (T,).
 
     Args:
-        record: measured.
-        limit: percent of the output's range up to which a property is said to hold.
+        model: gives center and initial state.
+        record: its input counts.
+        noise: inputs closer than this part of the input's range are taken for one.
     """
-    closures, loops = wiping_out(record), tuple(congruency(record))
-    notes = []
-    if closures.percent is None:
-        notes.append("no loop closes in this record: wiping-out cannot be tested; add minor loops")
-    else:
-        holds = "holds" if closures.percent[1] <= limit else "does not hold"
-        notes.append(
-            f"wiping-out {holds}: over {closures.at.size} closed loops the output comes back within {closures.percent[0]:.2g} % rms, "
-            f"{closures.percent[1]:.2g} % at most, of the range"
-        )
-    if not loops:
-        notes.append("no two branches run between the same inputs: congruency cannot be tested")
-    else:
-        worst = max(loops, key=lambda c: c.percent_of_range)
-        holds = "holds" if worst.percent_of_range <= limit else "does not hold"
-        notes.append(
-            f"congruency {holds}: branches between {worst.low:.4g} and {worst.high:.4g} differ by "
-            f"{worst.percent_of_range:.2g} % of the range ({worst.percent_of_loop:.2g} % of their travel)"
-        )
-    return PreisachCheck(closures, loops, tuple(notes))
+    center, step = float(model.center), noise * float(np.ptp(record.u))
+    stairs = compile_input(np.round((record.u - center) / step) if step > 0 else record.u - center, model.initial)
+    depth = np.zeros(stairs.node_parent.size + 1, dtype=int)
+    for number, layer in enumerate(stairs.layers(), start=1):
+        depth[layer] = number
+    return depth[stairs.state_parent][stairs.index]

@@ -1,0 +1,63 @@
+"""`hystfit check --preisach` and fits of Preisach models at the shell."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.cli import run
+from hystfit.preisach.properties import CONGRUENCY, HIGHER_ORDER, through
+
+
+def device() -> hf.Preisach:
+    """Twelve cells of equal density along each axis, empty at 0 V."""
+    return hf.Preisach(w=np.full(78, 1.0), levels=np.linspace(0, 180, 13), initial="negative")
+
+
+@pytest.fixture
+def nested(tmp_path: Path) -> Path:
+    u = through((*CONGRUENCY, *HIGHER_ORDER), 60)
+    y = np.asarray(hf.simulate(device(), u)[0]) + np.random.default_rng(0).normal(0, 0.1, u.size)
+    np.savetxt(tmp_path / "nested.csv", np.column_stack([u, y]), delimiter=",", header="u_V,y_um", comments="")
+    return tmp_path / "nested.csv"
+
+
+def test_check_measures_preisach_properties(nested: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(nested), "--preisach", "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "wiping-out holds" in text
+    assert "congruency holds" in text
+    assert "reversals remembered" in text
+    content = json.loads((tmp_path / "out" / "result.json").read_text())["preisach"]
+    assert content["status"] == "holds"
+    found = content["records"]["nested"]
+    assert found["wiping_out"]["max_percent"] < 2
+    assert len(found["wiping_out"]["at"]) == len(found["wiping_out"]["gap"]) > 5
+    assert any(loop["low"] < 81 and loop["high"] < 121 for loop in found["congruency"])
+    assert found["higher_order"]["errors"]["3"]["rms_percent"] < 1
+
+
+def test_check_says_where_nothing_can_be_tested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    u = np.sin(np.linspace(0, 20, 500))
+    np.savetxt(tmp_path / "sine.csv", np.column_stack([u, u - 0.1 * np.cos(np.linspace(0, 20, 500))]), delimiter=",")
+    assert run(["check", str(tmp_path / "sine.csv"), "--preisach", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["preisach"]["status"] == "untested"
+    run(["check", str(tmp_path / "sine.csv"), "--preisach"])
+    assert "measure a record with nested loops" in capsys.readouterr().out
+
+
+def test_preisach_is_fitted_and_simulated_at_the_shell(nested: Path, tmp_path: Path) -> None:
+    fit = tmp_path / "fit"
+    command = ["fit", str(nested), "--model", "preisach", "--method", "preisach", "--out", str(fit)]
+    assert run(command) == 0
+    content = json.loads((fit / "result.json").read_text())
+    assert content["method"]["name"] == "preisach"
+    assert content["metrics"]["train"]["nrmse_percent"] < 1
+    assert run(["predict", str(fit), str(nested), "--out", str(tmp_path / "again")]) == 0
+    made = ["simulate", str(fit), "--signal", "triangle", "--low", "0", "--high", "150", "--out"]
+    assert run([*made, str(tmp_path / "made.csv")]) == 0
+    rows = np.genfromtxt(tmp_path / "made.csv", delimiter=",", skip_header=1)
+    expected = np.asarray(hf.simulate(hf.load_fit(fit).model, rows[:, 1])[0])
+    np.testing.assert_allclose(rows[:, 2], expected, atol=1e-9)
