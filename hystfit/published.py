@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import numpy as np
-
+from hystfit.data.instruments import magnetic_loops, pulse_train, reversal_curves, shaking_table
 from hystfit.data.record import Dataset, Record
 from hystfit.datasets import File, Measured, Source, uniform_time
 from hystfit.errors import DataError
@@ -98,94 +97,6 @@ def _text(
     return reader
 
 
-def _magnetic(paths: tuple[Path, ...]) -> Dataset:
-    """Loops in the columns of two matrices HmeasT [A/m] and BmeasT [T], smallest first."""
-    from scipy.io import loadmat
-
-    fields, flux = loadmat(paths[0])["HmeasT"], loadmat(paths[1])["BmeasT"]
-    records = []
-    for number in range(fields.shape[1]):
-        u, y = fields[:, number], flux[:, number]
-        records.append(Record(u, y, u_unit="A/m", y_unit="T", u_name="H", y_name="B", name=f"loop-{number + 1}"))
-    return Dataset(tuple(records))
-
-
-def _damper(paths: tuple[Path, ...]) -> Record:
-    """Position x and force F from the matrix x_F = [x v F], 0.01 s."""
-    from scipy.io import loadmat
-
-    table = loadmat(paths[0])["x_F"]
-    record = Record(table[:, 0], table[:, 2], t=0.01 * np.arange(len(table)), u_name="x", y_name="F")
-    return record.replace(notes=("the measured velocity (second column of x_F) is left out",))
-
-
-def micromag_blocks(path: Path) -> Iterator[np.ndarray]:
-    """Blocks of (field, moment) rows of a MicroMag text file, each of shape (N, 2)."""
-    rows: list[list[float]] = []
-    for line in path.read_text(encoding="latin-1").splitlines():
-        cells = line.split(",")
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            row = []
-        if len(row) == 2:
-            rows.append(row)
-        elif rows:
-            yield np.array(rows)
-            rows = []
-    if rows:
-        yield np.array(rows)
-
-
-def _reversal_curves(paths: tuple[Path, ...]) -> Dataset:
-    """One record per curve: the calibration point at saturation (weight 0) before it, then the curve."""
-    records: list[Record] = []
-    calibration: np.ndarray | None = None
-    for block in micromag_blocks(paths[0]):
-        if len(block) == 1:
-            calibration = block
-            continue
-        if calibration is None:
-            raise DataError(f"{paths[0]}: a curve of {len(block)} points comes before any calibration point")
-        table = np.concatenate([calibration, block])
-        weight = np.append(0.0, np.ones(len(block)))
-        records.append(
-            Record(
-                table[:, 0],
-                table[:, 1],
-                weight=weight,
-                u_unit="Oe",
-                y_unit="emu",
-                u_name="H",
-                y_name="M",
-                name=f"curve-{len(records) + 1}",
-                notes=("the calibration point at saturation comes first, with weight 0",),
-            )
-        )
-        calibration = None
-    return Dataset(tuple(records))
-
-
-def _pulses(paths: tuple[Path, ...]) -> Dataset:
-    """Rows `DataValue, V, I, t, t` of an instrument's CSV: one record per pulse, in each of which time begins anew."""
-    rows = []
-    for line in paths[0].read_text(encoding="utf-8-sig").splitlines():
-        if line.startswith("DataValue"):
-            rows.append([float(cell) for cell in line.split(",")[1:4]])
-    if not rows:
-        raise DataError(f"{paths[0]} has no DataValue rows")
-    table = np.array(rows)
-    pulses = np.split(table, np.flatnonzero(np.diff(table[:, 2]) < 0) + 1)
-    units = {"u_unit": "V", "y_unit": "A", "u_name": "V", "y_name": "I"}
-    notes = ("the output is a current: integrate it over time for the charge",)
-    return Dataset(
-        tuple(
-            Record(*pulse.T[:3], name=f"pulse-{number}", notes=notes, **units)  # type: ignore[arg-type]
-            for number, pulse in enumerate(pulses, start=1)
-        )
-    )
-
-
 def _one(
     source: Source, name: str, paths: str | tuple[str, ...], sha256: str, read: Reader, about: str = ""
 ) -> Measured:
@@ -197,7 +108,7 @@ def _pair(stem: str, folder: str, field: str, flux: str, about: str) -> Measured
         File(f"{letter}_{stem}.mat", (f"{folder}/{letter}_{stem.removesuffix('_APPA')}.mat",), sha256)
         for letter, sha256 in (("H", field), ("B", flux))
     )
-    return Measured(MAGNETIC, files, _magnetic, about)
+    return Measured(MAGNETIC, files, magnetic_loops, about)
 
 
 _ISOTROPIC = "1_isotropic/Characterisitcs_isotropic_mat"
@@ -228,7 +139,7 @@ MEASURED: Mapping[str, Measured] = {
         "hchb_forc",
         ("tests/fixtures/hchb_forc", "tests/hchb_forc", "tests/data/hchb_forc"),
         "19e98501633124e00276f2f1472e006de1897aabc0632dd7caa3b2bdba228245",
-        _reversal_curves,
+        reversal_curves,
         "one record per curve",
     ),
     "mag_ja_bh/MnZn_ferrite": _pair(
@@ -364,7 +275,7 @@ MEASURED: Mapping[str, Measured] = {
         "data_simulation_4.1_MRdamper.mat",
         "data/data_simulation_4.1_MRdamper.mat",
         "97d7735351c9907159aa3c7038712ec1371685f608eb61d6a793622dad486866",
-        _damper,
+        shaking_table,
         "test 4.1",
     ),
     "mr_labcontrol/4.2": _one(
@@ -372,7 +283,7 @@ MEASURED: Mapping[str, Measured] = {
         "data_simulation_4.2_MRdamper.mat",
         "data/data_simulation_4.2_MRdamper.mat",
         "a607d78cd52a2e7ae0b1059bb08345def8ee0e1913645071d23d74686acc9046",
-        _damper,
+        shaking_table,
         "test 4.2",
     ),
     "mr_labcontrol/4.3": _one(
@@ -380,7 +291,7 @@ MEASURED: Mapping[str, Measured] = {
         "data_simulation_4.3_MRdamper.mat",
         "data/data_simulation_4.3_MRdamper.mat",
         "8a480594f87ad69a1ae11e21eb84c9bedcf0e37807c1c0129ff0ce8d78b08dab",
-        _damper,
+        shaking_table,
         "test 4.3",
     ),
     "mr_labcontrol/4.4": _one(
@@ -388,7 +299,7 @@ MEASURED: Mapping[str, Measured] = {
         "data_simulation_4.4_MRdamper.mat",
         "data/data_simulation_4.4_MRdamper.mat",
         "fd4be6ad437614c8e68ed459f1f4172d28c4f448444b5df579ed3aaaf8f8fd90",
-        _damper,
+        shaking_table,
         "test 4.4",
     ),
     "mr_labcontrol/ensaio.A.1": _one(
@@ -396,7 +307,7 @@ MEASURED: Mapping[str, Measured] = {
         "ensaio.A.1.mat",
         "data/ensaio.A.1.mat",
         "491b7bb96f9206f98a1428eec3fe7031d6de96151bd035aff5f8a1353488fdf1",
-        _damper,
+        shaking_table,
         "test A.1",
     ),
     "mr_labcontrol/ensaio.vali.1": _one(
@@ -404,7 +315,7 @@ MEASURED: Mapping[str, Measured] = {
         "ensaio.vali.1.mat",
         "data/ensaio.vali.1.mat",
         "3f059800d5175f2fe946485b4b77cde158f683966a39fa5f7aed71e08a30853d",
-        _damper,
+        shaking_table,
         "test vali.1",
     ),
     "ferro_hzo_forc/3V": _one(
@@ -412,7 +323,7 @@ MEASURED: Mapping[str, Measured] = {
         "FORC_+3V_4m.csv",
         "+ferroelectric/+FORC/FORC_+3V_4m.csv",
         "31c7824908b146ec62d81b8827f7455e946e87d4d46fae08504d60e596e70e76",
-        _pulses,
+        pulse_train,
         "reversal curves up to 3 V",
     ),
     "friction_brfd/0.5Hz": _one(

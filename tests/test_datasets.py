@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hystfit import datasets, published
+from hystfit.data import instruments
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 
@@ -175,9 +176,9 @@ def test_micromag_blocks_are_apart(tmp_path):
     file.write_text(
         "MicroMag 2900\nHb1 = 1\n\n+5.0,+1.0\n\n-1.0,-0.5\n+1.0,+0.5\n\n+5.0,+1.1\n\n-2.0,-0.9\n+2.0,+0.9\n\nends\n"
     )
-    blocks = list(published.micromag_blocks(file))
+    blocks = list(instruments.micromag_blocks(file))
     assert [len(block) for block in blocks] == [1, 2, 1, 2]
-    curves = published._reversal_curves((file,))
+    curves = instruments.reversal_curves((file,))
     np.testing.assert_array_equal(curves["curve-2"].u, [5, -2, 2])
     np.testing.assert_array_equal(curves["curve-2"].weight, [0, 1, 1])
 
