@@ -45,4 +45,5 @@ from hystfit.sampling.sample import sample as sample
 from hystfit.saved import load_fit as load_fit
 from hystfit.uncertainty.calibration import calibrate as calibrate
 from hystfit.uncertainty.design import design as design
+from hystfit.uncertainty.drift import explain_drift as explain_drift
 from hystfit.uncertainty.profiles import profile as profile

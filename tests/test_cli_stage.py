@@ -107,3 +107,17 @@ def test_bad_input_is_refused_in_words(arguments, told, tmp_path, capsys):
 def test_a_model_has_no_axes(tmp_path, capsys):
     assert run(["simulate", "bouc-wen", "--axes", "3", "--out", str(tmp_path / "x.csv")]) == 2
     assert "3 for the stage; got 3 for bouc-wen" in capsys.readouterr().err
+
+
+def test_a_fit_may_be_told_where_the_device_rested(tmp_path):
+    from hystfit.cli.loading import train_and_test
+    from hystfit.cli.options import Reading, Split
+
+    out = tmp_path / "x.csv"
+    assert run(["simulate", "stage", "--duration", "2", "--out", str(out)]) == 0
+    train, test = train_and_test(str(out), Reading(), Split(rest=-20.0, window=":1", test_window="1:"))
+    assert test is not None
+    for record in (train[0], test[0]):
+        assert (record.u[0], len(record), record.used.sum()) == (-20.0, 401, 200)
+        assert np.isnan(record.y[0])
+    assert run(["fit", str(out), "--model", "bouc-wen", "--rest", "nan", "--out", str(tmp_path / "fit")]) == 2

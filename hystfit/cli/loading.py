@@ -84,6 +84,9 @@ def train_and_test(loop: str, reading: Reading, split: Split) -> tuple[Dataset, 
         train = train.map(lambda record: record.window(*fitted))
     if test is not None and tested is not None:
         test = test.map(lambda record: record.window(*tested))
+    if (rest := split.rest) is not None:
+        train = train.map(lambda record: record.resting_on(rest))
+        test = test and test.map(lambda record: record.resting_on(rest))
     _refuse_overlap(train, test)
     return train, test
 

@@ -58,6 +58,7 @@ class Split:
         test_window: report the error on these samples, which are not fitted.
         test: another file (or data set) to report the error on.
         test_only: curves to report the error on (with --by), which are not fitted.
+        rest: input on which the device rested before each record began, such as 0; the first input of the record where not given.
         refit_offset: shift the prediction of each test record to its mean (another zero of the sensor).
     """
 
@@ -65,6 +66,7 @@ class Split:
     test_window: Part = None
     test: Part = None
     test_only: Part = None
+    rest: Annotated[float | None, Parameter(group=SPLIT)] = None
     refit_offset: Flag = False
 
 

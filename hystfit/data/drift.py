@@ -63,18 +63,14 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         t: time, shape (T,), or None.
         cycles: see `loops.cycles`, shape (C, 3).
     """
-    like = [(int(a), int(c)) for a, _, c in like_cycles(u, cycles) if np.isfinite(y[a : c + 1]).all()]
-    if len(like) < 4:
+    means, moment = cycle_means(u, y, t, cycles)
+    if len(means) < 4:
         return None
-    means = np.array([_mean(y, t, a, c) for a, c in like])
     if np.ptp(means) == 0:
-        return Drift(len(like), 0.0, 0.0, None, None, "none", 0, 0.0)
-    number = np.arange(len(like), dtype=float)
-    moment = None if t is None else np.array([0.5 * (t[a] + t[c]) - t[0] for a, c in like])
-    if moment is not None and not (moment[0] > 0 and (np.diff(moment) > 0).all()):
-        moment = None
+        return Drift(len(means), 0.0, 0.0, None, None, "none", 0, 0.0)
+    number = np.arange(len(means), dtype=float)
     fits = []
-    for skip in range(min(4, len(like) - 4) + 1):
+    for skip in range(min(4, len(means) - 4) + 1):
         linear = _line(number[skip:], means[skip:])
         log = None if moment is None else _line(np.log10(moment[skip:]), means[skip:])
         fits.append((max(linear[1], log[1] if log else 0.0), -skip, linear, log))
@@ -82,7 +78,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
     best = max(linear[1], log[1] if log else 0.0)
     law = (
         "none"
-        if best < (0.5 if len(like) + minus_skip >= 8 else 0.9)
+        if best < (0.5 if len(means) + minus_skip >= 8 else 0.9)
         else "logarithmic"
         if log and log[1] > linear[1]
         else "linear"
@@ -93,7 +89,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
     else:
         total = linear[0] * (number[-1] - skip) if law == "linear" else 0.0
     return Drift(
-        cycles=len(like),
+        cycles=len(means),
         per_cycle=linear[0],
         r2_linear=linear[1],
         per_decade=log[0] if log else None,
@@ -102,6 +98,21 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         skipped=skip,
         total=float(total),
     )
+
+
+def cycle_means(
+    u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean output of like cycles of full output, and the middle of each after the record began, shapes (K,); see `drift`.
+
+    The times are None where there are none or they do not rise.
+    """
+    like = [(int(a), int(c)) for a, _, c in like_cycles(u, cycles) if np.isfinite(y[a : c + 1]).all()]
+    means = np.array([_mean(y, t, a, c) for a, c in like])
+    moment = None if t is None or not like else np.array([0.5 * (t[a] + t[c]) - t[0] for a, c in like])
+    if moment is not None and not (moment[0] > 0 and (np.diff(moment) > 0).all()):
+        moment = None
+    return means, moment
 
 
 def _mean(y: np.ndarray, t: np.ndarray | None, start: int, stop: int) -> float:

@@ -153,6 +153,27 @@ class Record:
             )
         return self.replace(weight=weight)
 
+    def resting_on(self, u0: float) -> Record:
+        """The same record after one more sample: the device had rested on the input `u0` for ever, and nobody measured.
+
+        Models then see the jump from there to the first input. Without it they take the device to have rested on the
+        first input, and creep after a switch-on has no cause.
+
+        Raises:
+            DataError: the input is not finite.
+        """
+        if not np.isfinite(u0):
+            raise DataError(f"the device must have rested on a finite input, got {u0}")
+        t = None if self.t is None else np.concatenate([[self.t[0] - self.dt[0]], self.t])
+        before = lambda value, column: np.concatenate([[value], column])
+        return self.replace(
+            u=before(u0, self.u),
+            y=before(np.nan, self.y),
+            t=t,
+            weight=before(0.0, self.weight),
+            notes=(*self.notes, f"taken to have rested on {u0:g} {self.u_unit}".rstrip() + " before it began"),
+        )
+
     def segment(self, start: int, stop: int) -> Record:
         """Rows start <= i < stop as a record of their own, with none of the input before them."""
         t = None if self.t is None else self.t[start:stop]
