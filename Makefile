@@ -3,6 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 QUICK ?= --quick
+# Tests and experiments compile the same programs in many processes: they share what is compiled.
+export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/build/programs
+export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0.1
+export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
 
 .DEFAULT_GOAL := help
 .PHONY: help setup fit test lint types tests notebooks experiments measured benchmarks package records clean

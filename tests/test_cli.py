@@ -16,6 +16,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
+from hystfit import cli
 from hystfit.cli import as_options, run
 from hystfit.cli.options import held, limits
 from hystfit.errors import HystfitError
@@ -531,3 +532,25 @@ def test_interrupt_from_the_keyboard(loop, tmp_path):
     assert "Traceback" not in err
     assert out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_compiled_programs_are_kept_for_the_next_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(cli.platformdirs, "user_cache_path", lambda name: tmp_path / name)
+    for name in ("DIR", "MAX_SIZE"):
+        monkeypatch.delenv(f"JAX_COMPILATION_CACHE_{name}", raising=False)
+    cli.keep_programs()
+    folder = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    assert folder.is_dir()
+    assert folder.is_relative_to(tmp_path)
+    assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) > 0
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+    cli.keep_programs()
+    assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
+
+
+def test_a_cache_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(cli.platformdirs, "user_cache_path", lambda name: tmp_path / "file" / name)
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    cli.keep_programs()
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ

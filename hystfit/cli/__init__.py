@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
+import platform
 import re
 import sys
 from collections.abc import Sequence
 
+import platformdirs
 from cyclopts import App, CycloptsError, Parameter
 
 _HELP = """Fit hysteresis models to measured loops, say what the data determine, and use what was fitted.
@@ -35,6 +37,9 @@ _VERBS = {
     "models": ("hystfit.cli.listing:models", "List the models, or the parameters of one."),
     "datasets": ("hystfit.cli.listing:datasets", "List the data sets known by name, or write one."),
 }
+
+
+_KEPT = 2**28  # bytes of compiled programs; the longest unused go first
 
 
 def _version() -> str:
@@ -91,8 +96,27 @@ def _refuse(message: str) -> int:
     return 2
 
 
+def keep_programs() -> None:
+    """Have JAX keep what it compiles in the user's cache folder, so that the next command need not compile it again.
+
+    Most of a first fit is compilation. A folder of the user's own choice (JAX_COMPILATION_CACHE_DIR) is left as it is.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    # Programs suit one processor, and home folders are shared by machines.
+    folder = platformdirs.user_cache_path("hystfit") / "programs" / (platform.node() or "here")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_KEPT))
+
+
 def main() -> None:
     """Entry point of the `hystfit` command."""
+    keep_programs()
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it
     os.environ.setdefault("JAX_PLATFORMS", "cpu")  # scans over samples are faster there
     logging.getLogger("jax._src.xla_bridge").setLevel(logging.ERROR)
