@@ -26,6 +26,7 @@ from hystfit.models import Lag as Lag
 from hystfit.models import LinearCreep as LinearCreep
 from hystfit.models import LogCreep as LogCreep
 from hystfit.models import Offset as Offset
+from hystfit.models import ParametricPreisach as ParametricPreisach
 from hystfit.models import PrandtlIshlinskii as PrandtlIshlinskii
 from hystfit.models import Preisach as Preisach
 from hystfit.models import Relaxation as Relaxation

@@ -31,11 +31,16 @@ HARDENING = eqx.tree_at(
     lambda m: (m.hardening, m.b), HARDENING, (0.01 * jnp.arange(6.0), jnp.asarray([1.0, 0.1, 0.02]))
 )
 SMOOTH = {"alpha": 3.0, "f": (0.0, 1.0, 0.1, 0.02), "g": (0.6, 0.02, 0.01), "w0": 0.05}
+KNEE = {
+    "c": 0.15, "mu": 0.45, "tau": 0.011, "rho": 0.6, "n": 1.7, "skew": 0.2, "b": (0.3, -0.1), "center": 50.0, "half": 70.0
+}  # fmt: skip
 CASES = {
     "bouc_wen": (hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88), -20.0, 120.0),
     "bouc_wen_exact": (PIEZO, -20.0, 120.0),
     "bouc_wen_creep": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175, 0.004), span=12.0)), -20.0, 120.0),
     "bouc_wen_relaxation_offset": (hf.Sum(hf.Series(PIEZO, hf.Relaxation()), hf.Offset(2.0)), -20.0, 120.0),
+    "bouc_wen_asymmetric": (hf.AsymmetricBoucWen(**KNEE), -20.0, 120.0),
+    "bouc_wen_asymmetric_exact": (hf.AsymmetricBoucWen(**KNEE, scheme="exact"), -20.0, 120.0),
     "duhem": (hf.Duhem(**SMOOTH), -1.0, 1.0),
     "duhem_explicit": (hf.Duhem(**SMOOTH, scheme="explicit"), -1.0, 1.0),
     "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
@@ -135,8 +140,10 @@ def test_exported_file_is_self_contained(tmp_path: Path) -> None:
 def test_names_and_models_without_c_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="C identifier"):
         export_c(PIEZO, tmp_path, name="2nd")
-    with pytest.raises(ModelError, match="no C code"):
-        export_c(hf.AsymmetricBoucWen(), tmp_path)
+    with pytest.raises(ModelError, match=r"BoucWenForce has no C code; these have: BoucWen, .*Preisach with cells"):
+        export_c(hf.BoucWenForce(), tmp_path)
+    with pytest.raises(ModelError, match="Lag has no C code"):
+        export_c(hf.Series(hf.Lag(), PIEZO), tmp_path)
     with pytest.raises(ModelError, match="cells"):
         export_c(hf.Preisach.uniform(4, elements="relays"), tmp_path)
     assert not any(itertools.chain(tmp_path.iterdir()))

@@ -16,7 +16,7 @@ from hystfit.control.preisach_inverse import PreisachStep
 from hystfit.control.step_inverse import SearchStep
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import BoucWen
+from hystfit.models.bouc_wen import AsymmetricBoucWen, BoucWen
 from hystfit.models.compose import Offset, Series, Sum
 from hystfit.models.creep import LogCreep
 from hystfit.models.duhem import _LONG, _NODES, _WEIGHTS, Duhem
@@ -51,8 +51,8 @@ def export_c(
     inverse. Same numbers as `simulate` and `InverseStep`.
 
     Args:
-        model: `BoucWen`, `Duhem`, `PrandtlIshlinskii`, `Preisach` with cells, alone or in a `Series` or `Sum` with `LogCreep`,
-            `Relaxation` and `Offset`; or a fit of one.
+        model: `BoucWen`, `AsymmetricBoucWen`, `Duhem`, `PrandtlIshlinskii`, `Preisach` with cells, alone or in a `Series` or
+            `Sum` with `LogCreep`, `Relaxation` and `Offset`; or a fit of one.
         folder: made where it does not exist.
         name: prefix of files and functions, a C identifier.
         limits: between which the inverse holds its input, as `InverseStep.of`.
@@ -129,7 +129,8 @@ def _emit(model: AbstractHysteresis, prefix: str, blocks: list[str]) -> tuple[st
     part = next((make(model) for kind, make in _PARTS.items() if isinstance(model, kind)), None)
     if part is None:
         raise ModelError(
-            f"{type(model).__name__} has no C code; these have: {', '.join(kind.__name__ for kind in _PARTS)}, alone or in Series and Sum"
+            f"{type(model).__name__} has no C code; these have: {', '.join(kind.__name__ for kind in _PARTS)} (Preisach with cells), "
+            "alone or in Series and Sum"
         )
     words = {"f": prefix, "M": prefix.upper()}
     lines = [
@@ -174,6 +175,13 @@ def _emit_composition(model: Series | Sum, prefix: str, blocks: list[str]) -> tu
 def _bouc_wen(model: BoucWen) -> _Part:
     names = {"C": model.c, "MU": model.mu, "TAU": model.tau, "RHO": model.rho, "H0": model.h0, "OFFSET": model.offset}
     return _Part("bouc_wen.c", 1, {**names, "EXACT": int(model.scheme == "exact")})
+
+
+def _asymmetric_bouc_wen(model: AsymmetricBoucWen) -> _Part:
+    names = ("c", "mu", "tau", "rho", "n", "skew", "h0", "offset", "center", "half")
+    numbers = {name.upper(): getattr(model, name) for name in names}
+    numbers |= {"B": int(model.b.shape[0]) + 2, "EXACT": int(model.scheme == "exact")}
+    return _Part("bouc_wen_asymmetric.c", 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(model.b))})
 
 
 def _log_creep(model: LogCreep) -> _Part:
@@ -241,7 +249,9 @@ def _prandtl_ishlinskii(model: PrandtlIshlinskii) -> _Part:
 
 def _preisach(model: Preisach) -> _Part:
     if model.elements != "cells":
-        raise ModelError("relays have no continuous inverse and no C code: fit a Preisach model with elements='cells'")
+        raise ModelError(
+            "point relays have no continuous inverse and no C code: fit Preisach with cells (--model preisach, or elements='cells')"
+        )
     solver = PreisachStep.of(model)
     knots = np.asarray(solver.knots)
     center = float(model.center)
@@ -274,6 +284,7 @@ def _preisach(model: Preisach) -> _Part:
 
 _PARTS: dict[type[AbstractHysteresis], Callable[[Any], _Part]] = {
     BoucWen: _bouc_wen,
+    AsymmetricBoucWen: _asymmetric_bouc_wen,
     Duhem: _duhem,
     PrandtlIshlinskii: _prandtl_ishlinskii,
     Preisach: _preisach,

@@ -16,7 +16,8 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.preisach_system import LeftOut, Offsets, PreisachSystem, tied_to
 from hystfit.fitting.smooth import SMOOTHNESS, SmoothFit, fit_smooth
 from hystfit.metrics import Metrics
-from hystfit.models.compiled import compile_for, features, respond
+from hystfit.models.compiled import features
+from hystfit.models.free_run import free_run
 from hystfit.models.preisach import Preisach
 from hystfit.problem import Problem
 
@@ -52,7 +53,7 @@ class PreisachFit:
 
     def predict(self, u: np.ndarray) -> np.ndarray:
         """Output of the fitted model on an input, shape (T,)."""
-        return np.asarray(respond(self.model, compile_for(self.model, u)))
+        return free_run(self.model, u)
 
 
 def fit_preisach(
@@ -95,7 +96,7 @@ def _conclude(model: Preisach, records: list[Record], system: PreisachSystem, fi
     w, slopes, b, own = np.split(fit.weights, split)
     own = np.resize(own, len(records)) if own.size else np.zeros(len(records))
     models = [with_weights(model, w, slopes, b, offset) for offset in own]
-    fitted = [np.asarray(respond(m, compile_for(m, r.u))) for m, r in zip(models, records, strict=True)]
+    fitted = [free_run(m, r.u) for m, r in zip(models, records, strict=True)]
     train = Metrics.of([r.y[r.used] for r in records], [y[r.used] for y, r in zip(fitted, records, strict=True)])
     error = float(100 * fit.left_out.min()) if fit.left_out.size else None
     notes = reach_notes(model, system.reach)

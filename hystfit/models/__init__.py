@@ -12,6 +12,7 @@ from hystfit.models.compose import Series as Series
 from hystfit.models.compose import Sum as Sum
 from hystfit.models.creep import LinearCreep as LinearCreep
 from hystfit.models.creep import LogCreep as LogCreep
+from hystfit.models.density import ParametricPreisach as ParametricPreisach
 from hystfit.models.duhem import Duhem as Duhem
 from hystfit.models.dynamics import Delay as Delay
 from hystfit.models.dynamics import Lag as Lag

@@ -8,10 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.models.compiled import compile_for, respond
+from hystfit.models.compiled import compile_for, features, respond
 from hystfit.models.compose import Series, Sum
 from hystfit.models.density import ParametricPreisach
 from hystfit.models.preisach import Preisach
+
+_SMALL = (
+    4_000_000  # samples times weights up to which columns on the host beat compiling look-ups for yet another shape
+)
 
 
 def has_short_cut(model: AbstractHysteresis) -> bool:
@@ -42,4 +46,8 @@ def free_run(model: AbstractHysteresis, u: Any, dt: Any = None) -> np.ndarray:
         first, *others = model.parts
         return free_run(others[0] if len(others) == 1 else Series(*others), free_run(first, u), dt)
     cells = model.preisach() if isinstance(model, ParametricPreisach) else model
-    return np.asarray(respond(cells, compile_for(cells, np.asarray(u))))
+    u = np.asarray(u, dtype=float)
+    if u.size * cells.w.size > _SMALL:
+        return np.asarray(respond(cells, compile_for(cells, u)))
+    columns, index = features(cells, u)
+    return (columns @ np.concatenate([cells.w, cells.slopes, cells.b]) + float(cells.offset))[index]

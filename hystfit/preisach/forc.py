@@ -14,7 +14,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.fitting.preisach import PreisachFit, fit_preisach
 from hystfit.fitting.smooth import SMOOTHNESS
-from hystfit.models.compiled import compile_for, respond
+from hystfit.models.free_run import free_run
 from hystfit.models.levels import sharp_levels
 from hystfit.models.preisach import Elements, Preisach
 
@@ -128,7 +128,7 @@ def _quotient(rise: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 def predict_curves(model: Preisach, curves: Sequence[Record]) -> list[np.ndarray]:
     """Outputs of a fitted model on reversal curves, each from saturation to its first sample and on."""
-    return [np.asarray(respond(model, compile_for(model, r.u))) for r in curves]
+    return [free_run(model, r.u) for r in curves]
 
 
 @dataclasses.dataclass(frozen=True)

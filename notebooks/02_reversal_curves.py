@@ -1,0 +1,264 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # From reversal curves to a tracked trajectory
+#
+# A Preisach model says that a hysteretic device is a crowd of relays, each with its own pair of thresholds, and that the density of
+# the crowd over the plane of thresholds is all there is to know. First-order reversal curves measure that density. We measure
+# them on a device, find its density, draw the FORC diagram, ask whether the device is a Preisach device at all, invert the model,
+# and let the inverse drive the device along a trajectory, with and without feedback.
+#
+# The device is a *simulated* ferroelectric bender: voltage in, displacement out, 40 nm of sensor noise, a resonance at 16 Hz. Its
+# density is known, so that the answers can be checked; nothing below uses it before the comparison.
+
+# %%
+import itertools
+import os
+from pathlib import Path
+
+import equinox as eqx
+import matplotlib.pyplot as plt
+import numpy as np
+
+import hystfit as hf
+from hystfit.control import Controller, design, export_c, run_loop
+
+from hystfit.models.compiled import compile_for, respond
+from hystfit.models.free_run import free_run
+from hystfit.plot_preisach import plot_curves, plot_density, plot_forc_diagram
+from hystfit.preisach import check_preisach, fit_forc, forc_diagram
+from hystfit.preisach.properties import through
+
+hf.enable_x64()  # double precision, which every fit asks for
+QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer curves and cells
+folder = Path("out") / "reversal_curves"
+folder.mkdir(parents=True, exist_ok=True)
+
+# %%
+hidden = hf.ParametricPreisach(
+    saturation=30.0, coercivity=32.0, width=14.0, spread=16.0, shift=6.0, slope=0.12, offset=42.0,
+    levels=np.linspace(-100, 100, 31), initial="negative",
+)  # fmt: skip
+bender = hidden.preisach()  # one weight a cell
+NOISE = 0.04  # um
+
+
+def measure(u: np.ndarray, name: str, seed: int) -> hf.Record:
+    """What the sensor gives on a slow input that starts at negative saturation."""
+    y = free_run(bender, np.append(-100.0, u))[1:]
+    noise = NOISE * np.random.default_rng(seed).standard_normal(u.size)
+    return hf.Record(u=u, y=y + noise, name=name, u_name="voltage", y_name="displacement", u_unit="V", y_unit="um")
+
+
+# %% [markdown]
+# ## The curves
+# `forc_protocol` goes to positive saturation, down to a reversal voltage and back up, to a lower one each time. It tells which samples
+# belong to which curve; the ways down are not used.
+
+# %%
+u, curve = hf.signals.forc_protocol(curves=40 if QUICK else 80, points=100 if QUICK else 200, low=-100.0, high=100.0)
+whole = measure(u, "protocol", seed=1)
+family = [
+    hf.Record(
+        u=u[curve == k], y=whole.y[curve == k], name=f"{u[curve == k][0]:.0f} V",
+        u_name="voltage", y_name="displacement", u_unit="V", y_unit="um",
+    )
+    for k in range(1, curve.max() + 1) if np.count_nonzero(curve == k) > 3
+]  # fmt: skip
+print(len(family), "curves,", sum(len(r) for r in family), "samples")
+
+# %% [markdown]
+# ## The density
+# Every other curve is fitted, the rest is kept to see how well it is predicted. The plane is cut into cells, within each of which the density is
+# uniform: a point relay for each cell would let the output jump. The levels lie closer where the output is steep. Masses are not negative, and
+# smooth; how smooth is chosen on curves left out in turn.
+
+# %%
+fit = fit_forc(family[::2], 16 if QUICK else 32)
+held = family[1::2]
+error = np.concatenate([fit.predict(r.u) - r.y for r in held])
+span = np.ptp(np.concatenate([r.y for r in family]))
+print(f"fitted curves    {fit.train.nrmse_percent:.3f} % of the range")
+print(f"the other curves {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
+print(f"sensor noise     {100 * NOISE / span:.3f} %")
+for note in fit.notes:
+    print(" -", note)
+
+# %% [markdown]
+# The curves that were kept are predicted to about the noise of the sensor. Below, the density as it was found and as it is. Hatched cells were never
+# switched by the data: what stands there follows from smoothness alone.
+
+# %%
+figure, axes = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
+plot_curves(held, [fit.predict(r.u) for r in held], axes[0], every=2 if QUICK else 4)
+axes[0].set_title("curves not fitted: measured, predicted")
+plot_density(fit.model, axes[1], reach=fit.reach)
+axes[1].set_title("density found [um/V$^2$]")
+plot_density(bender, axes[2])
+axes[2].set_title("density of the device")
+plt.show()
+
+# %% [markdown]
+# ## The FORC diagram
+# The field draws the same thing without a model: the mixed second derivative of the curves by local second-degree polynomials, turned so that
+# coercivity runs to the right and interaction upward. The peak should lie at a coercivity of 32 V and an interaction of 6 V.
+#
+# A smoothing factor that is too small shows the noise, one that is too large rounds the peak; cells with a smoothness from data left out need no such choice.
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+for ax, factor in zip(axes, (1, 3), strict=True):
+    diagram = forc_diagram(family, smoothing=factor)
+    plot_forc_diagram(diagram, ax)
+    ax.set(xlim=(0, 90), ylim=(-70, 70), title=f"smoothing factor {factor}")
+at = np.unravel_index(np.nanargmax(diagram.density), diagram.density.shape)
+print(f"peak at a coercivity of {diagram.coercivity[at]:.0f} V and an interaction of {diagram.interaction[at]:.0f} V")
+plt.show()
+
+# %% [markdown]
+# ## Is it a Preisach device?
+# Two properties together make a Preisach model, and nothing else has both. *Wiping-out*: a larger extremum erases what smaller ones left behind,
+# so that a minor loop closes where it began. *Congruency*: minor loops between the same two voltages have the same shape, wherever they
+# hang. `check_preisach` (`hystfit check LOOP --preisach` at the shell) measures both on any record with nested loops, and how well a model describes
+# states that remember more and more reversals.
+#
+# Beside the bender stands a device that is none: a Bouc-Wen law, which remembers nothing but its present state.
+
+# %%
+voltages = (-100, 40, -20, 40, -20, 80, -20, 40, -20, 100, -60, 60, -30, 30, 0, 90, -100)
+nested = through(voltages, 80)
+other = hf.BoucWen(c=0.6, mu=0.5, tau=0.02, rho=0.5)
+records = [measure(nested, "bender", seed=2), hf.Record(u=nested, y=np.asarray(hf.simulate(other, nested)[0]), name="Bouc-Wen law")]
+for record in records:
+    print(record.name)
+    print(check_preisach(record, model=True).text())
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+for ax, record in zip(axes, records, strict=True):
+    ax.plot(record.u, record.y, lw=0.8)
+    ax.set(xlabel="voltage [V]", ylabel="displacement [um]", title=record.name)
+plt.show()
+
+# %% [markdown]
+# ## Fast enough to forget about
+# Which relays are up does not depend on their weights. An input is compiled once into the states that it visits; each run after
+# that is a few look-ups in a table of sums, with the same numbers as the sample-by-sample form, and so is its gradient.
+
+# %%
+compiled = compile_for(fit.model, nested)
+y = np.asarray(respond(fit.model, compiled))
+scan = np.asarray(hf.simulate(fit.model, nested)[0])
+print(f"{nested.size} samples, {compiled.parent.size} distinct states; the two forms differ by {np.abs(y - scan).max():.1e} um")
+
+# %% [markdown]
+# ## The inverse
+# Given a wanted displacement the inverse finds the voltage: the stack of extrema says in which interval, a quadratic where in it. Each sample comes with a status.
+# The wanted trajectory below has nested loops of its own. Where it asks for more than the bender can reach the inverse says so,
+# gives the nearest voltage, and is right again as soon as the trajectory comes back.
+
+# %%
+def trajectory(extrema: tuple[float, ...], rate: float, leg: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Half cosines from extremum to extremum, each of `leg` seconds."""
+    part = 0.5 * (1 - np.cos(np.pi * np.arange(1, round(leg * rate) + 1) / round(leg * rate)))
+    pieces = [a + (b - a) * part for a, b in itertools.pairwise(extrema)]
+    values = np.concatenate([extrema[:1], *pieces])
+    return np.arange(values.size) / rate, values
+
+
+EXTREMA = (0.0, 70.0, 20.0, 60.0, 35.0, 50.0, 5.0)  # um
+t, wanted = trajectory(EXTREMA, 500.0)
+found = hf.invert(fit.model, wanted, limits=(-100.0, 100.0))
+print({name: count for name, count in found.counts().items() if count})
+met = found.codes == 0  # at the very start the fitted model lies some nanometers above 0 um
+print(f"model driven by the inverse: largest error {np.abs(found.y - wanted)[met].max() / np.ptp(wanted):.1e} of the range")
+far = hf.invert(fit.model, trajectory((0.0, 70.0, 20.0, 95.0, 40.0, 60.0, 30.0), 500.0)[1], limits=(-100.0, 100.0))
+print("a trajectory to 95 um:", {name: count for name, count in far.counts().items() if count})
+for note in far.notes():
+    print(" -", note)
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+axes[0].plot(t, found.u)
+axes[0].set(xlabel="time [s]", ylabel="voltage [V]", title="what the inverse asks for")
+axes[1].plot(found.u, wanted, lw=0.8)
+axes[1].set(xlabel="voltage [V]", ylabel="wanted displacement [um]", title="nested loops on the way")
+plt.show()
+
+# %% [markdown]
+# ## Tracking
+# Now the real bender with its resonance, 8 % weaker than on the day when its curves were measured. The inverse alone (feed-forward) suffers from that
+# change, feedback alone from its finite gain; together they do better than either. PD with lag is designed from the resonance and a secant gain for
+# a damping ratio of 0.5 and a static error of 1/16, at 5000 samples a second; `design` says what phase margin that leaves.
+
+# %%
+RATE, WEAKER = 5000.0, 0.92
+plan = design(omega=100.0, zeta=0.02, gain=float(np.ptp(wanted) / np.ptp(found.u)), rate=RATE)
+print(f"damping {plan.damping:.2f}, static error {100 * plan.static_error:.1f} %;", "; ".join(plan.notes))
+weaker = eqx.tree_at(lambda m: (m.w, m.b, m.offset), bender, replace_fn=lambda value: WEAKER * value)
+plant = hf.Series(weaker, hf.SecondOrder(omega=100.0, zeta=0.02))
+time, reference = trajectory(EXTREMA, RATE)
+ahead = np.interp(time, t, found.u)
+controller = Controller.of(plan.controller, RATE)
+common = {"limits": (-100.0, 100.0), "noise": NOISE, "u0": -100.0}
+runs = {
+    "feed-forward": run_loop(plant, reference, RATE, feedforward=ahead, **common),
+    "feedback": run_loop(plant, reference, RATE, controller=controller, feedforward=np.full(time.size, -100.0), **common),
+    "both": run_loop(plant, reference, RATE, feedforward=ahead, controller=controller, **common),
+}
+print(f"{'':<14}{'largest error [um]':>20}{'rms [um]':>12}")
+for name, run in runs.items():
+    print(f"{name:<14}{run.max_error():>20.2f}{run.rms_error():>12.2f}")
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
+axes[0].plot(time, reference, "k", lw=2, label="wanted")
+for name, run in runs.items():
+    axes[0].plot(time, run.y, "--", lw=1, label=name)
+    axes[1].plot(time, run.error, lw=0.8, label=name)
+axes[0].set(xlabel="time [s]", ylabel="displacement [um]")
+axes[1].set(xlabel="time [s]", ylabel="error [um]")
+for ax in axes:
+    ax.legend()
+plt.show()
+
+# %% [markdown]
+# ## Onto the board
+# The model and its inverse as one C99 file with fixed memory and no library beyond `math.h`, one call a sample: what runs on the controller.
+
+# %%
+files = export_c(fit.model, folder, name="bender", limits=(-100.0, 100.0))
+print([file.name for file in files])
+print(files[0].read_text().split("#ifndef")[0])
+
+# %% [markdown]
+# ## A measured material
+# The same on 152 measured curves of iron-cobalt nanowires (pyforc), where the data are at hand: every fourth is fitted, the others are predicted.
+
+# %%
+try:
+    wires = list(hf.datasets.load("mag_forc_pyforc/FeCo", download=False))
+except hf.HystfitError:
+    wires = []
+    print("the measured curves are not at hand (hystfit datasets says how to get them)")
+if wires and not QUICK:
+    measured = fit_forc(wires[::4], 40)
+    others = [r for k, r in enumerate(wires) if k % 4]
+    pairs = [(measured.predict(r.u)[r.used], r.y[r.used]) for r in others]
+    error = np.concatenate([p - y for p, y in pairs])
+    span = np.ptp(np.concatenate([r.y[r.used] for r in wires]))
+    print(f"curves not fitted: {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    plot_density(measured.model, axes[0], reach=measured.reach)
+    plot_forc_diagram(forc_diagram([r.replace(u=r.u[r.used], y=r.y[r.used], weight=r.weight[r.used]) for r in wires]), axes[1])
+    plt.show()
