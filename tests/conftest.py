@@ -22,20 +22,6 @@ def as_users_run() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
-_AS_USERS = {"test_sampling", "test_profiles", "test_calibration"}
-
-
-@pytest.fixture(autouse=True)
-def unchecked(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Samplers and studies are tested as users call them, with lists and numpy numbers, which the type checks refuse."""
-    on = request.path.stem in _AS_USERS
-    if on:
-        jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    if on:
-        jaxtyping.config.update("jaxtyping_disable", False)
-
-
 @pytest.fixture(scope="session")
 def measured() -> Path:
     """Folder of the public measured sets, from HYSTFIT_DATA or beside the checkout."""
