@@ -17,7 +17,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.metrics import Metrics
 from hystfit.plot import fit as draw
 from hystfit.plot import grouped
-from hystfit.results import ADVICE, FitResult, ParameterEstimate
+from hystfit.results import FitResult, ParameterEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -210,7 +210,7 @@ def text_report(result: FitResult) -> str:
     title = headline(result)
     out = [title, "=" * len(title)]
     if not result.usable:
-        out.append(textwrap.fill(ADVICE[result.status], _WIDTH))
+        out.append(textwrap.fill(result.advice, _WIDTH))
     out += ["", "Error of the free run"]
     out += _columns(_metric_rows(result), right=range(1, 7))
     out += ["", "Parameters"]
@@ -296,7 +296,7 @@ def _page(result: FitResult, images: dict[str, bytes]) -> str:
     return environment.get_template("report.html").render(
         title=headline(result),
         usable=result.usable,
-        advice=ADVICE[result.status],
+        advice=result.advice,
         metrics=_metric_rows(result),
         table=lines(result),
         held=held(result),

@@ -20,6 +20,7 @@ from hystfit.models.free_run import free_run
 from hystfit.models.registry import model_name
 
 SCHEMA = "hystfit.fit/1"
+SEQUENTIAL = ("rls", "gradient-correction", "ukf")  # methods of `identify`, which see each sample once
 ADVICE = {
     "ok": "usable",
     "not-converged": "the solver did not converge: more starts, method='trf', or fix what the data do not determine",
@@ -107,6 +108,13 @@ class FitResult:
         return self.status == "ok"
 
     @property
+    def advice(self) -> str:
+        """What to do about the status, in one sentence."""
+        if self.status == "not-converged" and self.method in SEQUENTIAL:
+            return "the sequential method did not arrive: see the verdict, or fit by least squares (method='lm')"
+        return ADVICE[self.status]
+
+    @property
     def name(self) -> str:
         """The model's readable name."""
         return model_name(self.model)
@@ -162,7 +170,7 @@ class FitResult:
             "schema": SCHEMA,
             "model": self.name,
             "status": self.status,
-            "advice": ADVICE[self.status],
+            "advice": self.advice,
             "notes": list(self.notes),
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "free_names": list(self.free_names),

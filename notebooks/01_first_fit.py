@@ -45,7 +45,12 @@ folder.mkdir(parents=True, exist_ok=True)
 def write_as_a_logger(record: hf.Record, path: Path) -> None:
     """A record as text with semicolons, decimal commas, units, comments, an empty channel and two missing outputs."""
     number = lambda value, digits: f"{value:.{digits}f}".replace(".", ",")
-    rows = ["# Datenlogger DL-4, Kanal 1-3", "# Start: 12.03.2024 14:07:31", "Zeit;Weg;Spannung;Reserve", "[s];[µm];[V];[-]"]
+    rows = [
+        "# Datenlogger DL-4, Kanal 1-3",
+        "# Start: 12.03.2024 14:07:31",
+        "Zeit;Weg;Spannung;Reserve",
+        "[s];[µm];[V];[-]",
+    ]
     for k in range(len(record)):
         y = "NaN" if k in (700, 701) else number(record.y[k], 3)
         rows.append(f"{number(record.t[k], 3)};{y};{number(record.u[k], 5)};")

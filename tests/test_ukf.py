@@ -25,7 +25,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify import Phase, Sample, Ukf, identify, identify_in_stages, smooth
 from hystfit.identify.base import run_stream
-from hystfit.identify.consistency import amplitudes, nees, nis
+from hystfit.identify.consistency import amplitudes, nees, nis, verdict
 from hystfit.identify.unscented import Unscented, triangular
 from hystfit.stage import Actuator, Sensor
 
@@ -280,12 +280,17 @@ def test_one_amplitude_does_not_determine_the_parameters():
         return t, 40 + 60 * np.sin(2 * np.pi * t + np.arcsin(-2 / 3))
 
     record = measured(signal=sine)
-    result = Ukf.of(bouc_wen(1.2, 0.7, 1.5, 0.6), record, start="model").fit(record)
+    start = bouc_wen(1.2, 0.7, 1.5, 0.6)
+    result = Ukf.of(start, record, start="model").fit(record)
     assert result.status == "undetermined"
     assert not result.usable
     assert any("do not determine c, mu, tau, rho" in note for note in result.notes)
     assert result.free_run.nrmse_percent < 0.2
+    assert "The model predicts this loop" in result.notes[-1]
     assert amplitudes(result.data) == 1
+    stopped = verdict(ukf := Ukf.of(start, record, start="model"), result.data, result.state, np.tile(ukf.z0, (20, 1)))
+    assert stopped[0] == "undetermined"
+    assert "does not even predict this loop" in stopped[1][-1]
     from hystfit.data.record import Dataset
 
     assert amplitudes(Dataset.of(measured())) > 5

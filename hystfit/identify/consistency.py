@@ -88,7 +88,7 @@ def verdict(ukf: Ukf, data: Dataset, state: UkfState, history: np.ndarray) -> tu
     if excess is None:
         return "diverged", [*notes, "the free run of the identified model is not finite"]
     notes.append(f"free run of the final parameters: {100 * excess:.2g} % of range RMS beyond the noise")
-    loops = _determined(ukf, data)
+    loops = _determined(ukf, data, follows=excess <= FOLLOWS)
     if loops is not None:
         return "undetermined", [*notes, loops]
     return ("ok" if excess <= FOLLOWS else "not-converged"), notes
@@ -113,7 +113,7 @@ def _drift(ukf: Ukf, history: np.ndarray) -> str:
     )
 
 
-def _determined(ukf: Ukf, data: Dataset) -> str | None:
+def _determined(ukf: Ukf, data: Dataset, *, follows: bool) -> str | None:
     shape = [
         name
         for name, rests in zip(ukf.names, np.asarray(ukf.resting)[ukf.states :], strict=True)
@@ -124,5 +124,6 @@ def _determined(ukf: Ukf, data: Dataset) -> str | None:
         return None
     return (
         f"the data do not determine {', '.join(shape)}: the input describes {count or 'no'} loop(s) of one amplitude, on which they "
-        "trade against each other. The model predicts this loop; for others excite several amplitudes (signal amplitude-sweep)"
+        f"trade against each other. The model {'predicts' if follows else 'does not even predict'} this loop; "
+        "for others excite several amplitudes (signal amplitude-sweep)"
     )
