@@ -116,6 +116,20 @@ def test_bad_numbers_are_refused_in_words():
         population(piezo(), 3, spread={"alpha": 0.1}, seed=0)
     with pytest.raises(ParameterError, match="beyond the bounds"):
         population(BoucWen(mu=0.9), 500, spread={"mu": 0.5}, seed=0)
+    for count, spread in ((0, {"c": 0.1}), (3, {"c": -0.1}), (3, {"c": float("nan")})):
+        with pytest.raises(ParameterError, match="at least one device"):
+            population(piezo(), count, spread=spread, seed=0)
+    with pytest.raises(ParameterError, match="outside its bounds"):
+        piezo(mu=2.0)
+    with pytest.raises(ParameterError, match="tau must be positive"):
+        piezo(tau=0.0)
+    with pytest.raises(ParameterError, match="amplification and arm"):
+        Stage.of(kinematics=Kinematics(arm=0.0))
+    with pytest.raises(ParameterError, match="outside its bounds"):
+        Stage.of(modes={"x": (-630.0, 0.02), "y": (630.0, 0.02), "theta": (900.0, 0.02)})
+    for dt in (-1.0, np.ones(4), float("nan")):
+        with pytest.raises(DataError, match="dt must be a number or of shape"):
+            Stage.of().simulate(np.zeros((5, 3)), dt)
 
 
 def test_a_population_scatters_as_asked_and_runs_as_one():
@@ -271,3 +285,6 @@ def test_a_filter_beside_the_inverse_corrects_the_model():
     assert float(run.model.parts[0].c) == pytest.approx(float(plant.parts[0].c), rel=0.01)
     with pytest.raises(DataError, match="T >= block"):
         track_adaptively(ukf, plant, reference[:10], dt, **settings)
+    for wrong_dt, finer in ((0.0, 10), (dt, 0)):
+        with pytest.raises(DataError, match="dt and finer must be positive"):
+            track_adaptively(ukf, plant, reference, wrong_dt, finer=finer, **settings)

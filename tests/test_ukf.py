@@ -376,6 +376,19 @@ def test_missing_measurements_are_skipped_and_counted():
     assert np.max(np.abs(relative_errors(result.history[-1]))) < 0.03
 
 
+def test_an_input_that_is_not_told_holds_the_last_and_the_filter_lives_on():
+    record = measured(signal=lambda: modulated(2.0, 200.0))
+    ukf = Ukf.of(bouc_wen(1.1, 0.9), record, start="model", noise=0.005)
+    stream = Sample.stream([record])
+    broken = stream._replace(u=stream.u.at[100].set(jnp.nan))
+    state, info = run_stream(ukf, ukf.init(), broken)
+    assert np.isfinite(np.asarray(info.theta)).all()
+    assert np.flatnonzero(~np.asarray(info.used)).tolist() == [100]
+    assert np.asarray(state.tally)[1:4:2].tolist() == [len(record) - 1, 0]
+    held = stream._replace(u=stream.u.at[100].set(stream.u[99]), y=stream.y.at[100].set(jnp.nan))
+    np.testing.assert_allclose(info.theta, run_stream(ukf, ukf.init(), held)[1].theta, rtol=1e-12)
+
+
 def test_irregular_time_is_integrated_as_it_is():
     rng = np.random.default_rng(2)
     t = np.cumsum(rng.uniform(0.002, 0.02, 1500))
@@ -451,6 +464,9 @@ def test_bad_settings_are_refused_in_words():
         "caution must be finite": {"caution": -1.0},
         "state_prior must be one number or 1": {"state_prior": np.ones(3)},
         r"alpha\^2": {"kappa": -6.0},
+        "beta must be finite": {"beta": np.nan},
+        r"array of shape \(5,\)": {"prior": np.ones(5)},
+        "outside its bounds": {"fix": {"mu": 3.0}},
     }
     for message, settings in cases.items():
         with pytest.raises(ParameterError, match=message):

@@ -28,8 +28,10 @@ def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> 
         ParameterError: a noise that is not positive.
     """
     if noise is not None:
-        if not (noise > 0 and np.isfinite(noise)):
-            raise ParameterError(f"noise must be a positive standard deviation in units of the output, got {noise:g}")
+        if np.ndim(noise) or not (noise > 0 and np.isfinite(noise)):
+            raise ParameterError(
+                f"noise must be a positive standard deviation (one number) in units of the output, got {noise}"
+            )
         return float(noise)
     found = [rms for rms, _ in (noise_rms(record.y) for record in data) if rms is not None]
     return max([_QUIETEST * half_range, *found])
@@ -85,6 +87,11 @@ def parameter_root(
             deviations[rows] = value
     elif isinstance(prior, np.ndarray) and prior.ndim == 2:
         return _root_of(prior, len(space))
+    elif np.ndim(prior):
+        raise ParameterError(
+            f"prior must be one deviation, deviations by name, or a covariance of shape ({len(space)}, {len(space)}); "
+            f"got an array of shape {np.shape(prior)}"
+        )
     elif prior is not None:
         deviations = np.full(len(space), float(prior))
     if not (np.isfinite(deviations).all() and (deviations > 0).all()):

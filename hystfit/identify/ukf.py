@@ -201,7 +201,12 @@ class Ukf(AbstractIdentifier):
         return UkfState(mean, self.scheme.root(points - mean, nothing), u, tally)
 
     def update(self, state: UkfState, sample: Sample) -> tuple[UkfState, Info]:
-        """One sample: predict, correct, factorize. The innovation is `error`; error^2 / variance is the NIS."""
+        """One sample: predict, correct, factorize. The innovation is `error`; error^2 / variance is the NIS.
+
+        An input that is not finite holds the last one, and the sample counts as missing.
+        """
+        told_input = jnp.isfinite(sample.u)
+        sample = sample._replace(u=jnp.where(told_input, sample.u, state.u))
         state = jax.lax.cond(sample.first, lambda s, u: self.restart(s, u), lambda s, u: s, state, sample.u)
         points, outputs = self.propagate(state, sample.u, sample.dt)
         mean, predicted = self.scheme.mean(points), self.scheme.mean(outputs)
@@ -209,7 +214,7 @@ class Ukf(AbstractIdentifier):
         noise = self.noise * (1.0 + self.caution * jnp.exp(-state.tally[1] / jnp.maximum(self.settling, 1e-3)))
         variance = self.scheme.covariance(beside, beside) + noise**2
         held = self.resting & (jnp.abs(sample.u - state.u) <= self.still) & ~sample.first
-        measured = jnp.isfinite(sample.y)
+        measured = jnp.isfinite(sample.y) & told_input
         sound = jnp.isfinite(variance) & jnp.all(jnp.isfinite(mean))
         used = measured & sound
         gain = jnp.where(held | ~used, 0.0, self.scheme.covariance(off, beside) / variance)

@@ -41,7 +41,7 @@ class Unscented:
     cannot lose positive definiteness.
 
     Raises:
-        ParameterError: n + lambda = alpha^2 (n + kappa) is not positive.
+        ParameterError: n + lambda = alpha^2 (n + kappa) is not positive, or beta is not finite.
     """
 
     n: int
@@ -50,6 +50,8 @@ class Unscented:
     kappa: float = 0.0
 
     def __post_init__(self) -> None:
+        if not math.isfinite(self.beta):
+            raise ParameterError(f"beta must be finite, got {self.beta}")
         if not self.spread > 0:
             raise ParameterError(
                 f"alpha {self.alpha:g} and kappa {self.kappa:g} give no sigma points in {self.n} coordinates: "

@@ -40,6 +40,9 @@ def piezo(
         gamma: creep per decade of time; several numbers make it a polynomial in displacement / span.
         span: displacement that the polynomial is in parts of [um].
         longest: time after a step up to which the creep is logarithmic [s]; 1000 s if None.
+
+    Raises:
+        ParameterError: a number beyond its bounds.
     """
     coefficients = gamma if isinstance(gamma, tuple) else (gamma,)
     creep = (
@@ -47,7 +50,11 @@ def piezo(
         if longest is None
         else LogCreep.spanning(0.1, longest, gamma=coefficients, span=span)
     )
-    return Series(BoucWen(c=c, mu=mu, tau=tau, rho=delta / tau, scheme="exact"), creep)
+    if not tau > 0:
+        raise ParameterError(f"tau must be positive, got {tau}")
+    made = Series(BoucWen(c=c, mu=mu, tau=tau, rho=delta / tau, scheme="exact"), creep)
+    ParameterSpace.of(made)  # refuses what is beyond the bounds
+    return made
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,8 +161,12 @@ def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int
         seed: of the scatter.
 
     Raises:
-        ParameterError: an unknown name, or a scatter beyond the bounds of a parameter.
+        ParameterError: no device, an unknown name, a negative scatter, or one beyond the bounds of a parameter.
     """
+    if count < 1 or any(not 0 <= size < np.inf for size in spread.values()):
+        raise ParameterError(
+            f"a population needs at least one device and a scatter that is not negative; got {count} and {dict(spread)}"
+        )
     space = ParameterSpace.of(model, free=list(spread))
     sizes = np.zeros(len(space))
     for name, size in spread.items():

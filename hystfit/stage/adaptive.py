@@ -66,11 +66,13 @@ def track_adaptively(
         finer: integration steps of the plant a sample.
 
     Raises:
-        DataError: a reference of the wrong shape, fewer samples than one block.
+        DataError: a reference of the wrong shape, fewer samples than one block, a sampling time or a refinement that is not positive.
     """
     reference = np.asarray(reference, dtype=float)
     if reference.ndim != 1 or not 1 <= block <= reference.size:
         raise DataError(f"the reference must have shape (T,) with T >= block = {block}, got {reference.shape}")
+    if not 0 < dt < np.inf or finer < 1:
+        raise DataError(f"dt and finer must be positive, got {dt} and {finer}")
     rng, state, zero = np.random.default_rng(seed), ukf.init(), jnp.zeros(())
     truth = Resume(plant.init(zero), zero)
     name = Record(u=np.zeros(2), y=np.zeros(2), t=np.array([0.0, dt]))

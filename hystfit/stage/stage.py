@@ -62,7 +62,7 @@ class Stage(eqx.Module):
             amplifier: of each actuator.
 
         Raises:
-            ParameterError: not one or three actuators, or not all axes.
+            ParameterError: not one or three actuators, not all axes, or a number beyond its bounds.
         """
         given = [actuators or piezo()] * 3 if not isinstance(actuators, Sequence) else list(actuators)
         if len(given) != 3:
@@ -71,8 +71,15 @@ class Stage(eqx.Module):
         if set(modes) != set(AXES):
             raise ParameterError(f"modes must name the axes {', '.join(AXES)}, got {', '.join(modes)}")
         second = [SecondOrder(omega=2 * np.pi * f, zeta=zeta) for f, zeta in (modes[axis] for axis in AXES)]
+        kinematics = kinematics or Kinematics()
+        if not (float(kinematics.amplification) > 0 and float(kinematics.arm) > 0):
+            raise ParameterError(
+                f"amplification and arm must be positive, got {kinematics.amplification} and {kinematics.arm}"
+            )
+        for part in (*given, *second, kinematics):
+            ParameterSpace.of(part)  # refuses what is beyond the bounds
         limits = (jnp.asarray(float(v)) for v in (amplifier.low, amplifier.high))
-        return cls(_stack(given), kinematics or Kinematics(), _stack(second), *limits)
+        return cls(_stack(given), kinematics, _stack(second), *limits)
 
     def init(self, u0: Float[Array, " 3"]) -> Float[Array, " state"]:
         """At rest on voltages, with no history. State: actuators, modes, static pose before."""
@@ -112,7 +119,10 @@ class Stage(eqx.Module):
         u = np.asarray(u, dtype=float)
         if u.ndim != 2 or u.shape[1] != 3 or not np.isfinite(u).all() or finer < 1:
             raise DataError(f"voltages must be finite and of shape (T, 3), finer at least 1; got {u.shape} and {finer}")
-        steps = np.broadcast_to(np.asarray(dt, dtype=float), (len(u),)).copy()
+        given = np.asarray(dt, dtype=float)
+        if given.shape not in ((), (len(u),)) or not (np.isfinite(given).all() and (given >= 0).all()):
+            raise DataError(f"dt must be a number or of shape ({len(u)},), finite and not negative; got {given}")
+        steps = np.broadcast_to(given, (len(u),)).copy()
         steps[0] = 0.0
         fine, times = refine(u, steps, finer)
         return np.asarray(_run(self, jnp.asarray(fine), jnp.asarray(times)))[::finer]
