@@ -245,6 +245,18 @@ class TestEverettTable:
         _, still = positive.admissible("positive")
         assert still.largest < 1e-6
 
+    def test_faults_name_what_no_preisach_model_has(self):
+        assert self.table().faults() == ()
+        X = np.array([[0, 0, 0], [1.0, 0, 0], [0.5, 0.2, 0]])
+        falls, negative = EverettTable(np.arange(3.0), X).faults()
+        assert "not monotone at 1 of 6 steps (by up to 0.5" in falls
+        assert "1 of 3 cells have negative mass" in negative
+        assert EverettTable(np.arange(3.0), X).admissible("monotone")[0].faults()[1:] == ()
+        with pytest.raises(DataError, match="1 of its values are not"):
+            EverettTable(np.arange(3.0), np.where(X == 0.2, np.nan, X))
+        with pytest.raises(DataError, match="3 levels has shape"):
+            EverettTable(np.arange(3.0), X[:2, :2])
+
     def test_unreached_levels_are_refused(self):
         u = np.concatenate([np.linspace(0, 90, 50), np.linspace(90, 0, 50)])
         with pytest.raises(DataError, match="never reached"):

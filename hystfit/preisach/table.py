@@ -54,8 +54,10 @@ class EverettTable:
         X = np.tril(np.asarray(self.X, dtype=float), -1)
         if levels.ndim != 1 or levels.size < 2 or not (np.diff(levels) > 0).all():
             raise DataError("levels of an Everett table must rise strictly, and be at least two")
-        if X.shape != (levels.size, levels.size) or not np.isfinite(X).all():
-            raise DataError(f"the table must be finite and have shape {(levels.size, levels.size)}, got {X.shape}")
+        if X.shape != (levels.size, levels.size):
+            raise DataError(f"a table on {levels.size} levels has shape {(levels.size, levels.size)}, got {X.shape}")
+        if not np.isfinite(X).all():
+            raise DataError(f"the table must be finite; {np.count_nonzero(~np.isfinite(X))} of its values are not")
         object.__setattr__(self, "levels", levels)
         object.__setattr__(self, "X", X)
 
@@ -101,6 +103,25 @@ class EverettTable:
         n = self.levels.size - 1
         second = self.X[1:, :-1] - self.X[:-1, :-1] - self.X[1:, 1:] + self.X[:-1, 1:]
         return 0.5 * second[cells(n)]
+
+    def faults(self) -> tuple[str, ...]:
+        """What keeps the table from being one of a Preisach model, one sentence each; none where it is."""
+        i, j = cells(self.levels.size - 1)
+        size = float(np.abs(self.X).max()) or 1.0
+        # Down a column X rises with alpha, along a row it falls with beta, from 0 on the diagonal.
+        turned = np.concatenate([-(self.X[i + 1, j] - self.X[i, j]), self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
+        masses, found = self.masses() / size, []
+        if (turned > 1e-9).any():
+            found.append(
+                f"the table is not monotone at {np.sum(turned > 1e-9)} of {turned.size} steps (by up to {turned.max():.2g} of the "
+                "largest value): its inverse would jump; admissible('monotone') gives the nearest that is"
+            )
+        if (masses < -1e-9).any():
+            found.append(
+                f"{np.count_nonzero(masses < -1e-9)} of {masses.size} cells have negative mass; admissible('positive') gives the nearest "
+                "table without"
+            )
+        return tuple(found)
 
     def __call__(self, alpha: np.ndarray | float, beta: np.ndarray | float) -> np.ndarray:
         """X by eqs. (4) and (5): bilinear in a rectangle, linear in a triangle on the diagonal; arguments clamped to the grid."""
