@@ -18,6 +18,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis, run
 from hystfit.models.free_run import free_run, has_short_cut
+from hystfit.models.preisach import Preisach
 from hystfit.models.starting import input_range, output_range
 from hystfit.params import Coordinates, ParameterSpace
 from hystfit.units import Scales
@@ -124,7 +125,8 @@ class Problem:
         names = [record.name for record in self.data]
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=names)
         batch = Batch.of(self.data)
-        if batch.count < len(self.space):
+        # The weights of a Preisach model are many and smooth: their number says little about what data determine.
+        if batch.count < len(self.space) and not isinstance(model, Preisach):
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="
             )

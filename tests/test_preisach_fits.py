@@ -104,6 +104,13 @@ class TestWeights:
         assert result.train.nrmse_percent < 0.3
         assert np.asarray(result.model.w).std() > 0.1
 
+    def test_fewer_samples_than_weights_are_fitted(self):
+        u = np.sin(np.linspace(0, 12, 60)) * np.linspace(1, 0.3, 60)
+        result = hf.fit(Preisach.of(12), Record(u, output(truth(), u)))
+        assert len(result.free_names) > 60
+        assert result.train.nrmse_percent is not None
+        assert result.train.nrmse_percent < 3
+
     def test_left_out_records_need_one_inside_the_others(self):
         u = np.linspace(0, 1, 50)
         with pytest.raises(ModelError, match="inside the range"):
