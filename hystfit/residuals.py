@@ -35,6 +35,15 @@ class Diagnosis:
     recommended: str
     reasons: tuple[str, ...]
 
+    def objections(self, noise: str) -> list[str]:
+        """Reasons against a noise model by name; "auto" is least squares whose errors are widened by the correlation time."""
+        if noise == "iid":
+            return [reason for reason in self.reasons if self.recommended != "iid"]
+        if noise == "student-t":
+            return [reason for reason in self.reasons if self.correlation_time > 1.0]
+        told = {"auto": ("repeats", "tails"), "ou": ("repeats",), "ar1": ("repeats",)}.get(noise, ())
+        return [reason for reason in self.reasons if any(word in reason for word in told)]
+
 
 def diagnose(batch: Batch, residuals: np.ndarray) -> Diagnosis:
     """Diagnose residuals of shape (R, T); samples of weight zero do not count."""

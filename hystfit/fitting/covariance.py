@@ -18,7 +18,9 @@ from hystfit.params import BOTH, REAL
 from hystfit.problem import Objective, Problem
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
+_REACH = 1.96  # standard errors within which a bound makes an error bar, which is symmetric, meaningless
 _RANK = 1e-7  # or when its singular value is below this part of the largest: rounding decides then, not data
+_TOUCHED = 0.05  # component in an undetermined direction from which a parameter has no error bar
 _PART = 0.25  # components of a direction that its description names
 
 
@@ -113,9 +115,12 @@ def uncertainty(
         directions = [describe(vectors[:, k], names) for k in np.flatnonzero(open_)]
         kept = values > floor
         inner = (vectors[:, kept] / values[kept] ** 2) @ vectors[:, kept].T * variance
-        touched = (np.abs(vectors[:, open_]) > 0.1).any(axis=1)
+        touched = (np.abs(vectors[:, open_]) > _TOUCHED).any(axis=1)
         scale = relative[live]
         full = inner * scale[:, None] * scale[None, :]
+        reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
+        directions += [f"{names[k]} alone, whose 95 % interval reaches its bound" for k in np.flatnonzero(reaching)]
+        touched |= reaching
         full[touched] = np.nan
         full[:, touched] = np.nan
         at = np.flatnonzero(live)
@@ -156,6 +161,13 @@ def _relative_size(problem: Problem, x: np.ndarray) -> np.ndarray:
     # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
     one = np.where(weight, np.maximum(one, scale), one)
     return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))
+
+
+def _room(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Distance of each parameter to its nearest bound; infinite without one, and for linear weights, which may well be zero."""
+    c = problem.space.coordinates
+    room = np.minimum(x - np.asarray(c.lower), np.asarray(c.upper) - x)
+    return np.where([info.linear for info in problem.space.infos], np.inf, room)
 
 
 def near_bound(problem: Problem, x: np.ndarray, tolerance: float = 1e-4) -> list[str | None]:

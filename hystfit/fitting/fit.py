@@ -16,10 +16,10 @@ from hystfit.fitting.bounded import BoundedDescent
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge
 from hystfit.fitting.covariance import Uncertainty, near_bound, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.generalized import refine
 from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.preisach import PreisachWeights
+from hystfit.fitting.released import refine_released
 from hystfit.fitting.timing import Stopwatch
 from hystfit.fitting.trust_region import TrustRegion
 from hystfit.fitting.verdict import notes_of, status_of
@@ -108,7 +108,7 @@ def fit(
         chosen = [*chosen, described["words"]]
     else:
         errors, described = uncertainty(problem, estimate, honest=noise == "auto"), {"name": noise}
-        chosen = [*chosen, *_warnings(problem, estimate, noise)]
+    chosen = [*chosen, *_warnings(problem, estimate, noise)]
     result = conclude(problem, estimate, errors, name, seed, watch, extra=chosen, test=test)
     result.provenance["noise"] = described
     return result
@@ -118,8 +118,7 @@ def _with_noise(problem: Problem, estimate: Estimate, noise: str) -> tuple[Estim
     """The estimate refined by a noise model, its errors, and the noise in numbers."""
     if problem.objective.loss != "linear":
         raise ParameterError(f"noise={noise!r} has a likelihood of its own: leave loss at 'linear'")
-    moving = np.array([side is None for side in near_bound(problem, estimate.x)])
-    refined = refine(problem, estimate, noise, moving)
+    refined = refine_released(problem, estimate, noise)
     squares = sum(
         np.sum((r.y - y)[r.used] ** 2) for r, y in zip(problem.data, problem.predict_at(refined.x), strict=True)
     )
@@ -133,15 +132,13 @@ def _with_noise(problem: Problem, estimate: Estimate, noise: str) -> tuple[Estim
 
 
 def _warnings(problem: Problem, estimate: Estimate, noise: str) -> list[str]:
-    """What speaks against errors for independent, or merely correlated, noise."""
+    """What the residuals say against errors of this kind."""
     batch = problem.objective.batch
     raw = np.zeros(batch.u.shape)
     for row, record, y in zip(raw, problem.data, problem.predict_at(estimate.x), strict=True):
         row[: len(record)] = np.where(record.used & np.isfinite(y), y - record.y, 0.0)
-    found = diagnose(batch, raw)
-    if noise == "iid":
-        return [f"noise='iid' was asked for, but {reason}" for reason in found.reasons if found.recommended != "iid"]
-    return [reason for reason in found.reasons if "repeats" in reason or "tails" in reason]
+    reasons = diagnose(batch, raw).objections(noise)
+    return reasons if noise == "auto" else [f"noise={noise!r} was asked for, but {reason}" for reason in reasons]
 
 
 def _check_settings(method: str, starts: int, loss: str, noise: str, start: str) -> None:

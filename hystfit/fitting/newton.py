@@ -12,7 +12,10 @@ from jaxtyping import Array, Float
 _FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 _LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
-_DIFFERENCE = 1e-4  # in z
+_DIFFERENCE = 1e-4  # in z, before any curvature is known
+_FARTHEST = 0.2  # in z
+_PART = 0.5  # of a standard deviation: differences of gradients that far apart do not mistake for curvature the kinks that a
+# likelihood has where a sample changes branch
 
 
 class Optimum(NamedTuple):
@@ -22,7 +25,8 @@ class Optimum(NamedTuple):
         z: coordinates, shape (d,).
         value: of the function.
         hessian: second derivatives there, shape (d, d).
-        converged: the predicted gain of a further step is negligible.
+        converged: the predicted gain of a further step is negligible, by the gradient there or by its average about it: on a
+            maximum that is a kink the former does not vanish.
     """
 
     z: Float[Array, " d"]
@@ -42,11 +46,28 @@ def forward(function: Callable[[Array], Array]) -> Callable[[Array], tuple[Array
     return both
 
 
-def curvature(slope: Callable[[Array], tuple[Array, Array]], z: Float[Array, " d"]) -> Float[Array, "d d"]:
-    """Hessian by central differences of the gradient: second derivatives through a scan cost far more on a CPU."""
-    steps = _DIFFERENCE * jnp.eye(z.shape[0])
-    rows = jax.lax.map(lambda e: (slope(z + e)[1] - slope(z - e)[1]) / (2 * _DIFFERENCE), steps)
-    return 0.5 * (rows + rows.T)
+def second_order(
+    slope: Callable[[Array], tuple[Array, Array]],
+    z: Float[Array, " d"],
+    axes: Float[Array, "d d"],
+    width: Float[Array, " d"],
+) -> tuple[Float[Array, ""], Float[Array, "2 d"], Float[Array, "d d"]]:
+    """Value; gradient, at z and averaged over the points about it; and the Hessian by central differences of the gradient.
+
+    Second derivatives through a scan cost far more on a CPU. One loop over all points, so that the function is compiled once.
+
+    Args:
+        slope: value and gradient of z.
+        z: where.
+        axes: orthonormal directions, as columns, along which differences are taken.
+        width: how far to either side along each; near the principal axes and a standard deviation every entry keeps its digits.
+    """
+    d = z.shape[0]
+    steps = (axes * width).T
+    values, gradients = jax.lax.map(slope, z + jnp.concatenate([jnp.zeros((1, d)), steps, -steps]))
+    along = 0.5 * (gradients[1 : d + 1] - gradients[d + 1 :]) @ axes * width
+    back = axes / width
+    return values[0], jnp.stack([gradients[0], gradients[1:].mean(axis=0)]), back @ (0.5 * (along + along.T)) @ back.T
 
 
 def maximize(
@@ -65,7 +86,9 @@ def maximize(
     """
     slope = slope or forward(function)
 
-    def try_step(z: Array, value: Array, step: Array) -> tuple[Array, Array]:
+    def search(z: Array, value: Array, step: Array) -> Array:
+        """The longest of step, step / 2, ... that climbs; zero where none does."""
+
         def worse(carry: tuple[Array, Array, Array]) -> Array:
             _, new, k = carry
             return ~(new > value) & (k < _HALVINGS)
@@ -74,30 +97,32 @@ def maximize(
             t, _, k = carry
             return 0.5 * t, function(z + 0.5 * t * step), k + 1
 
-        t, new, _ = jax.lax.while_loop(worse, halve, (jnp.ones(()), function(z + step), jnp.asarray(0)))
-        better = new > value
-        return jnp.where(better, z + t * step, z), jnp.where(better, new, value)
+        start = (jnp.asarray(2.0), jnp.asarray(-jnp.inf), jnp.asarray(0))
+        t, new, _ = jax.lax.while_loop(worse, halve, start)
+        return jnp.where(new > value, t, 0.0) * step
 
-    def go_on(carry: tuple[Array, ...]) -> Array:
-        return ~carry[2] & (carry[3] < steps)
+    def go_on(carry: tuple[Any, ...]) -> Array:
+        return ~carry[5] & (carry[6] < steps)
 
-    def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        z, _, _, k, _ = carry
-        (value, gradient), hessian = slope(z), curvature(slope, z)
+    def once(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        z = carry[0] + carry[1]
+        value, gradients, hessian = second_order(slope, z, *carry[4])
         size, axes = jnp.linalg.eigh(jnp.where(jnp.isfinite(hessian), hessian, 0.0))
         size = jnp.maximum(jnp.abs(size), 1e-8 * jnp.max(jnp.abs(size)) + 1e-12)
-        along = axes.T @ jnp.where(jnp.isfinite(gradient), gradient, 0.0)
-        step = axes @ (along / size)
+        along = jnp.where(jnp.isfinite(gradients), gradients, 0.0) @ axes
+        step = axes @ (along[0] / size)
         step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
-        gain = jnp.sum(along**2 / size)
-        moved, new = try_step(z, value, step)
-        small = gain < 1e-7
-        return moved, new, small | (new <= value), k + 1, small | (gain < 1e-2)
+        gain = jnp.sum(along**2 / size, axis=1)
+        small = (gain[0] < 1e-7) & (carry[6] > 0)
+        step = jax.lax.cond(small, lambda: jnp.zeros_like(z), lambda: search(z, value, step))
+        frame = (axes, jnp.clip(_PART / jnp.sqrt(size), 1e-7, _FARTHEST))
+        return z, step, value, hessian, frame, small | ~jnp.any(step != 0), carry[6] + 1, jnp.min(gain) < 1e-2
 
-    no = jnp.zeros((), bool)
-    z, value, _, _, converged = jax.lax.while_loop(go_on, once, (z, function(z), no, jnp.asarray(0), no))
-    hessian = curvature(slope, z)
-    return Optimum(z, value, hessian, converged & jnp.isfinite(value) & jnp.all(jnp.isfinite(hessian)))
+    d, no = z.shape[0], jnp.zeros((), bool)
+    frame = (jnp.eye(d), jnp.full(d, _DIFFERENCE))
+    start = (z, jnp.zeros(d), jnp.asarray(-jnp.inf), jnp.zeros((d, d)), frame, no, jnp.asarray(0), no)
+    z, _, value, hessian, _, _, _, near = jax.lax.while_loop(go_on, once, start)
+    return Optimum(z, value, hessian, near & jnp.isfinite(value) & jnp.all(jnp.isfinite(hessian)))
 
 
 def descend(

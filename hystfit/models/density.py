@@ -33,6 +33,7 @@ class ParametricPreisach(AbstractHysteresis):
         y = offset + saturation (sum of masses g) / (sum of masses) + slope (u - center)
 
     The density is taken at the middle of each cell. `preisach()` gives the model with weights, and with it the compiled form.
+    `depth` is the number of extrema that the sample-by-sample form remembers; its cost is in proportion.
 
     Raises:
         ModelError: an unknown density, or fewer than two levels.
@@ -55,6 +56,7 @@ class ParametricPreisach(AbstractHysteresis):
     center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
     density: Density = eqx.field(static=True, default="gaussian")
     initial: Literal["demagnetized", "negative", "positive"] = eqx.field(static=True, default="demagnetized")
+    depth: int = eqx.field(static=True, default=64)
 
     def __check_init__(self) -> None:
         if self.density not in get_args(Density):
@@ -89,6 +91,7 @@ class ParametricPreisach(AbstractHysteresis):
             center=self.center,
             half=1.0,
             initial=self.initial,
+            depth=self.depth,
         )
 
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:

@@ -61,11 +61,10 @@ class Ensemble:
             raise ParameterError(
                 f"emcee is for up to {MOST} parameters, and the model has {d - len(setup.noise_space)}: use sampler='nuts'"
             )
-        density = lambda q: np.asarray(_many(target, jnp.asarray(q)))
-        moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
-        sampler = emcee.EnsembleSampler(self.walkers, d, density, vectorize=True, moves=moves)
+        density = lambda q: np.asarray(many(target, jnp.asarray(q)))
+        sampler = emcee.EnsembleSampler(self.walkers, d, density, vectorize=True, moves=moves())
         file = None if folder is None else folder / "emcee.h5"
-        chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, d, seed)
+        chain, logs, accepted, state = _resume(file, self.walkers, d) or _new(target, self.walkers, d, seed)
         tau, settled = np.inf, False
         while len(chain) < self.draws and not settled:
             count = min(self.check, self.draws - len(chain))
@@ -99,26 +98,36 @@ class Ensemble:
 
 
 @eqx.filter_jit
-def _many(target: Target, q: Array) -> Array:
+def many(target: Target, q: Array) -> Array:
+    """Log posterior at whitened q of shape (walkers, d), for every walker at once."""
     return jax.vmap(lambda row: target.log_density(target.unwhitened(row), lean=True))(q)
 
 
-def _begin(target: Target, walkers: int, d: int, seed: int) -> tuple[Any, ...]:
-    """Walkers about the mode, each where the density is finite."""
+def moves() -> list[tuple[Any, float]]:
+    """Differential evolution, with a jump to another mode now and then."""
+    import emcee
+
+    return [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+
+
+def _new(target: Target, walkers: int, d: int, seed: int) -> tuple[Any, ...]:
+    return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), begin(target, walkers, d, seed)
+
+
+def begin(target: Target, walkers: int, d: int, seed: int) -> Any:
+    """State of emcee with walkers about the mode, each where the density is finite."""
     import emcee
 
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(walkers, d))
-    logs = np.asarray(_many(target, jnp.asarray(q)))
+    logs = np.asarray(many(target, jnp.asarray(q)))
     for _ in range(60):
         bad = ~np.isfinite(logs)
         if not bad.any():
             break
         q[bad] *= 0.7
-        logs = np.asarray(_many(target, jnp.asarray(q)))
-    legacy = np.random.RandomState(seed).get_state()
-    state = emcee.State(q, log_prob=logs, random_state=legacy)
-    return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), state
+        logs = np.asarray(many(target, jnp.asarray(q)))
+    return emcee.State(q, log_prob=logs, random_state=np.random.RandomState(seed).get_state())
 
 
 def _h5py() -> Any:

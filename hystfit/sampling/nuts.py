@@ -192,17 +192,22 @@ def _advance(
 def advance(
     target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
 ) -> tuple[tuple[Array, ...], Tuning]:
-    """`steps` transitions, for use inside traced code."""
+    """`steps` transitions, for use inside traced code; `adapting` is one flag or one a transition.
+
+    While it adapts the step size is the one that dual averaging tries, else its average.
+    """
     kernel, init = _kernel()
     mass = jnp.ones_like(q)
 
-    def once(carry: tuple[Any, Tuning], key: Array) -> tuple[tuple[Any, Tuning], tuple[Array, ...]]:
-        state, tuning = carry
-        state, info = kernel(key, state, target, jnp.exp(tuning.size), mass, max_num_doublings=depth)
+    def once(carry: tuple[Any, Tuning], at: tuple[Array, Array]) -> tuple[tuple[Any, Tuning], tuple[Array, ...]]:
+        (state, tuning), (key, adapts) = carry, at
+        size = jnp.exp(jnp.where(adapts, tuning.size, tuning.average))
+        state, info = kernel(key, state, target, size, mass, max_num_doublings=depth)
         later = tuning.after(info.acceptance_rate, goal)
-        tuning = jax.tree_util.tree_map(lambda a, b: jnp.where(adapting, a, b), later, tuning)
+        tuning = jax.tree_util.tree_map(lambda a, b: jnp.where(adapts, a, b), later, tuning)
         out = (state.position, state.logdensity, info.is_divergent, info.acceptance_rate, info.num_integration_steps)
         return (state, tuning), out
 
-    (_, tuning), out = jax.lax.scan(once, (init(q, target), tuning), jax.random.split(key, steps))
+    ahead = (jax.random.split(key, steps), jnp.broadcast_to(adapting, (steps,)))
+    (_, tuning), out = jax.lax.scan(once, (init(q, target), tuning), ahead)
     return out, tuning

@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.fitting.covariance import near_bound
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.generalized import linearize, log_prior, raw_residual, refine
+from hystfit.fitting.generalized import linearize, log_prior, raw_residual
 from hystfit.fitting.newton import maximize
+from hystfit.fitting.released import refine_released
 from hystfit.noise import Setting, sum_over_records
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, choose_priors
@@ -187,16 +187,7 @@ def choose_noise(problem: Problem, x: np.ndarray, asked: str) -> tuple[str, list
     if asked == "auto":
         name = found.recommended if found.recommended in ("discrepancy", "student-t") else "ou"
         return name, [f"noise model {name}, because {'; '.join(found.reasons)}"]
-    warned = [
-        f"noise={asked!r} was asked for, but {why}" for why in found.reasons if _speaks_against(asked, found, why)
-    ]
-    return asked, warned
-
-
-def _speaks_against(asked: str, found: Diagnosis, why: str) -> bool:
-    if asked in ("iid", "student-t"):
-        return found.correlation_time > 1.0
-    return "repeats" in why and asked in ("ou", "ar1")
+    return asked, [f"noise={asked!r} was asked for, but {why}" for why in found.objections(asked)]
 
 
 def prepare(
@@ -221,9 +212,7 @@ def prepare(
             f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): fix most of them, or fewer cells or plays"
         )
     name, notes = choose_noise(problem, x, noise)
-    moving = np.array([side is None for side in near_bound(problem, x)])
-    estimate = Estimate(x, 0.0, True, "", 0, np.zeros(1))
-    refined = refine(problem, estimate, name, moving)
+    refined = refine_released(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), name)
     space = refined.space
     values = np.concatenate([refined.x, refined.values])
     chosen = choose_priors_for(problem.space, space, priors, values)

@@ -1,0 +1,60 @@
+"""Simulation-based calibration of the stated pairs: are posterior draws and truth exchangeable?"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from common import Results, table
+from pairs import pairs
+
+from hystfit.uncertainty.calibration import Calibration, calibrate
+
+NOISES = ("ou", "iid")  # the default noise model, and independent noise
+METHODS = ("laplace", "nuts", "emcee")
+REPLICATES = 200
+FALSE_ALARM = 0.05  # for the whole table: with right set-ups, one table in twenty holds a study that fails
+
+
+def every_study() -> list[tuple[str, str, str]]:
+    """(pair, noise, method), the fast ones first."""
+    return [(pair.name, noise, method) for method in METHODS for pair in pairs() for noise in NOISES]
+
+
+def study(name: str, noise: str, method: str, replicates: int, folder: Path | None) -> Calibration:
+    """One of them; with a folder it goes on from the chunks there."""
+    pair = next(pair for pair in pairs() if pair.name == name)
+    place = None if folder is None else folder / f"{name} {noise} {method}".replace(" ", "-").replace(",", "")
+    return calibrate(pair.model, pair.record, noise=noise, method=method, replicates=replicates, seed=1, folder=place)
+
+
+def run(results: Results, folder: Path | None) -> str:
+    """Every study in full, two in the quick form; a table of them."""
+    chosen = every_study()
+    if results.quick:
+        chosen = [("Bouc-Wen", "ou", "laplace")]
+    rows, smallest, failed = [], [], 0
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    for name, noise, method in chosen:
+        started = time.perf_counter()
+        made = study(name, noise, method, 100 if results.quick else REPLICATES, folder)
+        p, covered = made.p_values(), made.coverage()
+        smallest.append(float(p.min()) * p.size)
+        failed += not made.passes(FALSE_ALARM / len(chosen))
+        low, high = made.coverage_band(0.95)
+        outside = int(np.sum((covered < low) | (covered > high)))
+        worst = made.names[int(np.argmin(p))]
+        rows.append(
+            [name, noise, method, len(made.ranks), len(made.failures), f"{p.min():.2g} ({worst})", covered.mean(),
+             covered.min(), covered.max(), f"{outside} of {p.size}", time.perf_counter() - started]
+        )  # fmt: skip
+    results.add("SBC: studies made", len(chosen))
+    results.add("SBC: studies that fail at the stated rate", failed)
+    results.add("SBC: studies that fail at 1 % each", float(np.sum(np.array(smallest) < 0.01)))
+    results.add("SBC: lowest coverage of 95 % intervals, mean of a study", min(row[6] for row in rows))
+    results.add("SBC: highest coverage of 95 % intervals, mean of a study", max(row[6] for row in rows))
+    head = ["model", "noise", "method", "replicates", "failed", "smallest p", "95 % covered, mean", "least", "most",
+            "outside its 99 % band", "s"]  # fmt: skip
+    return table(head, rows)

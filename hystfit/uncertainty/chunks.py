@@ -1,0 +1,138 @@
+"""Chunks of replicates: computed here, in processes or on Dask workers, kept in a folder as they come, and gone on from."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import hashlib
+import json
+import multiprocessing
+import os
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hystfit.errors import DataError, HystfitError, MissingExtraError
+from hystfit.uncertainty.replicates import CHUNK, Study, broken_chunk, run_chunk
+
+Chunk = dict[str, np.ndarray]
+Outcome = tuple[int, Chunk | Exception]
+
+
+def collect(
+    study: Study,
+    count: int,
+    folder: str | Path | None,
+    workers: int,
+    scheduler: str | None,
+    progress: Callable[[str], None] | None,
+) -> tuple[list[Chunk], list[str]]:
+    """`count` chunks in order, and a sentence on each that broke; a chunk that broke is not kept, so that the same call tries it again.
+
+    Raises:
+        DataError: the folder holds another study.
+        HystfitError: what a chunk says of settings that cannot be used, or of a missing extra.
+    """
+    place = None if folder is None else _claim(Path(folder), study)
+    done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
+    missing = [k for k in range(count) if k not in done]
+    broken = []
+    for k, found in _computed(study, missing, workers, scheduler):
+        if isinstance(found, Exception):
+            broken.append(f"chunk {k} broke: {type(found).__name__}: {found}")
+            done[k] = broken_chunk(study)
+        else:
+            done[k] = found
+            if place is not None:
+                _keep(_file(place, k), found)
+        if progress:
+            progress(f"{len(done)} of {count} chunks of {CHUNK} replicates")
+    return [done[k] for k in sorted(done)], broken
+
+
+def _file(place: Path, k: int) -> Path:
+    return place / f"chunk-{k:05d}.npz"
+
+
+def _load(file: Path) -> Chunk | None:
+    """A stored chunk; None where there is none, or a damaged one."""
+    try:
+        with np.load(file) as stored:
+            return {name: stored[name] for name in ("ranks", "errors", "reason")}
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _keep(file: Path, chunk: Chunk) -> None:
+    """Write beside, then rename: a kill leaves a whole chunk or none."""
+    scratch = file.with_name(f".{file.name}")
+    with scratch.open("wb") as handle:
+        np.savez(handle, **chunk)  # type: ignore[arg-type]
+    scratch.replace(file)
+
+
+def _computed(study: Study, numbers: Sequence[int], workers: int, scheduler: str | None) -> Iterator[Outcome]:
+    if scheduler is not None:
+        yield from _by_dask(study, numbers, scheduler)
+    elif workers > 1 and len(numbers) > 1:
+        context = multiprocessing.get_context("spawn")  # a process forked after JAX has started can hang
+        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
+            tasks = {pool.submit(run_chunk, study, k): k for k in numbers}
+            for task in concurrent.futures.as_completed(tasks):
+                yield tasks[task], _outcome(task.result)
+    else:
+        for k in numbers:
+            yield k, _outcome(lambda k=k: run_chunk(study, k))
+
+
+def _by_dask(study: Study, numbers: Sequence[int], scheduler: str) -> Iterator[Outcome]:
+    try:
+        from distributed import Client, as_completed  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtraError("distributed", "batch", "scheduler=") from error
+    try:
+        client = Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
+    with client:
+        tasks = {client.submit(run_chunk, study, k, pure=False): k for k in numbers}
+        for task in as_completed(list(tasks)):
+            yield tasks[task], _outcome(task.result)
+
+
+def _outcome(result: Callable[[], Chunk]) -> Chunk | Exception:
+    """A chunk, or why there is none; what the user has to mend is raised."""
+    try:
+        return result()
+    except HystfitError:
+        raise
+    except Exception as error:  # a worker that was killed, out of memory: recorded, and the other chunks go on
+        return error
+
+
+def _claim(folder: Path, study: Study) -> Path:
+    """The folder of a study, new or of the same one."""
+    from hystfit.models.storage import to_json
+
+    values = {k: np.asarray(v).tolist() for k, v in vars(study.truth).items() if hasattr(v, "shape")}
+    own = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "seed")}
+    priors = {k: str(v) for k, v in study.priors.items()}
+    described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **own}
+    described["inputs"] = [record.digest() for record in study.data]
+    digest = hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        label = folder / "study.json"
+        if label.exists() and json.loads(label.read_text(encoding="utf-8")).get("digest") != digest:
+            raise DataError(f"{os.fspath(folder)!r} holds another study: choose another folder")
+        scratch = folder / ".study.json"
+        scratch.write_text(json.dumps({"digest": digest, **described}, indent=1, default=str), encoding="utf-8")
+        scratch.replace(label)
+    except json.JSONDecodeError as error:
+        raise DataError(f"{os.fspath(folder / 'study.json')!r} is damaged: choose another folder") from error
+    except OSError as error:
+        raise DataError(f"cannot keep the study in {os.fspath(folder)!r}: {error.strerror or error}") from error
+    return folder

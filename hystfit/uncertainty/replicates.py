@@ -1,0 +1,199 @@
+"""One replicate of a calibration: parameters from the prior, data from them, a posterior from the data, the rank of the truth in it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.config import enable_x64
+from hystfit.data.record import Dataset
+from hystfit.fitting.newton import maximize
+from hystfit.models.base import AbstractHysteresis
+from hystfit.noise import AbstractNoise, Setting, make_noise
+from hystfit.params import ParameterSpace
+from hystfit.priors import AbstractPrior, priors_around
+from hystfit.problem import Problem
+from hystfit.sampling.ensemble import begin, many, moves
+from hystfit.sampling.nuts import Tuning, advance
+from hystfit.sampling.posterior import Target, trimmed
+
+Method = Literal["laplace", "nuts", "emcee"]
+CHUNK = 10  # replicates in one compiled call and one file
+RANKS = 79  # posterior draws among which the truth is ranked: eighty places, of which intervals of 90 and 95 % hold whole numbers
+REASONS = {1: "the mode was not found", 2: "the posterior is not finite", 3: "its chunk broke"}
+_THIN, _WARM, _DEPTH = 5, 100, 6  # of NUTS: transitions between two draws, for adaptation, and doublings at most
+_STEPS = 160  # of emcee, after which the last place of each walker is a draw
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """What is calibrated, ready to be sent to another process.
+
+    Attributes:
+        model: whose present values center the priors.
+        data: records that give inputs, times and weights; their outputs are replaced.
+        truth: the noise that simulates, with values.
+        assumed: name of the noise model of the inference.
+        method: "laplace" (curvature at the mode: least squares), "nuts" or "emcee".
+        spread: relative width of the priors.
+        priors: the user's own, by name.
+        fix: parameters held.
+        seed: of everything.
+    """
+
+    model: AbstractHysteresis
+    data: Dataset
+    truth: AbstractNoise
+    assumed: str
+    method: Method
+    spread: float
+    priors: Mapping[str, AbstractPrior]
+    fix: tuple[str, ...]
+    seed: int
+
+
+def valued_noise(name: str, problem: Problem) -> AbstractNoise:
+    """A noise model of about 1 % of the output's half range."""
+    noise, size = make_noise(name), 0.01 * problem.scales.y
+    values = {"noise_white": size, "noise_slow": size, "noise_time": 20.0}
+    values |= {"noise_loop": 2 * size, "noise_length": 0.3, "noise_dof": 5.0}
+    own = [k for k in values if hasattr(noise, k)]
+    return eqx.tree_at(lambda n: [getattr(n, k) for k in own], noise, [jnp.asarray(values[k]) for k in own])
+
+
+class Spaces:
+    """Parameter spaces, priors and the traced posterior of a study.
+
+    Attributes:
+        target: the posterior, about the center of the priors; its data are replaced.
+        truth: space of the noise that simulates.
+        true_priors: of the model's parameters, then of that noise.
+        names: of all parameters of the inference.
+        shared: which of them have a truth and a posterior.
+    """
+
+    def __init__(self, study: Study):
+        problem = Problem(study.model, study.data, fix=study.fix)
+        same = study.assumed == study.truth.name
+        noise = study.truth if same else valued_noise(study.assumed, problem)
+        model = problem.space
+        assumed, self.truth = (ParameterSpace.of(n, scales=problem.scales) for n in (noise, study.truth))
+        around = priors_around(model, model.vector(study.model), study.spread) | dict(study.priors)
+        true_priors = priors_around(self.truth, self.truth.vector(study.truth), study.spread)
+        # A noise model that is wrong has no true values: its priors are wide.
+        noise_priors = true_priors if same else priors_around(assumed, assumed.vector(noise), 2.0)
+        take = lambda table, space: tuple(table[name] for name in space.names)
+        self.names = (*model.names, *assumed.names)
+        # Least squares has no posterior of the noise's parameters, and a wrong noise model no truth for them.
+        self.shared = np.arange(len(self.names) if same and study.method != "laplace" else len(model))
+        batch = trimmed(problem.objective.batch)
+        objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
+        z = np.concatenate(
+            [model.unconstrained(model.vector(study.model)), assumed.unconstrained(assumed.vector(noise))]
+        )
+        priors = take(around, model) + take(noise_priors, assumed)
+        self.target = Target(objective, assumed.coordinates, Setting.of(batch), priors, jnp.asarray(z), jnp.eye(z.size))
+        self.true_priors = take(around, model) + take(true_priors, self.truth)
+
+
+def run_chunk(study: Study, number: int) -> dict[str, np.ndarray]:
+    """One chunk of replicates: ranks and errors, shape (chunk, parameters), and reasons for failure; runs in any process."""
+    enable_x64()
+    spaces = Spaces(study)
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(study.seed), number), CHUNK)
+    setting = (spaces.target, spaces.truth.coordinates, spaces.true_priors)
+    if study.method == "emcee":
+        rows = [_by_emcee(*setting, key) for key in keys]
+        ranks, errors, reason = (np.stack([np.asarray(row[k]) for row in rows]) for k in range(3))
+    else:
+        ranks, errors, reason = (np.asarray(v) for v in _replicates(*setting, keys, study.method))
+    bad = ~np.isfinite(errors).all(axis=1) & (reason == 0)
+    return {"ranks": ranks, "errors": errors, "reason": np.where(bad, 2, reason)}
+
+
+def broken_chunk(study: Study) -> dict[str, np.ndarray]:
+    """What stands for a chunk that ended with an error: every replicate failed."""
+    shape = (CHUNK, len(Spaces(study).names))
+    return {"ranks": np.zeros(shape, int), "errors": np.full(shape, np.nan), "reason": np.full(CHUNK, 3)}
+
+
+def _simulated(
+    target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array
+) -> tuple[Float[Array, " d"], Target]:
+    """True parameters of model and noise, and the target with the data that they give."""
+    first, second = jax.random.split(key)
+    x = jnp.stack([p.sample(k) for p, k in zip(priors, jax.random.split(first, len(priors)), strict=True)])
+    noise = truth.assemble(x[target.p :])
+    y = target.objective.predict_physical(x[: target.p]) + noise.draw(target.setting, second)
+    return x, eqx.tree_at(lambda t: t.objective.batch.y, target, jnp.where(target.setting.weight > 0, y, 0.0))
+
+
+def _whitened(target: Target) -> tuple[Target, Array]:
+    """The target centered on its mode, in the coordinates of the curvature there, and a reason for failure (0 for none)."""
+    mode = maximize(target.log_density, target.center, target.slope, steps=40)
+    size, axes = jnp.linalg.eigh(-mode.hessian)
+    factor = axes / jnp.sqrt(jnp.maximum(size, 1e-4))
+    return eqx.tree_at(lambda t: (t.center, t.factor), target, (mode.z, factor)), jnp.where(mode.converged, 0, 1)
+
+
+def _ranked(x: Array, target: Target, q: Array) -> tuple[Array, Array]:
+    """Ranks of the truth among draws, and errors in standard deviations; only the first columns of both mean the same."""
+    draws = jax.vmap(lambda row: target.physical(target.unwhitened(row)))(q)
+    d = min(x.shape[0], draws.shape[1])
+    wide = jnp.zeros(draws.shape[1]).at[:d].set(x[:d])
+    return jnp.sum(draws < wide, axis=0), (jnp.mean(draws, axis=0) - wide) / jnp.std(draws, axis=0)
+
+
+@eqx.filter_jit
+def _replicates(
+    target: Target, truth: Any, priors: tuple[AbstractPrior, ...], keys: Array, method: str
+) -> tuple[Array, Array, Array]:
+    def one(key: Array) -> tuple[Array, ...]:
+        first, second = jax.random.split(key)
+        x, own = _simulated(target, truth, priors, first)
+        own, reason = _whitened(own)
+        normal = method == "laplace"
+        q = jax.random.normal(second, (RANKS, own.center.shape[0])) if normal else _short_chain(own, second)
+        return *_ranked(x, own, q), reason
+
+    return jax.lax.map(one, keys)
+
+
+def _short_chain(target: Target, key: Array) -> Float[Array, "draws d"]:
+    """Thinned draws of a whitened NUTS chain from a draw of the Gaussian that whitening assumes."""
+    first, second = jax.random.split(key)
+    q, count = jax.random.normal(first, target.center.shape), _WARM + RANKS * _THIN
+    found, _ = advance(target, q, Tuning.about(0.6), second, jnp.arange(count) < _WARM, jnp.asarray(0.8), _DEPTH, count)
+    return found[0][_WARM + _THIN - 1 :: _THIN]
+
+
+@eqx.filter_jit
+def _prepared(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Target, Array]:
+    x, own = _simulated(target, truth, priors, key)
+    return x, *_whitened(own)
+
+
+_rank = eqx.filter_jit(_ranked)
+
+
+def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Array, Array]:
+    """One replicate; a draw is the last place of a walker, so that no draw follows from another."""
+    import emcee
+
+    x, own, reason = _prepared(target, truth, priors, key)
+    d, seed = own.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
+    walkers = RANKS + 1
+    density = lambda q: np.asarray(many(own, jnp.asarray(q)))
+    sampler = emcee.EnsembleSampler(walkers, d, density, vectorize=True, moves=moves())
+    start = begin(own, walkers, d, seed)
+    if not np.isfinite(start.log_prob).all():
+        return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
+    last: Any = sampler.run_mcmc(start, _STEPS, skip_initial_state_check=True)
+    return *_rank(x, own, jnp.asarray(last.coords[:RANKS])), reason
