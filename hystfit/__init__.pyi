@@ -5,6 +5,7 @@ from hystfit import plot as plot
 from hystfit import priors as priors
 from hystfit import signals as signals
 from hystfit.config import enable_x64 as enable_x64
+from hystfit.control.bands import inverse_bands as inverse_bands
 from hystfit.control.inverse import Inverse as Inverse
 from hystfit.control.inverse import InverseStep as InverseStep
 from hystfit.control.inverse import invert as invert

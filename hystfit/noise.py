@@ -7,7 +7,7 @@ Every noise model is a filter over the samples of a record, so that a likelihood
 from __future__ import annotations
 
 import abc
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -32,12 +32,16 @@ class Setting(eqx.Module):
         weight: shape (R, T), 0 where a sample does not count; white noise has variance white^2 / weight.
         place: input in parts of its range, 0 to 1, shape (R, T).
         rising: whether the input last rose, shape (R, T), bool.
+        count: of the samples that count.
+        log_weight: sum of the logarithms of their weights.
     """
 
     gap: Float[Array, "*samples"]
     weight: Float[Array, "R T"]
     place: Float[Array, "R T"]
     rising: Array
+    count: Float[Array, ""]
+    log_weight: Float[Array, ""]
 
     @classmethod
     def of(cls, batch: Batch) -> Setting:
@@ -55,6 +59,8 @@ class Setting(eqx.Module):
             weight=jnp.asarray(weight),
             place=jnp.asarray((u - low) / (high - low)),
             rising=jnp.asarray(np.stack([_held(row) for row in turning]) > 0),
+            count=jnp.asarray(float(np.count_nonzero(weight))),
+            log_weight=jnp.asarray(float(np.sum(np.log(weight[weight > 0])))),
         )
 
 
@@ -72,6 +78,9 @@ class AbstractNoise(eqx.Module):
 
     name: ClassVar[str]
     gaussian: ClassVar[bool]
+    by_squares: ClassVar[bool] = (
+        False  # the weighted sum of squares is all that the density needs: see `White.of_squares`
+    )
 
     @abc.abstractmethod
     def init(self) -> Float[Array, " state"]:
@@ -116,16 +125,12 @@ class AbstractNoise(eqx.Module):
         return plain + 0.5 * jnp.sum(half**2) - jnp.sum(jnp.log(jnp.diag(factor)))
 
 
-def sum_over_records(one: Any, count: int) -> Array:
-    """Sum of a function of the record's number."""
-    return one(0) if count == 1 else jnp.sum(jax.lax.map(one, jnp.arange(count)))
-
-
 class White(AbstractNoise):
     """Independent Gaussian noise."""
 
     name: ClassVar[str] = "iid"
     gaussian: ClassVar[bool] = True
+    by_squares: ClassVar[bool] = True
     noise_white: Float[Array, ""] = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of independent noise"
     )
@@ -150,6 +155,11 @@ class White(AbstractNoise):
         e = rows * (jnp.where(on, jnp.sqrt(safe), 0.0) / self.noise_white)[..., None]
         return e, jnp.where(on, 2 * jnp.log(self.noise_white) - jnp.log(safe), 0.0)
 
+    def of_squares(self, setting: Setting, total: Float[Array, ""]) -> Float[Array, ""]:
+        """Log density of residuals from the sum of their squares, each times its weight."""
+        each = jnp.log(self.noise_white) + 0.5 * _LOG_2PI
+        return 0.5 * setting.log_weight - setting.count * each - 0.5 * total / self.noise_white**2
+
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
         """See `AbstractNoise.draw`."""
         return jax.random.normal(key, setting.weight.shape) * self._sd(setting)
@@ -164,6 +174,7 @@ class StudentT(White):
 
     name: ClassVar[str] = "student-t"
     gaussian: ClassVar[bool] = False
+    by_squares: ClassVar[bool] = False
     noise_dof: Float[Array, ""] = param(
         5.0, bounds=(1.0, np.inf), scale=4.0, doc="degrees of freedom; few mean heavy tails, many a Gaussian"
     )

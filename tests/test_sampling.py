@@ -5,9 +5,9 @@ import os
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 import warnings
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -22,7 +22,6 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.draws import load_posterior
 from hystfit.sampling.ensemble import Ensemble
-from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.posterior import prepare
 from hystfit.sampling.sample import sample
 
@@ -202,49 +201,50 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
 
 KILLED = """
 import sys
-from tests.test_sampling import loop
+from tests.test_sampling import ENDLESS, loop
 import hystfit as hf
 from hystfit.sampling.sample import sample
 hf.enable_x64()
 record, model = loop()
 result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
-sample(result, "emcee", noise="iid", walkers=16, draws=200000, check=50, folder=sys.argv[1], seed=4)
+sample(result, sys.argv[1], noise="iid", folder=sys.argv[2], seed=4, **ENDLESS[sys.argv[1]])
 """
+ENDLESS = {
+    "nuts": {"chains": 1, "warmup": 100, "draws": 200_000},
+    "emcee": {"walkers": 16, "check": 50, "draws": 200_000},
+}
 
 
-def test_nuts_goes_on_after_a_kill_with_the_same_draws(fitted, tmp_path, monkeypatch):
-    options = {"noise": "iid", "chains": 1, "warmup": 100, "seed": 4}
-    whole = sample(fitted, "nuts", draws=300, **options)
-    seen = []
+def kill_in_the_middle(sampler: str, folder: Path, sign: str) -> None:
+    """Run a sampler that would not end in a process of its own, and kill it outright once a file appears."""
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, sampler, str(folder)], env={**os.environ, "PYTHONPATH": root}
+    )
+    until = time.monotonic() + 300
+    while not (folder / sign).exists() and time.monotonic() < until:
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert (folder / sign).exists()
 
-    def dies(words: str) -> None:
-        seen.append(words)
-        if len(seen) == 2:
-            raise KeyboardInterrupt
 
-    setup = prepare(fitted, noise="iid")
-    settings = Nuts(chains=1, warmup=100, draws=300)
-    with pytest.raises(KeyboardInterrupt):
-        settings.run(setup, 4, tmp_path, dies)
-    (tmp_path / ".nuts-0-00003.npz").write_bytes(b"half a file")  # what a kill during a write leaves
-    raw = settings.run(setup, 4, tmp_path, lambda words: None)
-    whole_raw = settings.run(setup, 4, None, lambda words: None)
-    np.testing.assert_array_equal(raw.z, whole_raw.z)
-    assert whole.draws.shape == (1, 300, 5)
+def test_nuts_killed_outright_goes_on_with_the_draws_of_an_unbroken_run(fitted, tmp_path):
+    folder = tmp_path / "run"
+    kill_in_the_middle("nuts", folder, "nuts-0-00001.npz")
+    kept = len(list(folder.glob("nuts-0-0*.npz")))
+    (folder / f".nuts-0-{kept:05d}.npz").write_bytes(b"half a file")  # what a kill during a write leaves
+    options = {"noise": "iid", "seed": 4, **ENDLESS["nuts"], "draws": 50 * (kept + 2)}
+    resumed = sample(fitted, "nuts", folder=folder, **options)
+    whole = sample(fitted, "nuts", **options)
+    np.testing.assert_array_equal(resumed.draws, whole.draws)
+    assert whole.draws.shape == (1, 50 * (kept + 2), 5)
 
 
 def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
     folder = tmp_path / "run"
-    script = tmp_path / "run.py"
-    script.write_text(textwrap.dedent(KILLED))
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    process = subprocess.Popen([sys.executable, str(script), str(folder)], env={**os.environ, "PYTHONPATH": root})
-    until = time.monotonic() + 120
-    while not (folder / "emcee.h5").exists() and time.monotonic() < until:
-        assert process.poll() is None
-        time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    kill_in_the_middle("emcee", folder, "emcee.h5")
     import emcee
 
     backend = emcee.backends.HDFBackend(str(folder / "emcee.h5"), read_only=True)
@@ -261,7 +261,7 @@ def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
 
 def test_an_emcee_run_resumed_is_the_unbroken_one(fitted, tmp_path):
     setup = prepare(fitted, noise="iid")
-    quiet = lambda words: None
+    quiet = lambda words, part: None
     whole = Ensemble(walkers=16, draws=200, check=50).run(setup, 3, None, quiet)
     Ensemble(walkers=16, draws=100, check=50).run(setup, 3, tmp_path, quiet)
     again = Ensemble(walkers=16, draws=200, check=50).run(setup, 3, tmp_path, quiet)

@@ -82,7 +82,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 _ARGUMENT = re.compile(
-    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|level|low|high)=(?:'([^']*)')?"
+    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|warmup|level|low|high|replicates|spread)=(?:'([^']*)')?"
 )
 
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from hystfit.cli.options import Reading, limits
-from hystfit.cli.output import refuse_unwritable, show
+from hystfit.cli.output import progress, refuse_unwritable, show
 from hystfit.errors import DataError
 
 if TYPE_CHECKING:
+    from hystfit.control.bands import InverseBands
     from hystfit.control.inverse import Inverse
     from hystfit.data.record import Record
 
@@ -32,8 +33,11 @@ def invert(
 ) -> int:
     """Find the input that makes a fitted model follow a reference, with a status for every sample.
 
+    Of what `hystfit sample --out` wrote, it also gives 90 % bands: of the input over the draws, and of the error with which
+    the input found for the fit would be followed if a draw were the truth.
+
     Args:
-        fitdir: what `hystfit fit --out` wrote.
+        fitdir: what `hystfit fit --out` or `hystfit sample --out` wrote.
         reference: file with the wanted output (--output names its column) and, where the model needs it, time.
         between: lowest and highest input as low:high; the range of the fit where not given.
         reading: how the file is read.
@@ -45,11 +49,14 @@ def invert(
     from hystfit.results import provenance
     from hystfit.saved import load_fit
 
-    result = load_fit(fitdir)
+    sampled = (fitdir / "posterior.nc").is_file()
+    result = load_fit(fitdir / "fit" if sampled else fitdir)
     refuse_unwritable(out)
     data = _wanted(reference, reading)
     edges = _edges(between)
-    found = solve(result, data.y, data.dt if data.t is not None else None, limits=edges)
+    dt = data.dt if data.t is not None else None
+    bands = _bands(fitdir, data.y, dt, edges) if sampled else None
+    found = solve(result, data.y, dt, limits=edges) if bands is None else bands.given
     content = {
         "schema": "hystfit.invert/1",
         "model": result.name,
@@ -57,17 +64,46 @@ def invert(
         "notes": list(found.notes()),
         "counts": found.counts(),
         "input": {"lowest": float(found.u.min()), "highest": float(found.u.max())},
+        "bands": None if bands is None else _banded(bands),
         "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
         "provenance": provenance(Dataset.of(data), None),
     }
     counts = ", ".join(f"{count} {name}" for name, count in found.counts().items() if count)
     words = [f"{result.name} inverted over {data.name}: {counts}; input {found.u.min():.4g} to {found.u.max():.4g}"]
     words += [f"  - {note}" for note in found.notes()]
+    if bands is not None:
+        told = content["bands"]
+        words.append(
+            f"  - over {told['draws']} draws of the posterior: input within {told['input_width']:.3g} of each other "
+            f"(90 %, widest), rms tracking error {told['rms_error']['median']:.3g}, 95 % of them below {told['rms_error']['upper']:.3g}"
+        )
     if out is not None:
-        _write_inverse(out, data, found, content)
+        _write_inverse(out, data, found, content, bands)
         words.append(f"Written to {out}: inverse.csv, result.json")
     show("\n".join(words), content, json)
     return 0 if found.ok else 1
+
+
+def _bands(folder: Path, reference: Any, dt: Any, edges: tuple[float, float] | None) -> InverseBands:
+    from hystfit.control.bands import inverse_bands
+    from hystfit.sampling.draws import load_posterior
+
+    with progress("inverting by draws"):
+        return inverse_bands(load_posterior(folder), reference, dt, limits=edges)
+
+
+def _banded(bands: InverseBands) -> dict[str, Any]:
+    """Bands in result.json."""
+    import numpy as np
+
+    low, _, high = bands.band("u")
+    return {
+        "draws": len(bands.u),
+        "level": 0.9,
+        "input_width": float(np.max(high - low)),
+        "rms_error": {"median": float(np.median(bands.rms)), "upper": float(np.quantile(bands.rms, 0.95))},
+        "draws_that_missed": int(np.count_nonzero(bands.missed)),
+    }
 
 
 def _edges(between: str | None) -> tuple[float, float] | None:
@@ -102,7 +138,9 @@ def _wanted(reference: str, reading: Reading) -> Record:
     return data[0]
 
 
-def _write_inverse(out: Path, data: Record, found: Inverse, content: dict[str, Any]) -> None:
+def _write_inverse(
+    out: Path, data: Record, found: Inverse, content: dict[str, Any], bands: InverseBands | None
+) -> None:
     import csv
 
     from hystfit.saved import dump_json, writing
@@ -112,11 +150,14 @@ def _write_inverse(out: Path, data: Record, found: Inverse, content: dict[str, A
         dump_json(scratch / "result.json", content)
         with (scratch / "inverse.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow([*(["t"] if timed else []), "reference", "u", "y", "status"])
+            edges = [] if bands is None else [edge for of in ("u", "error") for edge in bands.band(of)[::2]]
+            more = [] if bands is None else ["u_lower", "u_upper", "error_lower", "error_upper"]
+            writer.writerow([*(["t"] if timed else []), "reference", "u", "y", "status", *more])
             for k, status in enumerate(found.status):
                 numbers = [data.y[k], found.u[k], found.y[k]]
                 when = [repr(float(data.t[k]))] if data.t is not None else []
-                writer.writerow([*when, *(repr(float(x)) for x in numbers), status])
+                rest = [repr(float(edge[k])) for edge in edges]
+                writer.writerow([*when, *(repr(float(x)) for x in numbers), status, *rest])
 
 
 def export(

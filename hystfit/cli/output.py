@@ -20,17 +20,32 @@ def show(text: str, content: dict[str, Any], as_json: bool) -> None:
 
 
 @contextlib.contextmanager
-def progress(what: str) -> Iterator[Callable[[str], None]]:
-    """A line on stderr that says what is being done, where stderr is a terminal; yields how to change it."""
+def progress(what: str) -> Iterator[Callable[..., None]]:
+    """A line on stderr that says what is being done, where stderr is a terminal; yields how to change it.
+
+    It is called with words, and with the part that is done (0 to 1) where that is known: then a bar shows it.
+    """
     from rich.console import Console
     from rich.markup import escape
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda _: None
+        yield lambda *_: None
         return
-    with console.status(escape(what)) as status:
-        yield lambda words: status.update(escape(f"{what}: {words}"))
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    bar = (SpinnerColumn(), BarColumn(30), TaskProgressColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as shown:
+        task = shown.add_task(escape(what), total=None)
+
+        def say(words: str, part: float | None = None) -> None:
+            if part is not None:
+                shown.columns = bar
+            shown.update(
+                task, description=escape(f"{what}: {words}"), total=None if part is None else 1.0, completed=part or 0.0
+            )
+
+        yield say
 
 
 def refuse_unwritable(out: Path | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -27,6 +28,8 @@ def sample(
     prior: list[str] | None = None,
     draws: int | None = None,
     chains: int | None = None,
+    warmup: int | None = None,
+    target_accept: float | None = None,
     walkers: int | None = None,
     seed: int = 0,
     out: Path | None = None,
@@ -34,7 +37,8 @@ def sample(
 ) -> int:
     """Draw from the posterior of a saved fit. Exit status 1: the chains have not converged.
 
-    With --out the run is kept while it goes: the same command again goes on after an interrupt or a kill.
+    With --out the run is kept while it goes: the same command again goes on after an interrupt or a kill, and
+    with more --draws it goes on from where it ended.
 
     Args:
         fitdir: what `hystfit fit --out` wrote.
@@ -43,6 +47,8 @@ def sample(
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         draws: draws of each chain, or steps of the ensemble at most.
         chains: of nuts.
+        warmup: steps of nuts that adapt it.
+        target_accept: acceptance to which nuts tunes its steps; higher takes smaller ones.
         walkers: of emcee, even.
         seed: of the draws.
         out: folder for result.json, posterior.nc, the fit and pictures; the running chains are in its folder run.
@@ -53,18 +59,28 @@ def sample(
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
-    given = {k: v for k, v in (("draws", draws), ("chains", chains), ("walkers", walkers)) if v is not None}
+    asked = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers}
+    given = {k: v for k, v in (asked | {"target_accept": target_accept}).items() if v is not None}
     run = None if out is None else out / "run"
-    with progress("sampling") as say:
-        found = draw(
-            result, sampler, noise=noise, priors=_priors(prior or []), seed=seed, folder=run, progress=say, **given
-        )
+    priors = _priors(prior or [])
+    try:
+        with progress("sampling") as say:
+            found = draw(result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=say, **given)
+    except KeyboardInterrupt:
+        if run is None:
+            raise
+        print(f"hystfit: interrupted; the same command goes on from {run}", file=sys.stderr)
+        return 130
+    text = str(found)
     if out is not None:
-        found.save(out)
-        _pictures(
-            out, {f"{kind}.png": lambda kind=kind: found.plot(kind) for kind in ("corner", "trace", "rank", "bands")}
+        with progress("drawing"):
+            found.save(out)
+            kinds = ("corner", "trace", "rank", "bands")
+            _pictures(out, {f"{kind}.png": lambda kind=kind: found.plot(kind) for kind in kinds})
+        text += (
+            f"\nWritten to {out}: posterior.nc, result.json, corner.png, trace.png, rank.png, bands.png, the fit in fit"
         )
-    show(str(found), found.to_dict(), json)
+    show(text, found.to_dict(), json)
     return 0 if found.usable else 1
 
 
@@ -109,7 +125,7 @@ def profile(
     with progress("profiling"):
         found = follow(result, parameter, noise=noise, level=level)
     _write(out, found.to_dict(), {"profiles.png": found.plot})
-    show(str(found), found.to_dict(), json)
+    show(_told(found, out, "profiles.png"), found.to_dict(), json)
     return 0 if found.usable else 1
 
 
@@ -165,8 +181,9 @@ def calibrate(
             scheduler=scheduler,
             progress=say,
         )
-    _write(out, found.to_dict(), {"calibration.png": found.plot})
-    show(str(found), found.to_dict(), json)
+    content = found.to_dict() | {"provenance": {**result.provenance, "seed": seed}}
+    _write(out, content, {"calibration.png": found.plot})
+    show(_told(found, out, "calibration.png"), content, json)
     return 0 if found.status == "ok" else 1
 
 
@@ -217,8 +234,12 @@ def design(
     rows = [head if step is None else f"t_{record.t_unit},{head}"]
     rows += [f"{v:.9g}" if step is None else f"{k * step:.9g},{v:.9g}" for k, v in enumerate(found.best.u)]
     _write(out, found.to_dict(), {}, {"input.csv": "\n".join(rows) + "\n"})
-    show(str(found), found.to_dict(), json)
+    show(_told(found, out, "input.csv"), found.to_dict(), json)
     return 0
+
+
+def _told(found: Any, out: Path | None, files: str) -> str:
+    return str(found) if out is None else f"{found}\nWritten to {out}: result.json, {files}"
 
 
 def _write(

@@ -263,9 +263,14 @@ def _known(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
     """The inputs between which a model or fit is known, and the model."""
     if isinstance(model, AbstractHysteresis):
         return reach(model), model
-    low = min(float(record.u.min()) for record in model.data)
-    high = max(float(record.u.max()) for record in model.data)
-    return (low - _WIDER * (high - low), high + _WIDER * (high - low)), model.model
+    return known_range(model), model.model
+
+
+def known_range(fit: FitResult) -> tuple[float, float]:
+    """The inputs between which a fitted model is searched: those of its data, and a little more."""
+    low = min(float(record.u.min()) for record in fit.data)
+    high = max(float(record.u.max()) for record in fit.data)
+    return low - _WIDER * (high - low), high + _WIDER * (high - low)
 
 
 @eqx.filter_jit

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-_FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
+FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 _LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
 _DIFFERENCE = 1e-4  # in z, before any curvature is known
@@ -39,7 +39,7 @@ def forward(function: Callable[[Array], Array]) -> Callable[[Array], tuple[Array
     """Value and gradient of a scalar function from one forward pass: for few coordinates the cheapest, else one backward pass."""
 
     def both(z: Array) -> tuple[Array, Array]:
-        if z.shape[0] > _FORWARD:
+        if z.shape[0] > FORWARD:
             return jax.value_and_grad(function)(z)
         return jax.vmap(lambda t: jax.jvp(function, (z,), (t,)), out_axes=(None, 0))(jnp.eye(z.shape[0]))
 

@@ -1,4 +1,4 @@
-"""Quantities that follow from a model, for every draw of a posterior: numbers of the loop, creep, and the inverse's bands."""
+"""Quantities that follow from a model, for every draw of a posterior: numbers of the loop, and creep."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hystfit.sampling.draws import Posterior
 
 _CYCLES, _POINTS = 3, 400
+_RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 QUANTITIES = {
     "loop_area": "area of the steady loop over the fitted input range, in units of y times u",
     "coercive_input": "half the width of the loop, in input, at the middle of the output",
@@ -21,6 +22,19 @@ QUANTITIES = {
     "hysteresis_percent": "largest height of the loop in percent of the stroke",
     "creep_percent_per_decade": "creep between 1 s and 10 s after a step over the range, in percent of the step",
 }
+
+
+def units(posterior: Posterior) -> dict[str, str]:
+    """Units of the quantities, from those of the fitted records; empty where a record has none."""
+    u, y = posterior.result.data.units["u"], posterior.result.data.units["y"]
+    area = f"{y} {u}".strip()
+    return {
+        "loop_area": area,
+        "coercive_input": u,
+        "remanence": y,
+        "hysteresis_percent": "%",
+        "creep_percent_per_decade": "%",
+    }
 
 
 def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -> dict[str, np.ndarray]:
@@ -48,34 +62,42 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
     return {name: found[name] for name in names}
 
 
-def _record(posterior: Posterior, u: np.ndarray, dt: float) -> Record:
-    return Record(u=u, y=np.zeros(u.size), t=np.arange(u.size) * dt, name="derived")
+def _record(u: np.ndarray, t: np.ndarray) -> Record:
+    return Record(u=u, y=np.zeros(u.size), t=t, name="derived")
 
 
 def _loop(posterior: Posterior, low: float, high: float, count: int) -> dict[str, np.ndarray]:
-    up = np.linspace(low, high, _POINTS // 2, endpoint=False)
-    cycle = np.concatenate([up, high + low - up])
+    half = _POINTS // 2
+    inputs = np.linspace(low, high, half + 1)
+    cycle = np.concatenate([inputs[:-1], inputs[:0:-1]])
     steps = posterior.result.data[0].dt[1:]
     dt = float(np.median(steps)) if steps.size and np.median(steps) > 0 else 1.0
-    y = posterior.predict(_record(posterior, np.tile(cycle, _CYCLES), dt), count)[:, -_POINTS:]
-    rising, falling = y[:, : _POINTS // 2], y[:, _POINTS // 2 :][:, ::-1]
-    falling = np.concatenate([falling[:, -1:] * 0 + y[:, :1], falling[:, :-1]], axis=1)  # the same inputs as `rising`
-    height = np.abs(falling - rising)
-    stroke = np.ptp(y, axis=1)
-    area = np.trapezoid(falling - rising, up, axis=1)
-    middle = up.size // 2
-    half = 0.5 * (y.max(axis=1) + y.min(axis=1))
-    at = lambda branch: np.array([np.interp(0.0, row - h, up) for row, h in zip(branch, half, strict=True)])
+    u = np.tile(cycle, _CYCLES)
+    y = posterior.predict(_record(u, np.arange(u.size) * dt), count)[:, -_POINTS:]
+    rising = y[:, : half + 1]
+    falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]  # at the same inputs
+    gap = np.abs(falling - rising)
+    middle = 0.5 * (y.max(axis=1) + y.min(axis=1))
+    crossing = lambda branch: np.array([_crossing(row - m, inputs) for row, m in zip(branch, middle, strict=True)])
     return {
-        "loop_area": np.abs(area),
-        "coercive_input": 0.5 * np.abs(at(rising) - at(falling)),
-        "remanence": 0.5 * height[:, middle],
-        "hysteresis_percent": 100 * height.max(axis=1) / stroke,
+        "loop_area": np.abs(np.trapezoid(falling - rising, inputs, axis=1)),
+        "coercive_input": 0.5 * np.abs(crossing(rising) - crossing(falling)),
+        "remanence": 0.5 * gap[:, half // 2],
+        "hysteresis_percent": 100 * gap.max(axis=1) / np.ptp(y, axis=1),
     }
 
 
+def _crossing(branch: np.ndarray, inputs: np.ndarray) -> float:
+    """The first input at which a branch, rising or falling with the input, passes zero; NaN where it does not (a butterfly)."""
+    passed = np.flatnonzero(np.signbit(branch[:-1]) != np.signbit(branch[1:]))
+    if not passed.size:
+        return float("nan")
+    k = int(passed[0])
+    return float(inputs[k] - branch[k] * (inputs[k + 1] - inputs[k]) / (branch[k + 1] - branch[k]))
+
+
 def _creep(posterior: Posterior, low: float, high: float, count: int) -> np.ndarray:
-    u = np.full(201, high)
-    u[0] = low
-    y = posterior.predict(_record(posterior, u, 0.05), count)
-    return 100 * (y[:, 200] - y[:, 20]) / (y[:, 1] - y[:, 0])
+    u = np.concatenate([[low, low], np.full(200, high)])
+    t = np.concatenate([[0.0], _RESTED + 0.05 * np.arange(201)])  # the device has rested on `low` when the step comes
+    y = posterior.predict(_record(u, t), count)
+    return 100 * (y[:, 201] - y[:, 21]) / (y[:, 2] - y[:, 1])

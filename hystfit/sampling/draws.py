@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.models.base import run
+from hystfit.models.base import AbstractHysteresis, run
 from hystfit.params import Coordinates
 from hystfit.results import FitResult
 from hystfit.sampling.diagnostics import Convergence
@@ -104,9 +105,19 @@ class Posterior:
                 f"{row['name']:{width}}  {values[0]:>11} {values[1]:>10} {values[2]:>11} {values[3]:>11} {end[0]:>6} {end[1]:>6} "
                 f"{end[2]:>6}  {row['unit']}".rstrip()
             )
+        lines += self._derived_words()
         lines += [f"note: {note}" for note in self.notes]
         lines += [f"prior of {name}: {words}" for name, words in self.priors.items()]
         return "\n".join(lines)
+
+    def _derived_words(self) -> list[str]:
+        words = lambda v: "-" if v is None else f"{v:.5g}"
+        return [
+            f"{row['name']}: {words(row['median'])} {row['unit']}, 95 % {words(row['lower'])} to {words(row['upper'])}".replace(
+                " ,", ","
+            )
+            for row in self.derived_rows
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
@@ -124,6 +135,7 @@ class Posterior:
             "divergences": None if diverging is None else int(diverging.sum()),
             "acceptance": float(np.mean(self.stats["acceptance"])) if "acceptance" in self.stats else None,
             "parameters": {row.pop("name"): row for row in self.table()},
+            "derived": {row["name"]: {k: v for k, v in row.items() if k != "name"} for row in self.derived_rows},
             "priors": self.priors,
             "timing": {"sampling_s": self.seconds},
             "provenance": {**self.result.provenance, "seed": self.seed},
@@ -133,6 +145,14 @@ class Posterior:
         """`count` draws of the model's parameters, chosen at random, shape (count, p)."""
         flat = self.draws.reshape(-1, len(self.names))[:, : len(self.result.free_names)]
         return flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
+
+    def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
+        """The models of `thinned` draws, as the first record sees them: simulate or invert each."""
+        from hystfit.sampling.posterior import problem_of
+
+        coordinates = problem_of(self.result)[0].space.coordinates
+        for row in self.thinned(count, seed):
+            yield coordinates.assemble(jnp.asarray(row), 0)
 
     # -- prediction ----------------------------------------------------------------------------------------------------
 
@@ -180,6 +200,19 @@ class Posterior:
         from hystfit.sampling.derived import derive
 
         return derive(self, quantities, count)
+
+    @functools.cached_property
+    def derived_rows(self) -> list[dict[str, Any]]:
+        """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
+        from hystfit.sampling.derived import QUANTITIES, units
+
+        finite = lambda v: float(v) if np.isfinite(v) else None
+        rows, unit = [], units(self)
+        for name, values in self.derived().items():
+            low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
+            row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}
+            rows.append(row | {"upper": finite(high), "about": QUANTITIES[name]})
+        return rows
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:
         """A picture: "corner", "trace", "rank" or "bands"; returns the matplotlib figure."""
@@ -301,12 +334,3 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> np.ndarr
     own = names.index(record.name) if record.name in names else 0
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
     return np.asarray(_simulate_all(problem.space.coordinates, *arrays, own))
-
-
-def for_each_model(result: FitResult, x: np.ndarray, function: Callable[[Any], Any]) -> np.ndarray:
-    """A traced function of the model, evaluated for rows of free parameters x, shape (count, p)."""
-    from hystfit.sampling.posterior import problem_of
-
-    coordinates = problem_of(result)[0].space.coordinates
-    mapped = eqx.filter_jit(lambda c, rows: jax.lax.map(lambda row: function(c.assemble(row, 0)), rows))
-    return np.asarray(mapped(coordinates, jnp.asarray(x)))

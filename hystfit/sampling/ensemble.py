@@ -46,7 +46,7 @@ class Ensemble:
                 f"emcee needs draws >= 50, check >= 10 and an even number of walkers, got {dataclasses.asdict(self)}"
             )
 
-    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str], None]) -> Raw:
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
         """Draw, or go on from the file that a folder holds.
 
         Raises:
@@ -61,10 +61,9 @@ class Ensemble:
             raise ParameterError(
                 f"emcee is for up to {MOST} parameters, and the model has {d - len(setup.noise_space)}: use sampler='nuts'"
             )
-        density = lambda q: np.asarray(many(target, jnp.asarray(q)))
-        sampler = emcee.EnsembleSampler(self.walkers, d, density, vectorize=True, moves=moves())
+        sampler = walk(target, self.walkers)
         file = None if folder is None else folder / "emcee.h5"
-        chain, logs, accepted, state = _resume(file, self.walkers, d) or _new(target, self.walkers, d, seed)
+        chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, seed)
         tau, settled = np.inf, False
         while len(chain) < self.draws and not settled:
             count = min(self.check, self.draws - len(chain))
@@ -78,7 +77,8 @@ class Ensemble:
             before, tau = tau, float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
             settled = bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
             report(
-                f"{len(chain)} steps of {self.walkers} walkers: about {len(chain) * self.walkers / tau:.0f} effective draws"
+                f"{len(chain)} steps of {self.walkers} walkers, about {len(chain) * self.walkers / tau:.0f} effective draws so far",
+                len(chain) / self.draws,
             )
         return self._collect(target, chain, logs, accepted, tau, settled)
 
@@ -98,36 +98,41 @@ class Ensemble:
 
 
 @eqx.filter_jit
-def many(target: Target, q: Array) -> Array:
+def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for every walker at once."""
     return jax.vmap(lambda row: target.log_density(target.unwhitened(row), lean=True))(q)
 
 
-def moves() -> list[tuple[Any, float]]:
-    """Differential evolution, with a jump to another mode now and then."""
+def walk(target: Target, walkers: int) -> Any:
+    """The emcee sampler over whitened coordinates: differential evolution, and now and then a jump from mode to mode."""
     import emcee
 
-    return [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    density = lambda q: np.asarray(_many(target, jnp.asarray(q)))
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    return emcee.EnsembleSampler(walkers, target.center.shape[0], density, vectorize=True, moves=moves)
 
 
-def _new(target: Target, walkers: int, d: int, seed: int) -> tuple[Any, ...]:
-    return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), begin(target, walkers, d, seed)
-
-
-def begin(target: Target, walkers: int, d: int, seed: int) -> Any:
-    """State of emcee with walkers about the mode, each where the density is finite."""
+def start(target: Target, walkers: int, seed: int) -> Any:
+    """emcee's state with walkers about the mode, each where the density is finite."""
     import emcee
 
-    rng = np.random.default_rng(seed)
+    d, rng = target.center.shape[0], np.random.default_rng(seed)
     q = rng.normal(size=(walkers, d))
-    logs = np.asarray(many(target, jnp.asarray(q)))
+    logs = np.asarray(_many(target, jnp.asarray(q)))
     for _ in range(60):
         bad = ~np.isfinite(logs)
         if not bad.any():
             break
         q[bad] *= 0.7
-        logs = np.asarray(many(target, jnp.asarray(q)))
-    return emcee.State(q, log_prob=logs, random_state=np.random.RandomState(seed).get_state())
+        logs = np.asarray(_many(target, jnp.asarray(q)))
+    legacy = np.random.RandomState(seed).get_state()
+    return emcee.State(q, log_prob=logs, random_state=legacy)
+
+
+def _begin(target: Target, walkers: int, seed: int) -> tuple[Any, ...]:
+    """An empty chain and the state to start from."""
+    d = target.center.shape[0]
+    return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), start(target, walkers, seed)
 
 
 def _h5py() -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.posterior import Setup, Target
 
 _CHUNK = 50  # draws in one compiled call, and between two writes to disk
@@ -36,14 +37,15 @@ class Nuts:
     Attributes:
         chains, draws: how many, and how many each.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
-        target_accept: acceptance that the step size is tuned to.
+        target_accept: acceptance that the step size is tuned to; near the 0.65 that is best for Gaussian posteriors, to which
+            whitening brings most others (Beskos et al. 2013); curved ones need more.
         max_depth: doublings of a trajectory at most.
     """
 
     chains: int = 4
     draws: int = 1000
     warmup: int = 300
-    target_accept: float = 0.8
+    target_accept: float = 0.7
     max_depth: int = 8
 
     def __post_init__(self) -> None:
@@ -52,9 +54,20 @@ class Nuts:
                 f"NUTS needs chains >= 1, draws >= 4, warmup >= 50 and 0 < target_accept < 1, got {dataclasses.asdict(self)}"
             )
 
-    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str], None]) -> Raw:
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
         """Draw, or go on from the chunks that a folder holds."""
-        parts = [self._chain(setup, seed, number, folder, report) for number in range(self.chains)]
+        parts: list[dict[str, np.ndarray]] = []
+        for number in range(self.chains):
+
+            def tell(drawn: list[np.ndarray], number: int = number) -> None:
+                so_far = sum(_least(part["z"]) for part in parts) + _least(np.concatenate(drawn))
+                count = min(_CHUNK * len(drawn), self.draws)
+                report(
+                    f"chain {number + 1} of {self.chains}, {count} of {self.draws} draws, about {so_far:.0f} effective so far",
+                    (number + count / self.draws) / self.chains,
+                )
+
+            parts.append(self._chain(setup, seed, number, folder, tell))
         joined = {k: np.stack([part[k] for part in parts]) for k in parts[0]}
         z, density = joined.pop("z"), joined.pop("log_density")
         count = int(joined["diverging"].sum())
@@ -66,26 +79,24 @@ class Nuts:
         return Raw(z, density, joined, notes)
 
     def _chain(
-        self, setup: Setup, seed: int, number: int, folder: Path | None, report: Callable[[str], None]
+        self, setup: Setup, seed: int, number: int, folder: Path | None, tell: Callable[[list[np.ndarray]], None]
     ) -> dict[str, np.ndarray]:
         key = jax.random.fold_in(jax.random.key(seed), number)
         warm = _stored(
-            folder, f"nuts-{number}-warm.npz", lambda: self._warm(setup.target, jax.random.fold_in(key, 10**6))
+            folder, f"nuts-{number}-warm.npz", lambda: self.warm(setup.target, jax.random.fold_in(key, 10**6))
         )
-        target = eqx.tree_at(lambda t: t.factor, setup.target, jnp.asarray(warm["factor"]))
-        q, size = jnp.asarray(warm["q"]), jnp.asarray(warm["size"])
-        chunks = []
+        q, chunks = jnp.asarray(warm["q"]), []
         for k in range(-(-self.draws // _CHUNK)):
-            advance = lambda k=k, q=q: self._advance(target, q, size, jax.random.fold_in(key, k))
+            advance = lambda k=k, q=q: self.chunk(setup.target, warm, q, jax.random.fold_in(key, k))
             chunk = _stored(folder, f"nuts-{number}-{k:05d}.npz", advance)
             chunks.append(chunk)
             q = jnp.asarray(chunk["q"][-1])
-            report(f"chain {number + 1} of {self.chains}: {min((k + 1) * _CHUNK, self.draws)} of {self.draws} draws")
+            tell([one["q"] for one in chunks])
         rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
-        rows["z"] = np.asarray(target.center) + rows.pop("q") @ np.asarray(target.factor).T
+        rows["z"] = np.asarray(setup.target.center) + rows.pop("q") @ warm["factor"].T
         return rows
 
-    def _warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:
+    def warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:
         """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks."""
         d = target.center.shape[0]
         quarter = -(-self.warmup // (4 * _CHUNK))
@@ -110,13 +121,21 @@ class Nuts:
         q, size, _ = adapt(better, jnp.asarray(np.linalg.solve(inner, np.asarray(q))), 0.7, quarter)
         return {"q": np.asarray(q), "size": np.asarray(size), "factor": np.asarray(better.factor)}
 
-    def _advance(self, target: Target, q: Array, size: Array, key: Array) -> dict[str, np.ndarray]:
+    def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
+        """Draws from a position q on, with what `warm` found: positions (50, d), log densities and statistics (50,)."""
+        own = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(warm["factor"]))
         still = (jnp.asarray(self.target_accept), self.max_depth)
-        found, _ = _advance(target, q, Tuning.about(float(size)), key, False, *still)
+        found, _ = _advance(own, q, Tuning.about(float(warm["size"])), key, False, *still)
         return {
             k: np.asarray(v)
             for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), found, strict=True)
         }
+
+
+def _least(draws: np.ndarray) -> float:
+    """Effective draws of the worst coordinate of one chain, shape (n, d)."""
+    sizes = [effective_size(column[None]) for column in draws.T]
+    return float(np.nanmin(sizes)) if np.isfinite(sizes).any() else 0.0
 
 
 def _stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -40,7 +40,12 @@ def _corner(posterior: Posterior) -> Any:
     moving = np.ptp(flat, axis=0) > 0
     labels = [label for label, on in zip(_labels(posterior), moving, strict=True) if on]
     return corner.corner(
-        flat[:, moving], labels=labels, quantiles=[0.025, 0.5, 0.975], show_titles=True, title_fmt=".3g"
+        flat[:, moving],
+        labels=labels,
+        quantiles=[0.025, 0.5, 0.975],
+        show_titles=True,
+        title_fmt=".3g",
+        title_kwargs={"fontsize": 8},
     )
 
 
@@ -74,18 +79,24 @@ def _rank(posterior: Posterior) -> Any:
 
 
 def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
+    """The loop, and below it all that is too small to be seen there: deviations from the median of the draws."""
     import matplotlib.pyplot as plt
 
     record = posterior.result.data[0]
-    figure, ax = plt.subplots(layout="constrained")
     on = record.used
-    ax.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
-    low, middle, high = posterior.bands(record, level, count)
+    low, _, high = posterior.bands(record, level, count)
     inner = posterior.bands(record, level, count, kind="credible")
-    ax.plot(record.u[on], middle[on], color="#0072b2", lw=1, label="model")
-    for edge, style in ((low, ":"), (high, ":"), (inner[0], "-"), (inner[2], "-")):
-        ax.plot(record.u[on], edge[on], color="#d55e00", lw=0.6, ls=style)
-    ax.set(xlabel=f"{record.u_name} [{record.u_unit}]", ylabel=f"{record.y_name} [{record.y_unit}]")
-    ax.set_title(f"{level:.0%} credible (solid) and predictive (dotted) bands", fontsize=9)
-    ax.legend(frameon=False)
+    middle = inner[1]
+    figure, (loop, rest) = plt.subplots(2, 1, figsize=(7, 7), sharex=True, layout="constrained")
+    loop.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
+    loop.plot(record.u[on], middle[on], color="#0072b2", lw=0.8, label="median of the draws")
+    rest.plot(record.u[on], (record.y - middle)[on], ".", ms=2, color="#a6a6a6")
+    for edges, color in (((low, high), "#d55e00"), ((inner[0], inner[2]), "#0072b2")):
+        for edge in edges:
+            rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
+    label = lambda name, unit: f"{name} [{unit}]" if unit else name
+    loop.set_ylabel(label(record.y_name, record.y_unit))
+    rest.set(xlabel=label(record.u_name, record.u_unit), ylabel=label("less the median", record.y_unit))
+    rest.set_title(f"{level:.0%} bands: of the model's curve (blue), of a measurement (orange)", fontsize=9)
+    loop.legend(frameon=False)
     return figure

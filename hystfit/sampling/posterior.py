@@ -6,7 +6,7 @@ x physical, z unconstrained, q whitened: z = center + factor q, with the posteri
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -19,9 +19,9 @@ from hystfit.data.batch import Batch
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import linearize, log_prior, raw_residual
-from hystfit.fitting.newton import maximize
+from hystfit.fitting.newton import FORWARD, forward, maximize
 from hystfit.fitting.released import refine_released
-from hystfit.noise import Setting, sum_over_records
+from hystfit.noise import Setting
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, choose_priors
 from hystfit.problem import Objective, Problem
@@ -77,28 +77,47 @@ class Target(eqx.Module):
     def log_likelihood_lean(self, z: Float[Array, " d"]) -> Float[Array, ""]:
         """The same in one scan that keeps no trajectory: several times the throughput under vmap over many z."""
         noise = self.noise.tree(z[self.p :])
-        batch, setting = self.objective.batch, self.setting
+        setting = self.setting
+        x = self.objective.coordinates.physical(z[: self.p])
+        if noise.by_squares:
+            return noise.of_squares(setting, self.squares(x))
         if noise.columns(setting) is not None:
             return self.log_likelihood(z)
-        x = self.objective.coordinates.physical(z[: self.p])
-        gap = jnp.broadcast_to(setting.gap, batch.u.shape)
 
-        def record(k: Any) -> Array:
+        def learn(carry: tuple[Array, Array], r: Array, weight: Array, gap: Array) -> tuple[Array, Array]:
+            silent, e, logs = noise.step(carry[0], r, gap, weight)
+            return silent, carry[1] + jnp.where(weight > 0, noise.density(e, logs), 0.0)
+
+        return self._gather(x, (noise.init(), jnp.zeros(())), learn)[1]
+
+    def squares(self, x: Float[Array, " p"]) -> Float[Array, ""]:
+        """Sum of the squared residuals, output units, each times its weight, at physical x; no trajectory is kept."""
+        return self._gather(x, jnp.zeros(()), lambda total, r, weight, gap: total + weight * r**2)
+
+    def _gather(self, x: Array, start: Any, learn: Callable[[Any, Array, Array, Array], Any]) -> Any:
+        """What `learn` makes of the residuals, sample by sample, within the model's scan; summed over records."""
+        batch, setting = self.objective.batch, self.setting
+
+        def record(k: Any) -> Any:
             model, u = self.objective.coordinates.assemble(x, k), batch.u[k]
+            first = model.init(u[0])
+            single = first.shape == (1,)  # carried as a number: see `models.base.run`
 
-            def sample(carry: tuple[Array, ...], at: tuple[Array, ...]) -> tuple[tuple[Array, ...], None]:
-                (state, silent, total), (before, now, dt, y, weight, since) = carry, at
-                state, out = model.step(state, before, now, dt)
-                silent, e, logs = noise.step(silent, y - out, since, weight)
-                return (state, silent, total + jnp.where(weight > 0, noise.density(e, logs), 0.0)), None
+            def sample(carry: tuple[Array, Any], at: tuple[Array, ...]) -> tuple[tuple[Array, Any], None]:
+                (state, known), (before, now, dt, y, weight, gap) = carry, at
+                state, out = model.step(state[None] if single else state, before, now, dt)
+                return (state[0] if single else state, learn(known, y - out, weight, gap)), None
 
             rows = (jnp.concatenate([u[:1], u[:-1]]), u, batch.dt[k], batch.y[k], setting.weight[k])
-            start = (model.init(u[0]), noise.init(), jnp.zeros(()))
+            begin = (first[0] if single else first, start)
             if setting.gap.ndim == 0:  # even sampling: what depends on the gap alone stays outside the loop
-                return jax.lax.scan(lambda c, at: sample(c, (*at, setting.gap)), start, rows)[0][2]
-            return jax.lax.scan(sample, start, (*rows, gap[k]))[0][2]
+                return jax.lax.scan(lambda c, at: sample(c, (*at, setting.gap)), begin, rows)[0][1]
+            return jax.lax.scan(sample, begin, (*rows, setting.gap[k]))[0][1]
 
-        return sum_over_records(record, batch.u.shape[0])
+        if batch.u.shape[0] == 1:
+            return record(0)
+        parts = jax.lax.map(record, jnp.arange(batch.u.shape[0]))
+        return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), parts)
 
     def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
         """Log posterior over z, up to a constant; minus infinity where it is not finite."""
@@ -107,14 +126,28 @@ class Target(eqx.Module):
 
     def slope(self, z: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient: a forward pass through the model, a backward one through the noise."""
-        p, c = self.p, self.objective.coordinates
-        r, J = linearize(self.objective, c.physical(z[:p]))
-        density = lambda own, r: self.noise.tree(own).log_density(self.setting, r)
-        likelihood, (by_noise, by_residual) = jax.value_and_grad(density, argnums=(0, 1))(z[p:], r)
-        by_model = jnp.einsum("rt,rtp->p", by_residual, J) * c.slope(z[:p])
+        # One pass that only sums pays for few parameters; the derivatives by many would fill the loop.
+        short = self.p <= FORWARD and self.noise.tree(z[self.p :]).by_squares
+        likelihood, by_x, by_noise = (self._slope_by_squares if short else self._slope_by_residuals)(z)
+        by_model = by_x * self.objective.coordinates.slope(z[: self.p])
         prior, by_prior = jax.value_and_grad(self.log_prior)(z)
         total, gradient = prior + likelihood, by_prior + jnp.concatenate([by_model, by_noise])
         return jnp.where(jnp.isfinite(total), total, -jnp.inf), jnp.where(jnp.isfinite(gradient), gradient, 0.0)
+
+    def _slope_by_squares(self, z: Array) -> tuple[Array, Array, Array]:
+        """Log likelihood and its derivatives by x and by the noise's z, in one scan that keeps nothing."""
+        x = self.objective.coordinates.physical(z[: self.p])
+        squares, push = forward(self.squares)(x)
+        density = lambda own, total: self.noise.tree(own).of_squares(self.setting, total)
+        value, (by_noise, by_squares) = jax.value_and_grad(density, argnums=(0, 1))(z[self.p :], squares)
+        return value, by_squares * push, by_noise
+
+    def _slope_by_residuals(self, z: Array) -> tuple[Array, Array, Array]:
+        """The same for any noise."""
+        r, J = linearize(self.objective, self.objective.coordinates.physical(z[: self.p]))
+        density = lambda own, r: self.noise.tree(own).log_density(self.setting, r)
+        value, (by_noise, by_residual) = jax.value_and_grad(density, argnums=(0, 1))(z[self.p :], r)
+        return value, jnp.einsum("rt,rtp->p", by_residual, J), by_noise
 
     def __call__(self, q: Float[Array, " d"]) -> Float[Array, ""]:
         """Log posterior over q; its reverse-mode gradient is `slope`'s."""

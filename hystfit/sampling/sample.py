@@ -36,7 +36,7 @@ def sample(
     priors: Mapping[str, AbstractPrior] | None = None,
     seed: int = 0,
     folder: str | Path | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
     **settings: Any,
 ) -> Posterior:
     """Draw from the posterior of a fitted model and its noise.
@@ -48,7 +48,7 @@ def sample(
         priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
         seed: of the draws.
         folder: keeps the run while it goes; the same call with the same folder goes on after a kill.
-        progress: called with a line from time to time, such as `print`.
+        progress: called from time to time with a line and the part that is done, such as `print`.
         **settings: of the sampler (`Nuts`, `Ensemble`): draws, chains, warmup, walkers, ...
 
     Returns:
@@ -58,6 +58,7 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     require_x64()
+    seed = int(seed)
     if sampler not in SAMPLERS:
         raise ParameterError(f"sampler must be one of {', '.join(SAMPLERS)}, got {sampler!r}")
     try:
@@ -67,7 +68,7 @@ def sample(
     setup = prepare(result, noise=noise, priors=priors)
     place = None if folder is None else _claim(Path(folder), setup, result, sampler, seed, settings)
     started = time.perf_counter()
-    raw = chosen.run(setup, seed, place, progress or (lambda words: None))
+    raw = chosen.run(setup, seed, place, progress or (lambda words, part: None))
     seconds = time.perf_counter() - started
     draws = physical_draws(setup, raw.z)
     convergence = Convergence.of(_independent(draws) if sampler == "emcee" else draws)

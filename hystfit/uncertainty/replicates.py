@@ -20,7 +20,7 @@ from hystfit.noise import AbstractNoise, Setting, make_noise
 from hystfit.params import ParameterSpace
 from hystfit.priors import AbstractPrior, priors_around
 from hystfit.problem import Problem
-from hystfit.sampling.ensemble import begin, many, moves
+from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Tuning, advance
 from hystfit.sampling.posterior import Target, trimmed
 
@@ -185,15 +185,10 @@ _rank = eqx.filter_jit(_ranked)
 
 def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Array, Array]:
     """One replicate; a draw is the last place of a walker, so that no draw follows from another."""
-    import emcee
-
     x, own, reason = _prepared(target, truth, priors, key)
     d, seed = own.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
-    walkers = RANKS + 1
-    density = lambda q: np.asarray(many(own, jnp.asarray(q)))
-    sampler = emcee.EnsembleSampler(walkers, d, density, vectorize=True, moves=moves())
-    start = begin(own, walkers, d, seed)
-    if not np.isfinite(start.log_prob).all():
+    begun = start(own, RANKS + 1, seed)
+    if not np.isfinite(begun.log_prob).all():
         return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
-    last: Any = sampler.run_mcmc(start, _STEPS, skip_initial_state_check=True)
+    last: Any = walk(own, RANKS + 1).run_mcmc(begun, _STEPS, skip_initial_state_check=True)
     return *_rank(x, own, jnp.asarray(last.coords[:RANKS])), reason

@@ -1,0 +1,228 @@
+"""Effective draws a second against emcee over a numba likelihood, in one process: `python benchmarks/sampling.py [--quick]`.
+
+Six-parameter Bouc-Wen (c, mu, tau, rho, offset and the noise's standard deviation), independent Gaussian noise, one discretisation,
+one posterior: the peer's density is compared with hystfit's before anything is timed. All take turns, a slice each round, so that other
+programs disturb all alike; rates are effective draws a step, over all rounds, by the median time of a step. Compilation, the fit and
+burn-in are left out on all sides; what the warm-up of NUTS costs is said beside. Effective draws are counted by one
+estimator (Geyer's sequence, as ArviZ' `ess(method="mean")`), the smallest of all parameters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import emcee
+import jax
+import jax.numpy as jnp
+import numba
+import numpy as np
+import scipy.signal
+
+import hystfit as hf
+from hystfit.sampling.diagnostics import effective_size
+from hystfit.sampling.ensemble import start, walk
+from hystfit.sampling.nuts import Nuts
+from hystfit.sampling.posterior import Setup, prepare
+from hystfit.uncertainty.profiles import profile
+
+BARS = {"emcee": 2.0, "nuts": 8.0, "profiles_s": 3.0}
+
+
+def record(samples: int, slow: bool = False) -> hf.Record:
+    """Cycles of 400 samples, of growing and falling amplitude, with minor loops, and noise of 1 % of the input's half range.
+
+    With `slow`, noise that takes 30 samples to change is added, as the default likelihood expects it.
+    """
+    t = np.arange(samples) / 400.0
+    u = (0.3 + 0.7 * np.sin(np.pi * t / t[-1]) ** 2) * np.sin(2 * np.pi * t) + 0.15 * np.sin(2 * np.pi * 3.3 * t)
+    truth = hf.BoucWen(c=1.0, mu=0.45, tau=1.5, rho=0.5, offset=0.1)
+    y = np.asarray(hf.simulate(truth, u)[0])
+    rng = np.random.default_rng(0)
+    y = y + 0.01 * rng.normal(size=samples)
+    if slow:
+        y += scipy.signal.lfilter(
+            [0.01 * np.sqrt(1 - np.exp(-2 / 30))], [1, -np.exp(-1 / 30)], rng.normal(size=samples)
+        )
+    return hf.Record(u=u, y=y, t=t)
+
+
+@numba.njit(fastmath=True)
+def peer_density(q, center, factor, u, y, scales, wide):
+    """Log posterior of one walker up to a constant: the library's parametrisation, priors and semi-implicit step in a plain loop."""
+    z = center + factor @ q
+    logistic = 1.0 / (1.0 + np.exp(-z))
+    c, mu, tau = scales[0] * np.exp(z[0]), logistic[1], scales[2] * np.exp(z[2])
+    rho, offset, sigma = 2.0 * logistic[3] - 1.0, scales[4] * z[4], scales[5] * np.exp(z[5])
+    m, up, down = mu * c, tau * (1 + rho), tau * (1 - rho)
+    highest = m / up
+    h, total = 0.0, 0.0
+    before = u[0]
+    for k in range(u.size):
+        dv = u[k] - before
+        before = u[k]
+        s = -1.0 if dv < 0 else 1.0
+        x, g = abs(dv), s * h
+        half = 0.5 * (up if g >= 0 else down) * x
+        new = ((1 - half) * g + m * x) / (1 + half)
+        h = s * min(max(new, min(g, highest)), max(g, highest))
+        total += (offset + c * u[k] - h - y[k]) ** 2
+    prior = -0.5 * (z[0] ** 2 + z[2] ** 2 + z[5] ** 2) / 9.0 - 0.5 * (offset / wide) ** 2
+    prior += np.log(logistic[1] * (1 - logistic[1])) + np.log(logistic[3] * (1 - logistic[3]))
+    return prior - 0.5 * total / sigma**2 - u.size * np.log(sigma)
+
+
+def peer(setup: Setup) -> Callable[[np.ndarray], float]:
+    """The peer's log posterior of whitened coordinates, checked against the library's."""
+    target, data = setup.target, setup.problem.data[0]
+    scales = np.concatenate([np.asarray(c.scale) for c in (target.objective.coordinates, target.noise)])
+    arrays = tuple(np.asarray(v) for v in (target.center, target.factor, data.u, data.y, scales))
+    wide = float(target.priors[4].sd)
+    density = lambda q: peer_density(q, *arrays, wide)
+    rows = np.random.default_rng(0).normal(size=(5, scales.size))
+    ours = np.asarray(jax.vmap(target)(jnp.asarray(rows)))
+    theirs = np.array([density(q) for q in rows])
+    np.testing.assert_allclose(ours - ours[0], theirs - theirs[0], rtol=1e-7, atol=1e-6)
+    return density
+
+
+class Runner:
+    """A sampler that goes on in slices: keeps its draws (slices of shape (steps, chains, d)) and the times of its slices."""
+
+    def __init__(self, advance: Callable[[], np.ndarray], burn: int):
+        self.advance, self.draws, self.wall, self.busy = advance, [], [], []
+        for _ in range(burn):
+            advance()
+
+    def turn(self) -> None:
+        wall, busy = time.perf_counter(), time.process_time()
+        self.draws.append(self.advance())
+        self.wall.append(time.perf_counter() - wall)
+        self.busy.append(time.process_time() - busy)
+
+    def row(self) -> dict[str, float]:
+        chains = np.swapaxes(np.concatenate(self.draws), 0, 1)
+        size = min(effective_size(chains[:, :, k]) for k in range(chains.shape[2]))
+        each = size / len(self.draws)
+        return {
+            "ess": size,
+            "ess_per_s": each / statistics.median(self.wall),
+            "ess_per_processor_s": each / statistics.median(self.busy),
+            "us_per_draw": 1e6 * statistics.median(self.wall) / (chains.shape[0] * len(self.draws[0])),
+        }
+
+
+def ensemble(sampler: Any, begin: Any, steps: int) -> Callable[[], np.ndarray]:
+    """Slices of an emcee run."""
+    state = [begin]
+
+    def advance() -> np.ndarray:
+        sampler.reset()
+        state[0] = sampler.run_mcmc(state[0], steps, skip_initial_state_check=True)
+        return sampler.get_chain()
+
+    return advance
+
+
+def chain(setup: Setup, slices: int) -> tuple[Callable[[], np.ndarray], float]:
+    """Slices of a NUTS chain, and the seconds of a second warm-up (the first compiles)."""
+    settings, key = Nuts(chains=1), jax.random.key(0)
+    settings.warm(setup.target, key)
+    begin = time.perf_counter()
+    warm = settings.warm(setup.target, key)
+    seconds = time.perf_counter() - begin
+    state, count = [jnp.asarray(warm["q"])], iter(range(10**6))
+
+    def advance() -> np.ndarray:
+        chunks = []
+        for _ in range(slices):
+            found = settings.chunk(setup.target, warm, state[0], jax.random.fold_in(key, next(count)))
+            state[0] = jnp.asarray(found["q"][-1])
+            chunks.append(found["q"])
+        return np.concatenate(chunks)[:, None]
+
+    return advance, seconds
+
+
+def measure(samples: int, rounds: int) -> dict[str, dict[str, float]]:
+    """All samplers on one record."""
+    fits = [hf.fit("bouc-wen", record(samples, slow), noise="iid", starts=1) for slow in (False, True)]
+    plain, default = prepare(fits[0], noise="iid"), prepare(fits[1], noise="ou")
+    density, d = peer(plain), plain.target.center.shape[0]
+    steps = 100 if samples < 5000 else 40
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    rng = np.random.default_rng(1)
+    spread = lambda count: emcee.State(rng.normal(size=(count, d)), random_state=np.random.RandomState(1).get_state())
+    runners = {
+        "emcee, numba, 64 walkers": Runner(ensemble(emcee.EnsembleSampler(64, d, density), spread(64), steps), 4),
+        "emcee, numba, 64, our moves": Runner(
+            ensemble(emcee.EnsembleSampler(64, d, density, moves=moves), spread(64), steps), 4
+        ),
+    }
+    for label, setup in (("iid", plain), ("ou", default)):
+        begin = start(setup.target, 128, 1)
+        runners[f"hystfit emcee, {label}, 128"] = Runner(ensemble(walk(setup.target, 128), begin, steps), 4)
+        advance, seconds = chain(setup, 8 if samples < 5000 else 2)
+        runners[f"hystfit nuts, {label}"] = runner = Runner(advance, 1)
+        runner.warmup_s = seconds
+    for _ in range(rounds):
+        for runner in runners.values():
+            runner.turn()
+    rows = {name: runner.row() for name, runner in runners.items()}
+    for name, runner in runners.items():
+        if hasattr(runner, "warmup_s"):
+            rows[name]["warmup_s"] = runner.warmup_s
+    return rows
+
+
+def profiles(samples: int, repeats: int) -> dict[str, float]:
+    """Seconds of all profiles of a fit of six parameters of the model (the initial state is the sixth)."""
+    fit = hf.fit("bouc-wen", record(samples), free=["h0"], noise="iid", starts=1)
+    times = []
+    for _ in range(repeats + 1):
+        begin = time.perf_counter()
+        found = profile(fit)
+        times.append(time.perf_counter() - begin)
+    return {"parameters": len(found.profiles), "first_s": times[0], "profiles_s": statistics.median(times[1:])}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few rounds; bars are not judged")
+    parser.add_argument("--samples", type=int, nargs="+", default=[2_000, 10_000])
+    chosen = parser.parse_args()
+    quick = chosen.quick
+    hf.enable_x64()
+    rounds = 4 if quick else 25
+    missed = False
+    for samples in chosen.samples:
+        rows = measure(samples, rounds)
+        base = rows["emcee, numba, 64 walkers"]
+        print(f"T = {samples}")
+        for name, row in rows.items():
+            row["ratio"] = row["ess_per_s"] / base["ess_per_s"]
+            row["processor_ratio"] = row["ess_per_processor_s"] / base["ess_per_processor_s"]
+            print(f"  {name:<28}", json.dumps({k: round(v, 2) for k, v in row.items()}), flush=True)
+        for bar, name in (("emcee", "hystfit emcee, iid, 128"), ("nuts", "hystfit nuts, iid")):
+            missed |= judge(f"{bar} at {samples}", rows[name]["ratio"], BARS[bar], quick)
+    row = profiles(10_000, 2 if quick else 5)
+    print("profiles at 10000", json.dumps({k: round(v, 2) for k, v in row.items()}))
+    missed |= judge("profiles", -row["profiles_s"], -BARS["profiles_s"], quick)
+    raise SystemExit(int(missed))
+
+
+def judge(name: str, got: float, bar: float, quick: bool) -> bool:
+    """Print the verdict on a bar (negative: at most); whether it is missed."""
+    if quick:
+        return False
+    met = got >= bar
+    print(f"{'ok  ' if met else 'MISS'} {name}: {abs(got):.2f} (bar {abs(bar):g})")
+    return not met
+
+
+if __name__ == "__main__":
+    main()

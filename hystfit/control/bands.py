@@ -1,0 +1,105 @@
+"""What the uncertainty of a model does to its inverse: bands of the input, and of the error with which a reference is followed."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from hystfit.control.inverse import Inverse, Limits, invert, known_range
+from hystfit.errors import ParameterError
+from hystfit.models.base import simulate
+from hystfit.sampling.draws import Posterior
+
+
+@dataclasses.dataclass(frozen=True)
+class InverseBands:
+    """A reference inverted by draws of a posterior.
+
+    Attributes:
+        reference: wanted output, shape (T,).
+        given: the inverse of the fitted model, whose input is what an experiment would apply.
+        u: input that each draw asks for, shape (count, T).
+        error: output of each draw under the input given, less the reference, shape (count, T): the error of tracking that
+            the uncertain parameters alone make, were that draw the truth.
+        missed: part of the samples that each draw's inverse could not meet, shape (count,).
+    """
+
+    reference: np.ndarray
+    given: Inverse
+    u: np.ndarray
+    error: np.ndarray
+    missed: np.ndarray
+
+    def band(self, of: str = "u", level: float = 0.9) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, median, upper) of "u" or "error", pointwise, each (T,).
+
+        Raises:
+            ParameterError: another name, or a level outside (0, 1).
+        """
+        if of not in ("u", "error") or not 0 < level < 1:
+            raise ParameterError(f'a band is of "u" or "error" with 0 < level < 1, got {of!r} and {level}')
+        edges = np.quantile(getattr(self, of), [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
+        return edges[0], edges[1], edges[2]
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Root mean square tracking error of each draw, shape (count,)."""
+        return np.sqrt(np.mean(self.error**2, axis=1))
+
+    def plot(self, level: float = 0.9) -> Any:
+        """Bands of input and tracking error over the samples; returns the matplotlib figure."""
+        import matplotlib.pyplot as plt
+
+        figure, axes = plt.subplots(2, 1, figsize=(7.2, 4.6), sharex=True, layout="constrained")
+        at = np.arange(self.reference.size)
+        for ax, of, label in zip(axes, ("u", "error"), ("input", "tracking error"), strict=True):
+            low, middle, high = self.band(of, level)
+            ax.fill_between(at, low, high, color="#d55e00", alpha=0.35, lw=0, label=f"{level:.0%} of the draws")
+            ax.plot(
+                at,
+                self.given.u if of == "u" else middle,
+                color="#0072b2",
+                lw=0.9,
+                label="applied" if of == "u" else "median",
+            )
+            ax.set_ylabel(label)
+            ax.legend(frameon=False, fontsize=8)
+        axes[1].set_xlabel("sample")
+        return figure
+
+
+def inverse_bands(
+    posterior: Posterior,
+    reference: Any,
+    dt: Any = None,
+    *,
+    limits: Limits | None = None,
+    count: int = 100,
+    seed: int = 0,
+) -> InverseBands:
+    """Invert a reference by the fitted model and by draws of its posterior.
+
+    Args:
+        posterior: its fit gives the input that is applied, its draws the bands.
+        reference: wanted output, shape (T,).
+        dt: time between samples, a number or shape (T,); a rate-independent model needs none.
+        limits: lowest and highest input; None for the range of the fit's data, a little widened.
+        count: draws used.
+        seed: of their choice.
+
+    Raises:
+        ModelError, DataError: see `invert`.
+    """
+    fit = posterior.result
+    edges = known_range(fit) if limits is None else limits
+    given = invert(fit, reference, dt, limits=limits)
+    wanted = np.asarray(reference, dtype=float)
+    inputs, errors, missed = [], [], []
+    for model in posterior.models(count, seed):
+        found = invert(model, wanted, dt, limits=edges)
+        inputs.append(found.u)
+        missed.append(np.mean(found.codes != 0))
+        errors.append(np.asarray(simulate(model, given.u, dt)[0]) - wanted)
+    return InverseBands(wanted, given, np.array(inputs), np.array(errors), np.array(missed))
