@@ -9,6 +9,8 @@ import numpy as np
 from hystfit.data.drift import like_cycles
 from hystfit.data.loops import Loop, loop_area, loop_branches
 
+_APART = 0.1  # distance, in parts of the largest stroke, between the middles of branches that are still compared
+
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
@@ -126,8 +128,9 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     """Secant stiffness of late branches over that of the first branch of the same stroke.
 
     Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Those that reach
-    further than all before set the first-time stiffness, a function of the stroke; the others are compared with it.
-    A loop without damage stays near 1 or above; strength lost to damage shows as less.
+    further than all before set the first-time stiffness, a function of the stroke; others about the same middle are
+    compared with it (a loop elsewhere in the range may be softer without any damage). A loop without damage stays near 1 or
+    above; strength lost to damage shows as less.
 
     Returns:
         The median of the last four comparisons; None with fewer.
@@ -137,9 +140,11 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     if turns.size < 5:
         return None
     stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(y[turns]))
+    middle = 0.5 * (u[turns][1:] + u[turns][:-1])
     farthest = np.maximum.accumulate(stroke)
     first = np.concatenate([[True], stroke[1:] > 1.02 * farthest[:-1]])
     known, repeated = stroke[first], ~first & (stroke > 0.1 * farthest[-1])
+    repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
     before = np.interp(stroke[repeated], known, change[first] / known)
     if not (before > 0).all():
         return None

@@ -76,9 +76,9 @@ def fit(
         loss: robust losses bend at 1 % of the output's range.
         noise: "auto" keeps plain least squares and widens its errors by the residuals' correlation time; "iid" does not. "ou"
             (slow and independent noise), "ar1", "student-t" and "discrepancy" (model error that repeats every loop) refine the fit by that
-            noise model's likelihood, with its parameters from the residuals. "auto" is the default because it costs nothing and covers
-            about as well as "ou" under white and autoregressive noise (experiments/uncertainty); "ou" is the sharper
-            estimate where noise is slow, and errors under a repeating misfit need "discrepancy" (the notes say when).
+            noise model's likelihood, with its parameters from the residuals. "auto" is the default because it costs nothing: its
+            errors hold under white noise and are on the wide side under slow noise (experiments/uncertainty); "ou" is the
+            sharper estimate there, and errors under a repeating misfit need "discrepancy" (the notes say when).
         test: records to report the error on, never fitted.
 
     Returns:
