@@ -136,7 +136,7 @@ def test_sequential_methods_give_a_result_without_standard_errors(folder, capsys
     out = folder / "rls"
     assert run(["fit", "stage-sine", "--method", "rls", "--out", str(out)]) == 0
     result = load_fit(out)
-    assert (result.method, result.name) == ("rls", "Duhem")
+    assert (result.method, result.name) == ("rls", "duhem")
     assert all(p.stderr is None for p in result.parameters)
     assert result.train.nrmse_percent < 1
 

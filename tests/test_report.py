@@ -103,7 +103,7 @@ def test_status_advice_and_unknown_values(result):
     text = report.text_report(poor)
     assert "NOT USABLE (poor)" in text
     assert "try hystfit compare" in text
-    assert re.search(r"^  test +- +- +- +- +- +-$", text, re.MULTILINE)
+    assert not re.search(r"^  test ", text, re.MULTILINE)  # nobody gave test data
     assert "- s compiling, - s running" in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
 

@@ -26,6 +26,7 @@ from hystfit.results import FitResult
 SCHEMA = "hystfit.compare/1"
 SEARCH = "prandtl-ishlinskii-search"
 _OTHER_PLAYS = (10, 40)  # tried beside the 20 of the search, and taken if they pay
+_OTHER_LEVELS = (16, 24)  # tried beside a Preisach model's own, and taken if they pay
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,8 +161,10 @@ def _judge(name: str, data: Dataset, seed: int) -> tuple[Row, FitResult | None]:
     try:
         if name == SEARCH:
             result, score, note = best_structure(data, seed)
+        elif isinstance(model := make_model(name), Preisach):
+            result, score, note = best_levels(model, data, seed)
         else:
-            result = fit(make_model(name), data, seed=seed)
+            result = fit(model, data, seed=seed)
             score, note = left_out_error(result), ""
     except DataError:
         raise
@@ -197,6 +200,16 @@ def best_structure(data: Dataset, seed: int) -> tuple[FitResult, float, str]:
         result, notes=(*result.notes, f"structure: {best.structure.words()}, {best.plays} plays", *steps)
     )
     return result, best.score, best.structure.words()
+
+
+def best_levels(model: Preisach, data: Dataset, seed: int) -> tuple[FitResult, float, str]:
+    """The Preisach model with as many levels as blocks left out choose: (fit, left-out error, levels in words)."""
+    sizes = [Preisach.of(n, symmetric=model.symmetric, elements=model.elements) for n in _OTHER_LEVELS]
+    fits = [fit(each, data, seed=seed) for each in (model, *sizes)]
+    scores = [left_out_error(each) for each in fits]
+    best = int(np.argmin(scores)) if min(scores) < 0.98 * scores[0] else 0
+    note = f"{fits[best].model.levels.size} levels"
+    return dataclasses.replace(fits[best], notes=(*fits[best].notes, f"structure: {note}")), scores[best], note
 
 
 def left_out_error(result: FitResult) -> float:
