@@ -40,8 +40,10 @@ tests: setup
 notebooks: setup  ## run every notebook (QUICK= for the full form)
 	$(BIN)/python notebooks/run.py $(QUICK)
 
-experiments: setup  ## run every experiment and check its numbers (QUICK= for the full form)
-	@for run in experiments/*/run.py; do echo "== $$run"; $(BIN)/python $$run $(QUICK) || exit 1; done
+experiments: setup  ## run every experiment, two at a time, and check its numbers (QUICK= for the full form)
+	@mkdir -p build/experiments
+	@ls experiments/*/run.py | xargs -P 2 -I RUN sh -c 'log=build/experiments/$$(basename $$(dirname RUN)).log; \
+	  $(BIN)/python RUN $(QUICK) > $$log 2>&1; status=$$?; echo "== RUN"; cat $$log; exit $$status'
 
 benchmarks: setup  ## speed, as ratios within one run
 	@for run in benchmarks/*.py; do echo "== $$run"; $(BIN)/python $$run || exit 1; done

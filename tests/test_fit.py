@@ -247,3 +247,13 @@ def test_jaxopt_lives_in_one_file():
     users = [p.name for p in (ROOT / "hystfit").rglob("*.py") if "import jaxopt" in p.read_text(encoding="utf-8")]
     assert users == ["bounded.py"]
     assert set(ESTIMATORS) >= {"lbfgsb", "projected-gradient"}
+
+
+def test_a_loop_that_loses_stiffness_is_refused():
+    u = np.concatenate([a * np.sin(np.linspace(0, 6 * np.pi, 600)) for a in (0.4, 0.7, 1.0, 0.4)])
+    force = np.asarray(hf.simulate(hf.BoucWenForce(kappa_x=0.3, kappa_w=1.0, rho=4.0, sigma=0.8, n=2.0), u)[0])
+    worn = force * np.exp(-np.cumsum(np.abs(np.diff(u, prepend=0.0))) / 60)
+    assert hf.fit("bouc-wen-force", hf.Record(u=u, y=force), starts=1).usable
+    fit = hf.fit("bouc-wen-force", hf.Record(u=u, y=worn), starts=1)
+    assert fit.status == "poor"
+    assert "loses stiffness" in " ".join(fit.notes)

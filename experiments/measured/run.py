@@ -160,22 +160,22 @@ def main() -> None:
     pages += ["## Held out\n", table(head, predictions(results))]
     pages += ["## In sample\n", table(["record", "model", "error %", "largest %", "status"], in_sample(results))]
     pages += ["## Not to be fitted\n", table(["record", "Bouc-Wen error %", "status", "why"], refused(results))]
-    head = [
-        "model",
-        "rested on",
-        "creep % a decade",
-        "+-",
-        "drift um/decade",
-        "modeled",
-        "+-",
-        "without creep",
-        "left",
-        "in sample %",
-    ]
-    pages += ["## Drift of the piezo\n", table(head, drift(results))]
-    head = ["material", "loop", "% of full scale", "% of its own range", ""]
-    pages += ["## Magnetic loops, each left out in turn (Preisach)\n", table(head, loops_left_out(results))]
     if not options.quick:
+        head = [
+            "model",
+            "rested on",
+            "creep % a decade",
+            "+-",
+            "drift um/decade",
+            "modeled",
+            "+-",
+            "without creep",
+            "left",
+            "in sample %",
+        ]
+        pages += ["## Drift of the piezo\n", table(head, drift(results))]
+        head = ["material", "loop", "% of full scale", "% of its own range", ""]
+        pages += ["## Magnetic loops, each left out in turn (Preisach)\n", table(head, loops_left_out(results))]
         (folder / "RESULTS.md").write_text("\n".join(pages), encoding="utf-8")
     (results.out / "RESULTS.md").write_text("\n".join(pages), encoding="utf-8")
     results.finish()

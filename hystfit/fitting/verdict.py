@@ -6,13 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.quality import check
 from hystfit.data.record import Dataset
+from hystfit.data.verdict import degrades
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
 from hystfit.metrics import Metrics
 from hystfit.models.base import AbstractHysteresis
 
 _POOR = 10.0  # percent of range above which no fit is called usable
+_ROUGH = 3.0  # percent of range above which a reason is looked for why the model may be the wrong one
 _SHARE = 0.7  # of the error of a single-valued curve: above it the loop itself is not described
 _MANY = 12  # weights above this number are counted in a note, not named
 
@@ -52,10 +55,15 @@ def status_of(data: Dataset, estimate: Estimate, train: Metrics) -> tuple[str, l
     plain = curve_error(data)
     if percent > _POOR:
         return "poor", [f"the error is {percent:.3g} % of the range: the model does not describe this loop"]
-    if percent > 3.0 and train.rmse > _SHARE * plain:
+    if percent > _ROUGH and train.rmse > _SHARE * plain:
         return "poor", [
             f"the error is {train.rmse / plain:.0%} of what a single-valued curve without hysteresis leaves: "
             "the loop itself is not described"
+        ]
+    if percent > _ROUGH and any(degrades(record) for record in check(data).records):
+        return "poor", [
+            f"the loop loses stiffness from cycle to cycle (damage), and the error is {percent:.3g} % of the range: the model has no "
+            "term for it (see hystfit check)"
         ]
     if not estimate.converged:
         return "not-converged", [estimate.message]
