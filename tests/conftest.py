@@ -6,10 +6,14 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
+from hypothesis import settings
 
 from hystfit.config import enable_x64
 
 enable_x64()
+# The same examples every time; `--hypothesis-profile=default` looks for new ones.
+settings.register_profile("constant", derandomize=True, deadline=None)
+settings.load_profile("constant")
 
 ROOT = Path(__file__).resolve().parents[1]
 

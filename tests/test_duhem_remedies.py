@@ -31,7 +31,7 @@ def free_run_error(model: Duhem, record: Record, y: np.ndarray) -> float:
 
 
 @given(seed=st.integers(0, 2**32 - 1), increment=st.floats(0.01, 3.0), repeat=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_decimation_keeps_the_travel_and_every_increment(seed, increment, repeat):
     rng = np.random.default_rng(seed)
     u = np.cumsum(np.repeat(rng.normal(size=80), rng.integers(1, 5, 80)) * 0.3)

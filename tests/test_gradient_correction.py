@@ -44,7 +44,7 @@ def one_row(identifier: GradientCorrection, at: int, count: int = 0):
 
 
 @given(start=vectors, weights=sizes, mu=st.floats(0.05, 1.95), floor=st.floats(0, 5), at=st.integers(1, 2000))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_weighted_error_falls_as_the_proof_says(start, weights, mu, floor, at):
     identifier = GradientCorrection(
         REGRESSOR, jnp.asarray(TRUTH + start), jnp.asarray(weights), jnp.asarray(mu), jnp.asarray(floor)
@@ -60,7 +60,7 @@ def test_weighted_error_falls_as_the_proof_says(start, weights, mu, floor, at):
 
 
 @given(start=vectors, weights=sizes, leader=st.integers(0, 7), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_error_never_grows_under_weights_that_vary_as_the_condition_allows(start, weights, leader, seed):
     rng = np.random.default_rng(seed)
     ratio = np.exp(0.01 * rng.normal(size=(199, 8)))
@@ -75,7 +75,7 @@ def test_error_never_grows_under_weights_that_vary_as_the_condition_allows(start
 
 
 @given(ratio=st.lists(sizes, min_size=1, max_size=4), leader=st.integers(-1, 7))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_both_forms_of_the_papers_condition_are_what_is_checked(ratio, leader):
     ratio = np.array(ratio)
     if leader >= 0:

@@ -77,7 +77,7 @@ def test_forward_of_inverse_is_the_identity(name: str) -> None:
         assert np.abs(found.u - u).max() <= 1e-8 * (high - low)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     levels=st.lists(st.integers(-10, 10), min_size=40, max_size=40),
     initial=st.sampled_from(["negative", "demagnetized"]),
@@ -199,7 +199,7 @@ def _kinked(root: float, start: float, bend: float) -> Root:
     return solve_rising(lambda x: rise(x) - rise(root), start, jnp.asarray(-3.0), jnp.asarray(3.0))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.floats(-3, 3), st.floats(-2, 2), st.floats(0.1, 4))
 def test_bracketed_search_finds_roots_of_kinked_functions(root: float, start: float, bend: float) -> None:
     found = _kinked(root, start, bend)

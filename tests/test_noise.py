@@ -68,7 +68,7 @@ def test_log_density_is_the_dense_gaussian(noise, tolerance, even):
     assert float(noise.log_density(setting, jnp.asarray(r)[None])) == pytest.approx(want, rel=tolerance)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(white=st.floats(0.05, 3), slow=st.floats(0.05, 3), time=st.floats(0.3, 200), seed=st.integers(0, 99))
 def test_whitening_is_a_square_root_of_the_inverse_covariance(white, slow, time, seed):
     setting, gap, weight = setting_of(25, seed)

@@ -80,7 +80,7 @@ def journeys(draw):
 
 class TestTwoForms:
     @pytest.mark.parametrize("initial", RESTS)
-    @settings(max_examples=40, deadline=None, derandomize=True)
+    @settings(max_examples=40)
     @given(steps=journeys(), center=st.sampled_from([0.0, 1.5, -2.0]), seed=st.integers(0, 3))
     def test_relays_with_ties_equal_the_definition(self, initial, steps, center, seed):
         rng = np.random.default_rng(seed)
@@ -170,7 +170,7 @@ class TestTwoForms:
 
 
 class TestLaws:
-    @settings(max_examples=30, deadline=None, derandomize=True)
+    @settings(max_examples=30)
     @given(picks=st.lists(st.floats(-1, 1), min_size=3, max_size=12), peak=st.floats(1.0, 1.5))
     def test_wiping_out(self, picks, peak):
         model = make("cells", "demagnetized", 0.0, True, 7)

@@ -42,7 +42,7 @@ def truth(initial="demagnetized", n=12):
 
 
 class TestNonnegative:
-    @settings(max_examples=40, deadline=None, derandomize=True)
+    @settings(max_examples=40)
     @given(seed=st.integers(0, 10_000), rows=st.integers(5, 30), p=st.integers(1, 12), free=st.integers(0, 3))
     def test_equals_a_bounded_solver(self, seed, rows, p, free):
         rng = np.random.default_rng(seed)

@@ -73,7 +73,7 @@ def test_reversals_of_a_zigzag_are_its_corners():
     np.testing.assert_array_equal(geometry.branches(u, 1.5), [[0, 10], [10, 40], [40, 50]])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     values=st.lists(st.integers(-8, 8), min_size=2, max_size=60), threshold=st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.5])
 )
@@ -88,7 +88,7 @@ def test_reversals_alternate_and_stand_out(values, threshold):
         assert {u[start], u[stop]} == {u[start : stop + 1].min(), u[start : stop + 1].max()}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(values=st.lists(st.integers(-8, 8), min_size=3, max_size=60))
 def test_closed_loops_return_to_their_level(values):
     u = np.array(values, dtype=float)
@@ -350,7 +350,7 @@ def test_lost_stiffness_is_seen_and_a_sound_loop_is_not_accused():
     assert any("damage" in line for line in broken.findings)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_any_record_gets_a_report_that_json_can_hold(data):
     count = data.draw(st.integers(2, 120))

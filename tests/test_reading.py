@@ -447,9 +447,7 @@ def test_many_rows_are_read_to_the_last_digit(tmp_path: Path) -> None:
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
-)
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     rows=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=3, max_size=30),
     mark=st.sampled_from([",", ";", "\t", "|", "  "]),

@@ -122,7 +122,7 @@ def test_paper_parameters_and_scaled_ones_are_two_names_of_one_model():
     seed=st.integers(0, 2**32 - 1),
     explicit=st.booleans(),
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_simulated_steps_satisfy_the_linear_equation(values, alpha, seed, explicit):
     scheme = "explicit" if explicit else "midpoint"
     u = np.cumsum(np.random.default_rng(seed).normal(size=60))

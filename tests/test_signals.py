@@ -24,7 +24,7 @@ def turning_values(u):
 
 
 @pytest.mark.parametrize("name", sorted(signals.SIGNALS))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(low=st.floats(-50, 50), span=st.floats(0.1, 100))
 def test_every_signal_stays_within_its_limits(name, low, span):
     first, second = signals.make(name, low=low, high=low + span)

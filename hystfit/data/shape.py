@@ -142,7 +142,9 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(y[turns]))
     middle = 0.5 * (u[turns][1:] + u[turns][:-1])
     farthest = np.maximum.accumulate(stroke)
-    first = np.concatenate([[True], stroke[1:] > 1.02 * farthest[:-1]])
+    first = (stroke > 0) & np.concatenate([[True], stroke[1:] > 1.02 * farthest[:-1]])
+    if not first.any():
+        return None
     known, repeated = stroke[first], ~first & (stroke > 0.1 * farthest[-1])
     repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
     before = np.interp(stroke[repeated], known, change[first] / known)
