@@ -248,6 +248,16 @@ class ParameterSpace:
             raise ParameterError(f"parameter {name!r}: {self._leaf_names[hits[0]]} has shape {leaf.shape}")
         return hits[0], [int(np.ravel_multi_index(at, leaf.shape))]
 
+    def value(self, name: str) -> np.ndarray:
+        """Value of a parameter, free or fixed, in the template: of one element, or of all of an array, flat.
+
+        Raises:
+            ParameterError: see `find`.
+        """
+        number, positions = self.find(name)
+        flat = jax.tree_util.tree_leaves(self.template)
+        return np.asarray(flat[self.leaves[number].index], dtype=float).reshape(-1)[positions]
+
     def _set(self, tree: Any, values: Mapping[str, Any]) -> Any:
         flat, treedef = jax.tree_util.tree_flatten(tree)
         for name, value in values.items():

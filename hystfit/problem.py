@@ -103,7 +103,7 @@ class Problem:
         model: AbstractHysteresis,
         data: Record | Dataset | Sequence[Record],
         *,
-        fix: Sequence[str] | Mapping[str, float | None] = (),
+        fix: Sequence[str] | Mapping[str, Any] = (),
         free: Sequence[str] = (),
         loss: Loss = "linear",
     ):

@@ -158,6 +158,12 @@ def test_a_record_that_never_turns_back_is_no_loop():
     assert hf.fit(hf.BoucWen(), hf.Record(u=u, y=u + 0.1 * np.sin(u))).status == "no-loop"
 
 
+def test_a_fixed_parameter_keeps_the_value_of_the_model_given(piezo):
+    value = lambda found, name: next(p.value for p in found.parameters if p.name == name)
+    assert value(hf.fit(hf.BoucWen(mu=0.37), piezo, fix=["mu"], starts=1), "mu") == pytest.approx(0.37, rel=1e-12)
+    assert value(hf.fit(hf.BoucWen(mu=0.37), piezo, fix={"mu": 0.2}, starts=1), "mu") == pytest.approx(0.2, rel=1e-12)
+
+
 @pytest.mark.usefixtures("as_users_run")
 @pytest.mark.parametrize(
     ("change", "error", "words"),

@@ -23,7 +23,7 @@ def sample(
     fitdir: Path,
     /,
     *,
-    sampler: Literal["nuts", "emcee"] = "nuts",
+    sampler: Literal["nuts", "emcee", "nested"] = "nuts",
     noise: Noise = "auto",
     prior: list[str] | None = None,
     draws: int | None = None,
@@ -31,6 +31,7 @@ def sample(
     warmup: int | None = None,
     target_accept: float | None = None,
     walkers: int | None = None,
+    live: int | None = None,
     seed: int = 0,
     out: Path | None = None,
     json: Json = False,
@@ -42,14 +43,15 @@ def sample(
 
     Args:
         fitdir: what `hystfit fit --out` wrote.
-        sampler: nuts, or emcee for up to ten parameters.
+        sampler: nuts, emcee for up to ten parameters, or nested for several modes and the evidence.
         noise: noise model; auto decides by the residuals and says why.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         draws: draws of each chain, or steps of the ensemble at most.
-        chains: of nuts.
+        chains: of nuts; runs of nested.
         warmup: steps of nuts that adapt it.
         target_accept: acceptance to which nuts tunes its steps; higher takes smaller ones.
         walkers: of emcee, even.
+        live: points of nested.
         seed: of the draws.
         out: folder for result.json, posterior.nc, the fit and pictures; the running chains are in its folder run.
         json: print result.json alone.
@@ -59,7 +61,7 @@ def sample(
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
-    asked = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers}
+    asked = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     given = {k: v for k, v in (asked | {"target_accept": target_accept}).items() if v is not None}
     run = None if out is None else out / "run"
     priors = _priors(prior or [])

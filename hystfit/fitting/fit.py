@@ -29,6 +29,7 @@ from hystfit.models.compose import has_rest, with_rest
 from hystfit.models.preisach import Preisach
 from hystfit.models.registry import make_model
 from hystfit.noise import NOISES
+from hystfit.params import ParameterSpace
 from hystfit.problem import Loss, Problem, check_fittable
 from hystfit.residuals import diagnose
 from hystfit.results import FitResult, ParameterEstimate, provenance
@@ -51,7 +52,7 @@ def fit(
     data: Record | Dataset | Sequence[Record],
     *,
     method: Method = "auto",
-    fix: Sequence[str] | Mapping[str, float | None] = (),
+    fix: Sequence[str] | Mapping[str, Any] = (),
     free: Sequence[str] = (),
     start: Literal["data", "model"] = "data",
     starts: int = 8,
@@ -68,7 +69,8 @@ def fit(
         method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt,
             bounded), "convex" (weights in closed form), "preisach" (the same on distinct relay states, smooth); "auto"
             takes "preisach" or "convex" for many linear weights, else "lm".
-        fix: parameters to hold, at their present value or at one given ({"c": 0.15}).
+        fix: parameters to hold, at one value given ({"c": 0.15}), else at the value of the model given, or at the one read off
+            the records where `start` is "data" and the model is given by name.
         free: parameters to fit that the model holds by default.
         start: "data" reads starting values off the records, "model" takes the model's own.
         starts: number of starting points: the data-driven one, and a Latin hypercube about it.
@@ -88,7 +90,8 @@ def fit(
         HystfitError: data, names or settings that cannot be used; the message says what to do.
     """
     require_x64()
-    model = make_model(model) if isinstance(model, str) else model
+    named = isinstance(model, str)
+    model = make_model(model) if named else model
     data = Dataset.of(data)
     _check_settings(method, starts, loss, noise, start)
     watch = Stopwatch()
@@ -97,6 +100,7 @@ def fit(
         raise ModelError(f"expected a hystfit model or its name, got {type(model).__name__}")
     check_fittable(model, data)
     if start == "data":
+        fix = fix if named else _held(model, fix)
         model = model.start(list(data))
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = _choose(problem, method)
@@ -112,6 +116,12 @@ def fit(
     result = conclude(problem, estimate, errors, name, seed, watch, extra=chosen, test=test)
     result.provenance["noise"] = described
     return result
+
+
+def _held(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:
+    """`fix` with the model's own values where it gives none: starting values read off the data must not replace them."""
+    values = dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix)
+    return {name: ParameterSpace.of(model).value(name) if value is None else value for name, value in values.items()}
 
 
 def _with_noise(problem: Problem, estimate: Estimate, noise: str) -> tuple[Estimate, Uncertainty, dict[str, Any]]:
@@ -189,7 +199,7 @@ def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 
 def _choose_rest(
-    problem: Problem, fix: Sequence[str] | Mapping[str, float | None], free: Sequence[str], loss: Loss
+    problem: Problem, fix: Sequence[str] | Mapping[str, Any], free: Sequence[str], loss: Loss
 ) -> tuple[Problem, list[str]]:
     """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
     span = 2 * problem.scales.u

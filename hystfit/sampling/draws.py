@@ -22,6 +22,7 @@ from hystfit.models.base import AbstractHysteresis, run
 from hystfit.params import Coordinates
 from hystfit.results import FitResult
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.raw import Evidence
 
 SCHEMA = "hystfit.sample/1"
 ADVICE = {
@@ -47,6 +48,7 @@ class Posterior:
         priors: in words, by parameter.
         seconds: wall time of sampling.
         seed: of the draws.
+        evidence: log evidence of model, noise and priors together, of nested sampling; None from other samplers.
     """
 
     result: FitResult
@@ -63,6 +65,7 @@ class Posterior:
     priors: dict[str, str]
     seconds: float
     seed: int
+    evidence: Evidence | None = None
 
     @property
     def usable(self) -> bool:
@@ -105,6 +108,10 @@ class Posterior:
                 f"{row['name']:{width}}  {values[0]:>11} {values[1]:>10} {values[2]:>11} {values[3]:>11} {end[0]:>6} {end[1]:>6} "
                 f"{end[2]:>6}  {row['unit']}".rstrip()
             )
+        if self.evidence is not None:
+            lines.append(
+                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; for the same data only)"
+            )
         lines += self._derived_words()
         lines += [f"note: {note}" for note in self.notes]
         lines += [f"prior of {name}: {words}" for name, words in self.priors.items()]
@@ -134,6 +141,7 @@ class Posterior:
             "draws": self.draws.shape[1],
             "divergences": None if diverging is None else int(diverging.sum()),
             "acceptance": float(np.mean(self.stats["acceptance"])) if "acceptance" in self.stats else None,
+            "evidence": None if self.evidence is None else self.evidence._asdict(),
             "parameters": {row.pop("name"): row for row in self.table()},
             "derived": {row["name"]: {k: v for k, v in row.items() if k != "name"} for row in self.derived_rows},
             "priors": self.priors,
@@ -240,6 +248,7 @@ class Posterior:
         return own | {
             "schema": SCHEMA,
             "convergence": numbers,
+            "evidence": self.evidence,
             "names": list(self.names),
             "units": list(self.units),
             "notes": list(self.notes),
@@ -303,7 +312,7 @@ def load_posterior(folder: str | Path) -> Posterior:
     names, units, notes = (tuple(header[k]) for k in ("names", "units", "notes"))
     return Posterior(
         load_fit(place / "fit"), names=names, units=units, notes=notes, draws=draws, log_density=stats.pop("lp"), stats=stats,
-        convergence=_stored_convergence(header), **kept,
+        convergence=_stored_convergence(header), evidence=header["evidence"] and Evidence(*header["evidence"]), **kept,
     )  # fmt: skip
 
 

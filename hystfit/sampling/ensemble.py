@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.sampling.nuts import Raw
 from hystfit.sampling.posterior import Setup, Target
+from hystfit.sampling.raw import Raw
 
 MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times

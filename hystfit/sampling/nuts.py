@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,20 +17,13 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.posterior import Setup, Target
+from hystfit.sampling.raw import Raw
 
 _CHUNK = 50  # draws in one compiled call, and between two writes to disk
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
-
-
-class Raw(NamedTuple):
-    """What a sampler returns: z (chains, draws, d), log density and stats (chains, draws), notes."""
-
-    z: np.ndarray
-    log_density: np.ndarray
-    stats: dict[str, np.ndarray]
-    notes: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,15 +33,15 @@ class Nuts:
     Attributes:
         chains, draws: how many, and how many each.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
-        target_accept: acceptance that the step size is tuned to; near the 0.65 that is best for Gaussian posteriors, to which
-            whitening brings most others (Beskos et al. 2013); curved ones need more.
+        target_accept: acceptance that the step size is tuned to; 0.65 is best for Gaussian posteriors, to which whitening
+            brings most others (Beskos et al. 2013); curved ones need more.
         max_depth: doublings of a trajectory at most.
     """
 
     chains: int = 4
     draws: int = 1000
     warmup: int = 300
-    target_accept: float = 0.7
+    target_accept: float = 0.65
     max_depth: int = 8
 
     def __post_init__(self) -> None:
@@ -55,19 +51,39 @@ class Nuts:
             )
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
-        """Draw, or go on from the chunks that a folder holds."""
-        parts: list[dict[str, np.ndarray]] = []
-        for number in range(self.chains):
+        """Draw, chains side by side on the processor's cores, or go on from the chunks that a folder holds."""
+        drawn: dict[int, list[np.ndarray]] = {number: [] for number in range(self.chains)}
+        telling, halted = threading.Lock(), threading.Event()
 
-            def tell(drawn: list[np.ndarray], number: int = number) -> None:
-                so_far = sum(_least(part["z"]) for part in parts) + _least(np.concatenate(drawn))
-                count = min(_CHUNK * len(drawn), self.draws)
+        def tell(number: int, q: np.ndarray) -> bool:
+            with telling:
+                drawn[number].append(q)
+                count = sum(min(_CHUNK * len(parts), self.draws) for parts in drawn.values())
+                so_far = sum(_least(np.concatenate(parts)) for parts in drawn.values() if parts)
                 report(
-                    f"chain {number + 1} of {self.chains}, {count} of {self.draws} draws, about {so_far:.0f} effective so far",
-                    (number + count / self.draws) / self.chains,
+                    f"{count} of {self.chains * self.draws} draws, about {so_far:.0f} effective so far",
+                    count / (self.chains * self.draws),
                 )
+            return halted.is_set()
 
-            parts.append(self._chain(setup, seed, number, folder, tell))
+        key = jax.random.key(seed)
+        warm = lambda number: stored(
+            folder,
+            f"nuts-{number}-warm.npz",
+            lambda: self.warm(setup.target, jax.random.fold_in(jax.random.fold_in(key, number), 10**6)),
+        )
+        first = warm(0)  # compiles what all chains run
+
+        def chain(number: int) -> dict[str, np.ndarray]:
+            own = first if number == 0 else warm(number)
+            return self._chain(setup, own, jax.random.fold_in(key, number), number, folder, tell)
+
+        with ThreadPoolExecutor(min(self.chains, os.cpu_count() or 1)) as pool:
+            try:
+                parts = list(pool.map(chain, range(self.chains)))
+            except BaseException:
+                halted.set()
+                raise
         joined = {k: np.stack([part[k] for part in parts]) for k in parts[0]}
         z, density = joined.pop("z"), joined.pop("log_density")
         count = int(joined["diverging"].sum())
@@ -79,19 +95,23 @@ class Nuts:
         return Raw(z, density, joined, notes)
 
     def _chain(
-        self, setup: Setup, seed: int, number: int, folder: Path | None, tell: Callable[[list[np.ndarray]], None]
+        self,
+        setup: Setup,
+        warm: dict[str, np.ndarray],
+        key: Array,
+        number: int,
+        folder: Path | None,
+        tell: Callable[[int, np.ndarray], bool],
     ) -> dict[str, np.ndarray]:
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        warm = _stored(
-            folder, f"nuts-{number}-warm.npz", lambda: self.warm(setup.target, jax.random.fold_in(key, 10**6))
-        )
+        """One chain after its warm-up; it ends early where `tell` says so."""
         q, chunks = jnp.asarray(warm["q"]), []
         for k in range(-(-self.draws // _CHUNK)):
             advance = lambda k=k, q=q: self.chunk(setup.target, warm, q, jax.random.fold_in(key, k))
-            chunk = _stored(folder, f"nuts-{number}-{k:05d}.npz", advance)
+            chunk = stored(folder, f"nuts-{number}-{k:05d}.npz", advance)
             chunks.append(chunk)
             q = jnp.asarray(chunk["q"][-1])
-            tell([one["q"] for one in chunks])
+            if tell(number, chunk["q"]):
+                break
         rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
         rows["z"] = np.asarray(setup.target.center) + rows.pop("q") @ warm["factor"].T
         return rows
@@ -136,22 +156,6 @@ def _least(draws: np.ndarray) -> float:
     """Effective draws of the worst coordinate of one chain, shape (n, d)."""
     sizes = [effective_size(column[None]) for column in draws.T]
     return float(np.nanmin(sizes)) if np.isfinite(sizes).any() else 0.0
-
-
-def _stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays from a file of a folder, or made and written there whole or not at all."""
-    if folder is None:
-        return make()
-    file = folder / name
-    if file.exists():
-        with np.load(file) as stored:
-            return {k: stored[k] for k in stored.files}
-    arrays = make()
-    scratch = folder / f".{name}"
-    with scratch.open("wb") as handle:
-        np.savez(handle, **arrays)  # type: ignore[arg-type]
-    scratch.replace(file)
-    return arrays
 
 
 def _start(target: Target, key: Array) -> Array:

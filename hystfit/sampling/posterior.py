@@ -257,7 +257,9 @@ def prepare(
     names, units = (*problem.space.names, *space.names), (*problem.space.units, *space.units)
     if not np.isfinite(float(start.log_prior(jnp.asarray(z)))):
         outside = [
-            n for n, prior, v in zip(names, chosen, values, strict=True) if not np.isfinite(float(prior.log_density(v)))
+            n
+            for n, prior, v in zip(names, chosen, values, strict=True)
+            if not np.isfinite(float(prior.log_density(jnp.asarray(v))))
         ]
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"

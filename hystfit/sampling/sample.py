@@ -22,15 +22,16 @@ from hystfit.results import FitResult
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.draws import Posterior
 from hystfit.sampling.ensemble import Ensemble
+from hystfit.sampling.nested import Nested
 from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.posterior import Setup, Target, prepare
 
-SAMPLERS = {"nuts": Nuts, "emcee": Ensemble}
+SAMPLERS = {"nuts": Nuts, "emcee": Ensemble, "nested": Nested}
 
 
 def sample(
     result: FitResult,
-    sampler: Literal["nuts", "emcee"] = "nuts",
+    sampler: Literal["nuts", "emcee", "nested"] = "nuts",
     *,
     noise: Literal["auto", "iid", "ou", "ar1", "student-t", "discrepancy"] = "auto",
     priors: Mapping[str, AbstractPrior] | None = None,
@@ -43,13 +44,14 @@ def sample(
 
     Args:
         result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
-        sampler: "nuts" (blackjax), or "emcee" for up to ten parameters.
+        sampler: "nuts" (blackjax), "emcee" for up to ten parameters, or "nested" (blackjax) where the posterior may have several
+            modes or the evidence is wanted: it starts from the priors, and takes minutes.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals call for more, and says why.
         priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
         seed: of the draws.
         folder: keeps the run while it goes; the same call with the same folder goes on after a kill.
         progress: called from time to time with a line and the part that is done, such as `print`.
-        **settings: of the sampler (`Nuts`, `Ensemble`): draws, chains, warmup, walkers, ...
+        **settings: of the sampler (`Nuts`, `Ensemble`, `Nested`): draws, chains, warmup, walkers, ...
 
     Returns:
         Draws with a status; look at `usable` and `notes` first.
@@ -92,6 +94,7 @@ def sample(
         priors=setup.describe_priors(),
         seconds=seconds,
         seed=seed,
+        evidence=raw.evidence,
     )
 
 
