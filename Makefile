@@ -35,7 +35,7 @@ types: setup
 	$(BIN)/basedpyright
 
 tests: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile -q
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -q
 
 notebooks: setup  ## run every notebook (QUICK= for the full form)
 	$(BIN)/python notebooks/run.py $(QUICK)

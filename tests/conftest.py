@@ -16,6 +16,13 @@ settings.register_profile("constant", derandomize=True, deadline=None)
 settings.load_profile("constant")
 
 ROOT = Path(__file__).resolve().parents[1]
+LONGEST = ("recovery", "ukf", "sampling", "models", "creep", "inverse", "noise", "stage", "nested", "convex", "duhem_remedies")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first: two workers that take whole files then end at about the same time."""
+    place = {f"test_{name}": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 @pytest.fixture
