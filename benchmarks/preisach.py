@@ -15,7 +15,8 @@ from scipy.optimize import nnls
 
 import hystfit as hf
 from hystfit.fitting.nonnegative import solve_nonnegative
-from hystfit.models.compiled import compile_for, features, respond
+from hystfit.models.columns import features
+from hystfit.models.compiled import compile_for, respond
 from hystfit.models.preisach import Preisach
 
 BARS = {"forward": 300, "first_call": 20, "gradient": 300, "memory_mb": 150, "nnls": 5}

@@ -33,6 +33,7 @@ class Results:
         self.out.mkdir(parents=True, exist_ok=True)
         self.expected: dict[str, dict[str, Any]] = json.loads((folder / "expected.json").read_text(encoding="utf-8"))
         self.numbers: dict[str, float] = {}
+        self.skipped: tuple[str, ...] = ()
         self.started = time.perf_counter()
 
     def add(self, name: str, value: float) -> float:
@@ -40,6 +41,11 @@ class Results:
         self.numbers[name] = float(value)
         print(f"  {name:<52} {value:>12.5g}   {self.verdict(name)}", flush=True)
         return value
+
+    def skip(self, start: str, why: str) -> None:
+        """Leave out the numbers whose names begin like this, and say why."""
+        self.skipped = (*self.skipped, start)
+        print(f"  no number of {start!r}: {why}", flush=True)
 
     def verdict(self, name: str) -> str:
         """What a number has to be, and whether it is."""
@@ -63,6 +69,7 @@ class Results:
     def failures(self) -> list[str]:
         """Expectations that were missed, or whose number was never made."""
         due = [name for name, asked in self.expected.items() if asked.get("quick", True) or not self.quick]
+        due = [name for name in due if not name.startswith(self.skipped)]
         return [name for name in due if name not in self.numbers or not self.passes(name)]
 
     def finish(self) -> None:

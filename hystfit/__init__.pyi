@@ -7,8 +7,8 @@ from hystfit import signals as signals
 from hystfit.config import enable_x64 as enable_x64
 from hystfit.control.bands import inverse_bands as inverse_bands
 from hystfit.control.inverse import Inverse as Inverse
-from hystfit.control.inverse import InverseStep as InverseStep
 from hystfit.control.inverse import invert as invert
+from hystfit.control.running import InverseStep as InverseStep
 from hystfit.data.quality import check as check
 from hystfit.data.read import read as read
 from hystfit.data.read import read_csv as read_csv

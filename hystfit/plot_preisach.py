@@ -71,8 +71,8 @@ def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None) -> Any:
     ax.figure.colorbar(mesh, ax=ax, label="FORC distribution")
     shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
     if shown.any():
-        half = np.abs(y[shown]).max()
-        ax.set(xlim=(0, 1.1 * x[shown].max()), ylim=(-1.1 * half, 1.1 * half))
+        far, half = np.quantile([x[shown], np.abs(y[shown])], 0.99, axis=1)  # lone points at the rim are noise
+        ax.set(xlim=(0, 1.2 * far), ylim=(-1.2 * half, 1.2 * half))
     ax.axhline(0, color="0.5", lw=0.6)
     ax.set(xlabel="coercivity (H - Hr) / 2", ylabel="interaction (H + Hr) / 2")
     return ax

@@ -18,7 +18,9 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_invert_writes_an_input_that_the_model_follows(fitted: Path, tmp_path: Path) -> None:
+def test_invert_writes_an_input_that_the_model_follows(
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     t = np.arange(200) * 0.01
     wanted = 5 - 3 * np.cos(2 * np.pi * 0.5 * t)
     lines = ["t_s,wanted_um", *(f"{a!r},{b!r}" for a, b in zip(t.tolist(), wanted.tolist(), strict=True))]
@@ -35,7 +37,15 @@ def test_invert_writes_an_input_that_the_model_follows(fitted: Path, tmp_path: P
     assert content["status"] == "missed"
     assert content["counts"]["saturated"] > 0
     assert content["input"]["highest"] == 20.0
-    assert run([*command, "--limits", "0:"]) == 2
+    capsys.readouterr()
+    for bad, words in (("0:", "both ends"), ("5:1", "must rise"), ("a:b", "both ends"), ("nan:3", "must rise")):
+        assert run([*command, "--limits", bad]) == 2
+        assert words in capsys.readouterr().err
+    # Rows without a value of the reference are not passed over in silence.
+    lines[5] = f"{t[4]!r},"
+    (tmp_path / "reference.csv").write_text("\n".join(lines) + "\n")
+    run(command)
+    assert "left out" in capsys.readouterr().out
 
 
 def test_export_writes_c(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

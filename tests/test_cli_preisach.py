@@ -62,3 +62,54 @@ def test_preisach_is_fitted_and_simulated_at_the_shell(nested: Path, tmp_path: P
     rows = np.genfromtxt(tmp_path / "made.csv", delimiter=",", skip_header=1)
     expected = np.asarray(hf.simulate(hf.load_fit(fit).model, rows[:, 1])[0])
     np.testing.assert_allclose(rows[:, 2], expected, atol=1e-9)
+
+
+def reversal_file(folder: Path, name: str, change: dict[int, float] | None = None, drift: float = 0.0) -> str:
+    """Twelve rising curves of a device, one of them turned back or moved, or each a little above the one before."""
+    model = hf.Preisach(w=device().w, levels=device().levels, initial="positive")
+    lines = ["curve,u_V,y_um"]
+    for k, start in enumerate(np.linspace(165, 0, 12)):
+        u = np.linspace(start, 180, 40)
+        y = np.asarray(hf.simulate(model, np.append(180.0, u))[0])[1:] + (change or {}).get(k, 0.0) + drift * k
+        lines += [f"{k},{float(a)!r},{float(b)!r}" for a, b in zip(u, y, strict=True)]
+    (folder / name).write_text("\n".join(lines) + "\n")
+    return str(folder / name)
+
+
+def test_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = reversal_file(tmp_path, "good.csv")
+    assert run(["check", good, "--by", "curve", "--preisach", "--out", str(tmp_path / "check")]) == 0
+    text = capsys.readouterr().out
+    assert "12 first-order reversal curves: they rise" in text
+    assert "model preisach-forc" in text
+    assert json.loads((tmp_path / "check" / "result.json").read_text())["preisach"]["status"] == "holds"
+    assert run(["fit", good, "--by", "curve", "--model", "preisach"]) == 1
+    assert "use preisach-forc" in capsys.readouterr().out
+    assert run(["fit", good, "--by", "curve", "--model", "preisach-forc", "--out", str(tmp_path / "fit")]) == 0
+    content = json.loads((tmp_path / "fit" / "result.json").read_text())
+    assert content["model"] == "preisach-forc"
+    assert content["metrics"]["train"]["nrmse_percent"] < 0.2
+    assert hf.load_fit(tmp_path / "fit").model.initial == "positive"
+
+
+def test_bad_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, options, words in (
+        ("cross.csv", {"change": {5: 30.0}}, "curves curve=4 and curve=5 cross by"),
+        ("open.csv", {"drift": -2.0}, "they do not close"),
+    ):
+        file = reversal_file(tmp_path, name, **options)
+        assert run(["check", file, "--by", "curve", "--preisach", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["preisach"]["status"] == "fails"
+        assert words in " ".join(found["findings"])
+        run(["fit", file, "--by", "curve", "--model", "preisach-forc", "--json"])
+        assert words in " ".join(json.loads(capsys.readouterr().out)["notes"])
+    lines = Path(reversal_file(tmp_path, "turned.csv")).read_text().splitlines()
+    back = [f"3,{u!r},0.0" for u in np.linspace(179, 150, 30).tolist()]
+    at = max(k for k, line in enumerate(lines) if line.startswith("3,")) + 1
+    (tmp_path / "turned.csv").write_text("\n".join([*lines[:at], *back, *lines[at:]]) + "\n")
+    assert run(["fit", str(tmp_path / "turned.csv"), "--by", "curve", "--model", "preisach-forc"]) == 2
+    assert "curve 'curve=3' turns round at sample 39" in capsys.readouterr().err
+    single = reversal_file(tmp_path, "single.csv")
+    assert run(["fit", single, "--by", "curve", "--only", "1", "--model", "preisach-forc"]) == 2
+    assert "--by" in capsys.readouterr().err

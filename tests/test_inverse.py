@@ -14,6 +14,7 @@ from hystfit.control import InverseStep, Status, invert, lead
 from hystfit.control.bracketed import Root, solve_rising
 from hystfit.errors import DataError, ModelError
 from hystfit.models.relaxation import Relaxation
+from hystfit.preisach import EverettTable
 
 DT = 0.002
 
@@ -205,6 +206,21 @@ def test_bracketed_search_finds_roots_of_kinked_functions(root: float, start: fl
     found = _kinked(root, start, bend)
     assert abs(float(found.x) - root) < 1e-12
     assert bool(found.rising)
+
+
+def test_signed_masses_get_a_status_where_their_table_is_not_monotone() -> None:
+    levels = np.linspace(0, 1, 7)
+    table = EverettTable.from_masses(levels, np.full(21, 1.0))
+    lowered = table.X.copy()
+    lowered[-1] -= 14.0  # to the top of the range the output falls
+    table = EverettTable(levels, lowered)
+    assert "not monotone" in table.faults()[0]
+    model = hf.Preisach(w=table.masses(), levels=levels, initial="negative")
+    u = np.concatenate([np.linspace(0, 1, 40), np.linspace(1, 0.2, 40)])
+    found = invert(model, np.asarray(hf.simulate(model, u)[0]), limits=(0.0, 1.0))
+    assert found.counts()["not-monotone"] > 0
+    assert np.isfinite(found.u).all()
+    assert "may jump" in " ".join(found.notes())
 
 
 def test_bad_input_says_what_to_do() -> None:

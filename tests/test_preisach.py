@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.models.compiled import compile_for, features, respond
+from hystfit.models.columns import features
+from hystfit.models.compiled import compile_for, respond
 from hystfit.models.density import ParametricPreisach
 from hystfit.models.everett import Everett, place
 from hystfit.models.free_run import free_run, has_short_cut

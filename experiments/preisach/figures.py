@@ -10,9 +10,11 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from measured import Measured
 from tracking import Trio
 
 import hystfit as hf
+from hystfit.plot_preisach import plot_curves, plot_density, plot_forc_diagram
 
 
 def _save(figure: Any, out: Path, name: str) -> None:
@@ -105,3 +107,28 @@ def frequencies(out: Path, rows: dict[str, list[float]]) -> None:
     axis.set(xlabel="frequency [Hz]", ylabel="largest error of feed-forward within reach [um]", title="S15")
     axis.legend()
     _save(figure, out, "frequencies")
+
+
+def measured(out: Path, found: Measured) -> None:
+    """Reversal curves of nanowires with their density and FORC diagram, and a piezo's minor loops, as measured and predicted."""
+    figure, axes = plt.subplots(2, 3, figsize=(16, 9.5), layout="constrained")
+    plot_curves(found.curves, found.predicted, axes[0, 0], every=8)
+    axes[0, 0].set_title("reversal curves that were not fitted")
+    plot_density(found.fit.model, axes[0, 1], reach=found.fit.reach)
+    axes[0, 1].set_title("density of the cells")
+    plot_forc_diagram(found.diagram, axes[0, 2])
+    axes[0, 2].set_title("FORC diagram")
+    loops, shown = found.loops, found.loops.t < found.loops.t[0] + 30
+    axes[1, 0].plot(loops.u[shown], loops.y[shown], lw=0.8, label="measured")
+    axes[1, 0].plot(loops.u[shown], found.runs["cells"][shown], "--", lw=0.8, label="cells")
+    axes[1, 0].set(xlabel="command [V]", ylabel="displacement [um]", title="minor loops, first 30 s")
+    small = shown & (np.abs(loops.t - loops.t[0] - 20) < 5)
+    axes[1, 1].plot(loops.u[small], loops.y[small], lw=0.8, label="measured")
+    axes[1, 1].plot(loops.u[small], found.runs["cells"][small], "--", lw=0.8, label="cells")
+    axes[1, 1].set(xlabel="command [V]", ylabel="displacement [um]", title="the same, 15 to 25 s")
+    for name, y in found.runs.items():
+        axes[1, 2].plot(loops.t, y - loops.y, lw=0.5, label=name)
+    axes[1, 2].set(xlabel="time [s]", ylabel="error [um]", title="predicted less measured", ylim=(-1.5, 1.5))
+    for axis in axes[1]:
+        axis.legend(fontsize=8)
+    _save(figure, out, "measured")

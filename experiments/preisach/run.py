@@ -1,4 +1,5 @@
-"""Song et al. 2005 on a surrogate: reversal curves, wiping-out, congruency, prediction, and tracking with the inverse.
+"""Song et al. 2005 on a surrogate: reversal curves, wiping-out, congruency, prediction, and tracking with the inverse; in full also
+measured reversal curves and minor loops, predicted from others.
 
     python experiments/preisach/run.py [--quick] [--out FOLDER]
 
@@ -19,6 +20,7 @@ import figures
 import numpy as np
 from common import Results, arguments, table
 from identify import reversal_record, static_model, with_relaxation
+from measured import measured
 from plant import STRONGER, Thunder, actuator, legs, measure
 from tracking import Trio, feedforward, loop_design, robust_damping, track, trio
 
@@ -223,6 +225,9 @@ def main() -> None:
     predicted = prediction(results, model)
     rows = frequency(results, curves, model)
     trios, last = tracking(results, model)
+    records = None if args.quick else measured(results)
+    if records is not None:
+        figures.measured(results.out, records)
     figures.identification(results.out, curves, model, fast)
     figures.properties(results.out, wiped, loops)
     figures.predictions(results.out, [(record, predict(model, record)) for record in predicted])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from hystfit.cli.options import Reading, limits
+from hystfit.cli.options import Reading
 from hystfit.cli.output import progress, refuse_unwritable, show
 from hystfit.errors import DataError
 
@@ -62,6 +62,7 @@ def invert(
         "model": result.name,
         "status": "ok" if found.ok else "missed",
         "notes": list(found.notes()),
+        "reading": list(data.notes),
         "counts": found.counts(),
         "input": {"lowest": float(found.u.min()), "highest": float(found.u.max())},
         "bands": None if bands is None else _banded(bands),
@@ -71,6 +72,7 @@ def invert(
     counts = ", ".join(f"{count} {name}" for name, count in found.counts().items() if count)
     words = [f"{result.name} inverted over {data.name}: {counts}; input {found.u.min():.4g} to {found.u.max():.4g}"]
     words += [f"  - {note}" for note in found.notes()]
+    words += [f"  - {note}" for note in data.notes if "left out" in note]
     if bands is not None:
         told = content["bands"]
         words.append(
@@ -107,12 +109,14 @@ def _banded(bands: InverseBands) -> dict[str, Any]:
 
 
 def _edges(between: str | None) -> tuple[float, float] | None:
-    found = limits(between)
-    if found is None:
+    if between is None:
         return None
-    low, high = found
-    if low is None or high is None:
-        raise DataError(f"--limits needs both ends, low:high; got {between!r}")
+    try:
+        low, high = (float(part) for part in between.split(":"))
+    except ValueError:
+        raise DataError(f"--limits needs both ends as low:high, such as 0:120; got {between!r}") from None
+    if not low < high:
+        raise DataError(f"--limits must rise, low:high; got {between!r}")
     return low, high
 
 

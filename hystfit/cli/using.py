@@ -70,6 +70,7 @@ _SHOWN = 8  # most findings of Preisach properties that are printed
 
 def _properties(data: Dataset) -> tuple[str, dict[str, Any]]:
     """Preisach properties of every record: as text, and for result.json."""
+    from hystfit.data.reversal import recognize_family
     from hystfit.preisach import check_preisach
 
     with progress("measuring Preisach properties"):
@@ -80,11 +81,17 @@ def _properties(data: Dataset) -> tuple[str, dict[str, Any]]:
     groups: dict[str, list[str]] = {}  # records of which the same is to be said
     for found in tested or checks:
         groups.setdefault(found.text(), []).append(found.record)
+    family = recognize_family(data)
     lines = ["Preisach properties (limit: 2 % of the output's range)"]
+    if family is not None:
+        status = "holds" if status == "untested" and not family.notes else "fails" if family.notes else status
+        lines += [f"  {family.words()}", *(f"    - {note}" for note in family.notes)]
+        if not family.notes:
+            lines.append("    - they neither cross nor end apart: masses >= 0 can follow them")
     for text, names in list(groups.items())[:_SHOWN]:
         more = f" and {len(names) - 5} more" if len(names) > 5 else ""
         lines += [f"  {', '.join(names[:5])}{more}", text]
-    if not tested:
+    if not tested and family is None:
         lines.append("  Nothing here speaks for or against a Preisach model: measure a record with nested loops.")
     if len(groups) > _SHOWN:
         lines.append(f"  (the other records are in result.json: {len(groups) - _SHOWN})")

@@ -7,14 +7,14 @@ from hystfit.control.feedback import assess as assess
 from hystfit.control.feedback import design as design
 from hystfit.control.feedback import pd_lead_lag as pd_lead_lag
 from hystfit.control.inverse import Inverse as Inverse
-from hystfit.control.inverse import InverseStep as InverseStep
-from hystfit.control.inverse import Status as Status
 from hystfit.control.inverse import invert as invert
 from hystfit.control.lead import lead as lead
 from hystfit.control.loop import LoopResult as LoopResult
 from hystfit.control.loop import run_loop as run_loop
 from hystfit.control.plant import LinearPlant as LinearPlant
 from hystfit.control.plant import identify_plant as identify_plant
+from hystfit.control.running import InverseStep as InverseStep
+from hystfit.control.running import Status as Status
 from hystfit.control.transfer import Margins as Margins
 from hystfit.control.transfer import TransferFunction as TransferFunction
 from hystfit.control.transfer import margins as margins

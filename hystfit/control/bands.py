@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.control.inverse import Inverse, Limits, invert, known_range
+from hystfit.control.inverse import Inverse, invert
+from hystfit.control.running import Limits, known_range
 from hystfit.errors import ParameterError
 from hystfit.models.base import simulate
 from hystfit.sampling.draws import Posterior

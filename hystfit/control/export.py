@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hystfit.control.inverse import InverseStep, Limits
 from hystfit.control.preisach_inverse import PreisachStep
+from hystfit.control.running import InverseStep, Limits
 from hystfit.control.step_inverse import SearchStep
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis

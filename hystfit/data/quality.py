@@ -13,6 +13,7 @@ from hystfit.data.drift import Drift, drift
 from hystfit.data.lag import Lag, estimate_lag, velocity_gain
 from hystfit.data.noise import clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.data.record import Dataset, Record
+from hystfit.data.reversal import recognize_family
 from hystfit.data.shape import Shape, loop_shape, rate_effect, stiffness_left
 
 
@@ -157,7 +158,14 @@ def check(data: Record | Dataset) -> QualityReport:
 
     dataset = Dataset.of(data)
     records = tuple(check_record(record) for record in dataset)
-    return QualityReport(dataset.name, records, findings(records), determine(records))
+    told, determined = findings(records), determine(records)
+    family = recognize_family(dataset)
+    if family is not None:
+        told = (family.words(), *family.notes, *told)
+        reason = f"{len(family.curves)} first-order reversal curves determine the density (model preisach-forc)"
+        able = Determination("preisach", "partly" if family.notes else "yes", (reason, *family.notes))
+        determined = tuple(able if item.model == "preisach" else item for item in determined)
+    return QualityReport(dataset.name, records, told, determined)
 
 
 def check_record(record: Record) -> RecordQuality:

@@ -12,6 +12,7 @@ import numpy as np
 from hystfit.config import require_x64
 from hystfit.data.loops import loop_area
 from hystfit.data.record import Dataset, Record
+from hystfit.data.reversal import recognize_family
 from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
 from hystfit.fitting.fit import ESTIMATORS, fit
@@ -146,7 +147,12 @@ def compare(
 
 
 def candidates(data: Dataset) -> tuple[str, ...]:
-    """Models worth comparing: output that lags (counter-clockwise loops) and force that leads ask for different ones."""
+    """Models worth comparing: output that lags (counter-clockwise loops) and force that leads ask for different ones.
+
+    Reversal curves come from saturation, which one model knows of.
+    """
+    if recognize_family(data) is not None:
+        return ("preisach-forc",)
     lags = sum(loop_area(record.u[record.used], record.y[record.used]) for record in data) > 0
     if not lags:
         return ("bouc-wen-force", "duhem", SEARCH)
@@ -161,7 +167,7 @@ def _judge(name: str, data: Dataset, seed: int) -> tuple[Row, FitResult | None]:
     try:
         if name == SEARCH:
             result, score, note = best_structure(data, seed)
-        elif isinstance(model := make_model(name), Preisach):
+        elif isinstance(model := make_model(name), Preisach) and model.spacing != "reversal-curves":
             result, score, note = best_levels(model, data, seed)
         else:
             result = fit(model, data, seed=seed)

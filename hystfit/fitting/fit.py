@@ -233,7 +233,7 @@ def conclude(
     bounds = near_bound(problem, estimate.x)
     predicted = problem.predict_at(estimate.x)
     train = Metrics.of([r.y[r.used] for r in data], [y[r.used] for r, y in zip(data, predicted, strict=True)])
-    status, why = status_of(data, estimate, train)
+    status, why = status_of(data, models[0], estimate, train)
     linear = [info.linear for info in space.infos]
     notes = why + list(extra) + notes_of(data, models[0], space.names, linear, estimate, errors, bounds)
     compile_s, run_s = watch.read()

@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
+from hystfit.data.reversal import reversal_curves
 from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.preisach_system import LeftOut, Offsets, PreisachSystem, tied_to
 from hystfit.fitting.smooth import SMOOTHNESS, SmoothFit, fit_smooth
 from hystfit.metrics import Metrics
-from hystfit.models.compiled import features
+from hystfit.models.columns import features
 from hystfit.models.free_run import free_run
 from hystfit.models.preisach import Preisach
 from hystfit.problem import Problem
@@ -142,19 +143,23 @@ class PreisachWeights(AbstractEstimator):
         if not isinstance(model, Preisach):
             raise ModelError(f"this method fits Preisach models, got {type(model).__name__}; use method='convex'")
         records = list(problem.data)
-        system = PreisachSystem.of(model, records, left_out=self.left_out)
+        # Reversal curves start from one state: an offset for each would blur what tells them apart.
+        family = reversal_curves(records) if model.spacing == "reversal-curves" else None
+        own = len(records) if family is None else 1
+        system = PreisachSystem.of(model, records, left_out=self.left_out, offsets="shared" if family else "each")
         place = _positions(problem, len(records))
         fixed = [np.asarray(getattr(model, name), float).reshape(-1) for name in _TERMS]
-        held = np.concatenate([*fixed, np.full(len(records), float(model.offset))])
+        held = np.concatenate([*fixed, np.full(own, float(model.offset))])
+        place = np.minimum(place, held.size - 1) if family is not None else place
         held[place[place >= 0]] = np.nan
         fit = fit_smooth(system, self.smoothness, held=held)
         size = problem.scales.y
         x, penalty = fit.weights[place], fit.penalty[place] / size**2
         cost = 0.5 * fit.rss / size**2
-        notes = list(reach_notes(model, system.reach))
+        notes = [] if family is None else [family.words(), *family.notes]
+        notes += reach_notes(model, system.reach)
         if fit.left_out.size:
-            notes.insert(
-                0,
+            notes.append(
                 f"smoothness {fit.smoothness:.0e} chosen on {int(system.judged.sum())} blocks left out "
                 f"(error there {fit.left_out.min():.2%} of the range)",
             )

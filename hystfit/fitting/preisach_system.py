@@ -11,7 +11,7 @@ import scipy.sparse
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ModelError
-from hystfit.models.compiled import features
+from hystfit.models.columns import features
 from hystfit.models.everett import mirror
 from hystfit.models.preisach import Preisach
 

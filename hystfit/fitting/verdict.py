@@ -8,11 +8,13 @@ import numpy as np
 
 from hystfit.data.quality import check
 from hystfit.data.record import Dataset
+from hystfit.data.reversal import recognize_family
 from hystfit.data.verdict import degrades
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
 from hystfit.metrics import Metrics
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.preisach import Preisach
 
 _POOR = 10.0  # percent of range above which no fit is called usable
 _ROUGH = 3.0  # percent of range above which a reason is looked for why the model may be the wrong one
@@ -47,10 +49,19 @@ def curve_error(data: Dataset) -> float:
     return float(np.sqrt(np.mean((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2)))
 
 
-def status_of(data: Dataset, estimate: Estimate, train: Metrics) -> tuple[str, list[str]]:
+def status_of(data: Dataset, model: AbstractHysteresis, estimate: Estimate, train: Metrics) -> tuple[str, list[str]]:
     """Status of a fit, and why."""
-    if not turns_back(data):
-        return "no-loop", ["the input never turns back by more than 1 % of its range: there is no loop in these data"]
+    from_saturation = isinstance(model, Preisach) and model.spacing == "reversal-curves"
+    if not (from_saturation or turns_back(data)):
+        family = recognize_family(data)
+        if family is None:
+            return "no-loop", [
+                "the input never turns back by more than 1 % of its range: there is no loop in these data"
+            ]
+        return "no-loop", [
+            f"{family.words()}; this model takes each to start at rest on its reversal point: use preisach-forc, which "
+            "starts from saturation"
+        ]
     percent = train.nrmse_percent if train.nrmse_percent is not None else np.inf
     plain = curve_error(data)
     if percent > _POOR:

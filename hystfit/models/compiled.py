@@ -1,6 +1,6 @@
 """The fast form of a Preisach model: an input compiled once into states and table indices, then weights to outputs by look-ups.
 
-`respond` gives the numbers of `hystfit.simulate`; `features` gives the columns by which the weights are multiplied.
+`respond` gives the numbers of `hystfit.simulate`; `hystfit.models.columns` what the weights are multiplied by.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from numpy.polynomial.legendre import legvander
 
-from hystfit.models.everett import Place, accumulate, cells, grid, swept
+from hystfit.models.everett import Place, accumulate, grid
 from hystfit.models.memory import CellMemory
-from hystfit.models.preisach import Preisach, fold, ramps
+from hystfit.models.preisach import Preisach
 from hystfit.models.staircase import Staircase, compile_input
 
 
@@ -69,7 +68,7 @@ def compile_for(model: Preisach, u: np.ndarray) -> Compiled:
     terms = _cell_terms if code is None else functools.partial(_relay_terms, code=code)
     nodes = terms(model, stairs.node_value, stairs.node_parent, stairs.node_value)
     states = terms(model, stairs.state_value, stairs.state_parent, stairs.node_value)
-    tied = np.zeros((2, 0)) if code is None else _ties(model, code, stairs)
+    tied = np.zeros((2, 0)) if code is None else ties(model, code, stairs)
     parent = np.where(stairs.state_parent < 0, stairs.node_value.size, stairs.state_parent)
     inputs = stairs.state_value if code is None else u
     return Compiled(
@@ -140,24 +139,25 @@ def _relay_terms(model: Preisach, value: np.ndarray, parent: np.ndarray, nodes: 
     before, now, first = nodes[parent[count:]], value[count:], value[:count]
     high, low = at_most[np.maximum(now, before)], below[np.minimum(now, before)]
     none = _real(np.zeros(high.size))
-    first = np.where(_rises_first(model, code, first), at_most[first], model.n + 1 + below[first])
+    first = np.where(rises_first(model, code, first), at_most[first], model.n + 1 + below[first])
     return Terms(
         _small(first), Place(_small(high), none), Place(_small(low), none), _real(np.where(now > before, 2.0, -2.0))
     )
 
 
-def _rises_first(model: Preisach, code: Code, first: np.ndarray) -> np.ndarray:
+def rises_first(model: Preisach, code: Code, first: np.ndarray) -> np.ndarray:
     """Whether a first excursion, given by its code, switches relays up."""
     if model.initial == "demagnetized":
         return 2 * first >= code.top
     return np.full(first.shape, model.initial == "negative")
 
 
-def _ties(model: Preisach, code: Code, stairs: Staircase) -> np.ndarray:
+def ties(model: Preisach, code: Code, stairs: Staircase) -> np.ndarray:
+    """States in which the input fell just onto a level, and the number of that level, shape (2, ties)."""
     at_most, below = code.passed()
     value, parent = stairs.state_value, stairs.state_parent
     falls = value < np.where(parent < 0, 0, stairs.node_value[parent])
-    falls[parent < 0] = ~_rises_first(model, code, value[parent < 0])
+    falls[parent < 0] = ~rises_first(model, code, value[parent < 0])
     at = np.flatnonzero(falls & (at_most[value] > below[value]))
     return np.stack([at, below[value[at]]])
 
@@ -222,124 +222,3 @@ def _relay_tables(model: Preisach) -> tuple[Callable[[Array], Array], Callable[[
         rest = -total
     excursions = 2 * jnp.concatenate([up, -down])
     return lambda at: excursions[at], pair, rest
-
-
-# -- columns ---------------------------------------------------------------------------------------------------------------
-
-
-def features(model: Preisach, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row a state.
-
-    Args:
-        model: gives levels, center, initial state and which terms there are; its weights do not matter.
-        u: input, shape (T,).
-
-    Returns:
-        A of shape (S, p), and the row of each sample, shape (T,).
-    """
-    u = np.asarray(u, dtype=float)
-    code, stairs = stairs_of(model, u)
-    columns = weight_columns(model, code, stairs)
-    index, inputs = stairs.index, stairs.state_value
-    if code is not None:  # one state serves many inputs, on which the single-valued part depends
-        if not (model.slopes.size or model.b.size):
-            return columns, index
-        values, number = np.unique(u, return_inverse=True)
-        keys, index = np.unique(index * values.size + number, return_inverse=True)
-        columns, inputs = columns[keys // values.size], values[keys % values.size]
-    return np.column_stack([columns, *single_valued_columns(model, inputs)]), index
-
-
-def single_valued_columns(model: Preisach, u: np.ndarray) -> list[np.ndarray]:
-    """Columns of slopes and b at inputs u, shapes (len(u), intervals) and (len(u), degree)."""
-    levels, center = np.asarray(model.levels), float(model.center)
-    out = [np.asarray(ramps(levels, np.asarray(center), u, model.symmetric, np))] if model.slopes.size else []
-    if model.b.size:
-        out.append(legvander((u - center) / float(model.half), model.b.size)[:, 1:])
-    return out
-
-
-def weight_columns(model: Preisach, code: Code | None, stairs: Staircase) -> np.ndarray:
-    """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights)."""
-    rest, first, pair = _host_tables(model, code)
-    own = _own_columns(stairs.node_value, stairs.node_parent, stairs.node_value, first, pair)
-    for layer in stairs.layers()[1:]:
-        own[layer] += own[stairs.node_parent[layer]]
-    before = np.concatenate([own, np.zeros((1, own.shape[1]))])[stairs.state_parent]
-    columns = before + rest + _own_columns(stairs.state_value, stairs.state_parent, stairs.node_value, first, pair)
-    if code is not None:
-        at, level = _ties(model, code, stairs)
-        columns[at] += 2 * _fold(model, np.eye(model.n * (model.n + 1) // 2)[level * (level + 1) // 2 + level])
-    return columns
-
-
-Columns = Callable[[np.ndarray], np.ndarray]
-Pairs = Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-
-def _own_columns(value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first: Columns, pair: Pairs) -> np.ndarray:
-    count = int(np.count_nonzero(parent < 0))
-    now, before = value[count:], nodes[parent[count:]]
-    sign = np.where(now > before, 2.0, -2.0)[:, None]
-    return np.concatenate([first(value[:count]), sign * pair(np.maximum(now, before), np.minimum(now, before))])
-
-
-def _fold(model: Preisach, columns: np.ndarray) -> np.ndarray:
-    return fold(columns, model.n) if model.symmetric else columns
-
-
-def _host_tables(model: Preisach, code: Code | None) -> tuple[np.ndarray, Columns, Pairs]:
-    """Columns of the rest state, of first excursions and of moves between extrema."""
-    levels = np.asarray(model.levels)
-    if code is None:
-        pair = lambda high, low: _fold(model, triangle_parts(levels, high, low))
-        top, bottom = levels[-1], levels[0]
-    else:
-        i, j = cells(model.n)
-        at_most, below = code.passed()
-        pair = lambda high, low: _fold(model, 1.0 * ((i < at_most[high][:, None]) & (j >= below[low][:, None])))
-        top, bottom = code.top, 0
-    everything = _fold(model, np.ones(model.n * (model.n + 1) // 2))
-    if model.initial == "negative":
-        return -everything, lambda x: 2 * pair(x, np.full_like(x, bottom)), pair
-    if model.initial == "positive":
-        return everything, lambda x: -2 * pair(np.full_like(x, top), x), pair
-    parts = _first_cells if code is None else functools.partial(_first_relays, code=code)
-    first = lambda x: _fold(model, parts(model, x))
-    return everything - first(np.array([top]))[0], first, pair
-
-
-def triangle_parts(levels: np.ndarray, high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Part of each cell's area in the triangle high >= alpha >= beta >= low, shape (K, n (n + 1) / 2)."""
-    n = levels.size - 1
-    i, j = cells(n)
-    d = np.diff(levels)
-    below = np.clip((high[:, None] - levels[:-1]) / d, 0.0, 1.0)
-    above = np.clip((levels[1:] - low[:, None]) / d, 0.0, 1.0)
-    parts = below[:, i] * above[:, j]
-    side = np.minimum(high[:, None], levels[1:]) - np.maximum(low[:, None], levels[:-1])
-    parts[:, i == j] = (np.maximum(side, 0.0) / d) ** 2
-    return parts
-
-
-def _first_cells(model: Preisach, u: np.ndarray) -> np.ndarray:
-    levels, center, n = np.asarray(model.levels), np.asarray(model.center), model.n
-    i, j = cells(n)
-    rows = np.arange(n)
-
-    def rise(levels: np.ndarray, u: np.ndarray) -> np.ndarray:
-        row, x = np.broadcast_arrays(rows, u[:, None])
-        return np.asarray(swept(levels, center, row, x, np))
-
-    up, down = rise(levels, np.maximum(u, center)), rise(2 * center - levels[::-1], 2 * center - np.minimum(u, center))
-    return 2 * (up[:, i, j] - down[:, n - 1 - j, n - 1 - i])
-
-
-def _first_relays(model: Preisach, x: np.ndarray, *, code: Code) -> np.ndarray:
-    i, j = cells(model.n)
-    alpha, beta = (np.asarray(t) for t in model.thresholds())
-    above = alpha + beta > 2.0 * float(model.center)
-    at_most, below = code.passed()
-    rises = _rises_first(model, code, x)[:, None]
-    up, down = above & (i < at_most[x][:, None]), ~above & (j >= below[x][:, None])
-    return 2.0 * (rises & up) - 2.0 * (~rises & down)

@@ -36,6 +36,27 @@ def mirror(n: int) -> tuple[np.ndarray, np.ndarray]:
     return inverse, np.stack([first, image[first]])
 
 
+def fold(columns: np.ndarray, n: int) -> np.ndarray:
+    """Columns for all cells added up to columns for the independent weights of a symmetric model."""
+    first, image = mirror(n)[1]
+    return columns[..., first] + np.where(first == image, 0.0, columns[..., image])
+
+
+def second_differences(n: int, symmetric: bool) -> np.ndarray:
+    """Matrix of the second differences of n (n + 1) / 2 weights along rows and columns, on the independent weights."""
+    at = -np.ones((n, n), dtype=int)
+    at[cells(n)] = np.arange(n * (n + 1) // 2)
+    rows = []
+    for view in (at, at.T):
+        parts = np.stack([view[k : n - 2 + k, :] for k in range(3)]) if n > 2 else np.zeros((3, 0, 0), dtype=int)
+        inside = parts[:, (parts >= 0).all(axis=0)]
+        block = np.zeros((inside.shape[1], n * (n + 1) // 2))
+        for part, factor in zip(inside, (1.0, -2.0, 1.0), strict=True):
+            block[np.arange(part.size), part] += factor
+        rows.append(block)
+    return fold(np.concatenate(rows), n) if symmetric else np.concatenate(rows)
+
+
 def grid(w: Float[Array, " cells"], n: int) -> Float[Array, "n n"]:
     """Weights as a square, zero above the diagonal."""
     i, j = cells(n)

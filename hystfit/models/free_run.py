@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.models.compiled import compile_for, features, respond
+from hystfit.models.columns import features
+from hystfit.models.compiled import compile_for, respond
 from hystfit.models.compose import Series, Sum
 from hystfit.models.density import ParametricPreisach
 from hystfit.models.preisach import Preisach

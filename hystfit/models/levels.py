@@ -7,9 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from hystfit.errors import DataError
+from hystfit.data.reversal import ReversalFamily
+from hystfit.errors import DataError, ModelError
 
-Spacing = Literal["quantile", "square", "uniform", "given"]
+Spacing = Literal["quantile", "square", "uniform", "reversal-curves", "given"]
 
 
 def choose_levels(
@@ -63,12 +64,43 @@ def choose_levels(
     return _rising(values, high - low), center
 
 
-def sharp_levels(branches: Sequence[tuple[np.ndarray, np.ndarray]], n: int, even: float = 0.2) -> np.ndarray:
-    """Levels denser where the output is steep: equal shares of the mean of sqrt(|dy/du|) on each kind of branch, and an even part.
+def levels_of_family(family: ReversalFamily, n: int, *, relays: bool) -> np.ndarray:
+    """Levels for reversal curves, denser where the output is steep on them or on the branch that their reversal points are samples of.
+
+    Args:
+        family: reversal curves.
+        n: cells, or relay levels, along each axis.
+        relays: n levels in the middle of intervals with equal shares of the output; else n + 1 edges of cells.
+    """
+    # No curve shows the branch on which the field left saturation.
+    start = np.array([(r.u[0], r.y[0]) for r in family.curves])
+    left = 0.5 * (start[1:, 0] + start[:-1, 0]), _quotient(np.diff(start[:, 1]), np.diff(start[:, 0]))
+    back = (
+        np.concatenate([r.u for r in family.curves]),
+        np.concatenate([_quotient(np.gradient(r.y), np.gradient(r.u)) for r in family.curves]),
+    )
+    if not relays:
+        return sharp_levels([back, left], n)
+    edges = sharp_levels([back, left], n, power=1.0, even=0.05)
+    return 0.5 * (edges[1:] + edges[:-1])
+
+
+def _quotient(rise: np.ndarray, run: np.ndarray) -> np.ndarray:
+    return rise / np.where(run == 0, np.inf, run)
+
+
+def sharp_levels(
+    branches: Sequence[tuple[np.ndarray, np.ndarray]], n: int, *, power: float = 0.5, even: float = 0.2
+) -> np.ndarray:
+    """Levels denser where the output is steep: equal shares of the mean of |dy/du|^power on each kind of branch, and an even part.
+
+    With power 1 each interval has the same share of the output, so that point relays make steps of one height; cells follow straight
+    lines between levels, and need fewer of them where the output is steep but straight.
 
     Args:
         branches: (inputs, slopes dy/du) of samples for each kind of branch; all kinds count the same.
         n: number of intervals.
+        power: of the slope.
         even: size of the even part relative to the mean of the other.
 
     Returns:
@@ -79,12 +111,28 @@ def sharp_levels(branches: Sequence[tuple[np.ndarray, np.ndarray]], n: int, even
     middle, density = 0.5 * (axis[1:] + axis[:-1]), np.zeros(50 * n)
     for u, slope in branches:
         count, _ = np.histogram(u, axis)
-        total, _ = np.histogram(u, axis, weights=np.sqrt(np.abs(slope)))
+        total, _ = np.histogram(u, axis, weights=np.abs(slope) ** power)
         seen = count > 0
         part = np.interp(middle, middle[seen], total[seen] / count[seen], left=0.0, right=0.0)
         density += part / (part.mean() or 1.0)
     grown = np.append(0.0, np.cumsum(density + even * density.mean() + 1e-12))
     return np.interp(np.linspace(0, grown[-1], n + 1), grown, axis)
+
+
+def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> None:
+    """Refuse levels that do not rise, or that are not symmetric where they should be.
+
+    Raises:
+        ModelError: as said.
+    """
+    if not np.isfinite(levels).all() or (np.diff(levels) <= 0).any():
+        raise ModelError(f"levels must be finite and rise strictly, got {np.array2string(levels, threshold=8)}")
+    if symmetric and center is not None:
+        gap = np.abs(levels + levels[::-1] - 2 * center).max()
+        if gap > 1e-9 * (np.ptp(levels) + abs(center)):
+            raise ModelError(
+                f"levels of a symmetric model must be symmetric about its center {center:g}; they miss by {gap:g}"
+            )
 
 
 def _rising(levels: np.ndarray, span: float, anchored: bool = False) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,12 +13,14 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
+from hystfit.data.reversal import reversal_curves
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.everett import AnyArray, cells, mirror
-from hystfit.models.levels import Spacing, choose_levels
+from hystfit.models.everett import cells, mirror, second_differences
+from hystfit.models.levels import Spacing, check_levels, choose_levels, levels_of_family
 from hystfit.models.memory import CellMemory
 from hystfit.models.polynomial import legendre_series
+from hystfit.models.reversible import ramp_count, ramps
 from hystfit.models.staircase import Rest
 from hystfit.models.starting import input_range, output_range
 from hystfit.params import param
@@ -123,19 +126,23 @@ class Preisach(AbstractHysteresis):
             elements: "cells" or "relays".
             initial: state before the record.
             spacing: "quantile" (equal shares of the samples), "square" (distances from the center that grow as squares),
-                "uniform", or "given" (leave the levels alone); None takes "square" where symmetric, "quantile" elsewhere.
+                "uniform", "reversal-curves" (denser where such curves are steep; the model then starts from the saturation
+                that they came from, whatever `initial` says), or "given" (leave the levels alone); None takes "square" where
+                symmetric, "quantile" elsewhere.
             depth: extrema that the sample-by-sample form remembers; the compiled form has no limit.
 
         Raises:
-            ModelError: n less than one, or odd with symmetric cells; a negative degree.
+            ModelError: n less than one, or odd with symmetric cells; a negative degree; symmetric levels from reversal curves.
         """
         if n < 1 or degree < 0:
             raise ModelError(f"n must be at least one and degree not negative, got {n} and {degree}")
+        if symmetric and spacing == "reversal-curves":
+            raise ModelError("levels from reversal curves follow the curves' slopes, and are not symmetric")
         if symmetric and n % 2 and elements == "cells":
             raise ModelError(f"symmetric cells need an even n, so that the center is a level; got {n}")
         levels = np.linspace(-1, 1, n + 1) if elements == "cells" else (2 * np.arange(n) + 1 - n) / n
         count = mirror(n)[1].shape[1] if symmetric else n * (n + 1) // 2
-        intervals = _intervals(levels.size, symmetric) if reversible else 0
+        intervals = ramp_count(levels.size, symmetric) if reversible else 0
         return cls(
             w=np.full(count, 1e-3),
             levels=levels,
@@ -176,7 +183,7 @@ class Preisach(AbstractHysteresis):
     @property
     def intervals(self) -> int:
         """Number of slopes, where there are any."""
-        return _intervals(self.levels.shape[0], self.symmetric)
+        return ramp_count(self.levels.shape[0], self.symmetric)
 
     def masses(self) -> Float[Array, " all"]:
         """Weights of all cells or relays, mirror images written out, shape (n (n + 1) / 2,)."""
@@ -235,23 +242,35 @@ class Preisach(AbstractHysteresis):
     # -- host ------------------------------------------------------------------------------------------------------------
 
     def start(self, records: Sequence[Record]) -> Preisach:
-        """Levels spread over the input as `spacing` says; the weights follow from a linear solve."""
+        """Levels spread over the input as `spacing` says; the weights follow from a linear solve.
+
+        Raises:
+            DataError: a constant input; records that are no reversal curves, where the spacing asks for them.
+        """
         out, place = output_range(records), input_range(records)
-        levels, center = choose_levels(
-            [r.u for r in records],
-            np.asarray(self.levels),
-            None if self.spacing != "given" and not self.symmetric else float(self.center),
-            spacing=self.spacing,
-            symmetric=self.symmetric,
-            margin=self.elements == "relays",
-        )
+        if self.spacing == "reversal-curves":
+            family = reversal_curves(records)
+            levels = levels_of_family(family, self.n, relays=self.elements == "relays")
+            center = 0.5 * float(levels[0] + levels[-1])
+            initial: Rest = "positive" if family.rising else "negative"
+        else:
+            initial = self.initial
+            levels, center = choose_levels(
+                [r.u for r in records],
+                np.asarray(self.levels),
+                None if self.spacing != "given" and not self.symmetric else float(self.center),
+                spacing=self.spacing,
+                symmetric=self.symmetric,
+                margin=self.elements == "relays",
+            )
         w = jnp.full(self.w.shape, 0.5 * out.half / self.w.size)
         slopes = jnp.full(self.slopes.shape, 0.5 * out.half / max(self.slopes.size, 1))
         b = jnp.zeros_like(self.b).at[:1].set(0.5 * out.half)
         half = max(abs(place.center + place.half - center), abs(place.center - place.half - center))
         values = (w, levels, slopes, b, out.center, center, half)
         arrays = tuple(jnp.asarray(value, dtype=self.w.dtype) for value in values)
-        return eqx.tree_at(lambda m: (m.w, m.levels, m.slopes, m.b, m.offset, m.center, m.half), self, arrays)
+        model = dataclasses.replace(self, initial=initial)
+        return eqx.tree_at(lambda m: (m.w, m.levels, m.slopes, m.b, m.offset, m.center, m.half), model, arrays)
 
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
         """Where the input leaves the levels, beyond which the model has no relays."""
@@ -271,60 +290,6 @@ class Preisach(AbstractHysteresis):
         if self.slopes.size:
             rough["slopes"] = np.diff(np.eye(self.slopes.size), 2, axis=0)
         return {name: matrix for name, matrix in rough.items() if matrix.size}
-
-
-def ramps(levels: AnyArray, center: AnyArray, u: AnyArray, symmetric: bool, xp: Any) -> AnyArray:
-    """The functions r_k of the reversible part (see `Preisach`) at inputs of any shape, shape (..., intervals)."""
-    if symmetric:
-        start = levels.shape[0] // 2
-        levels = xp.concatenate([xp.reshape(xp.asarray(center), (1,)), levels[start + levels.shape[0] % 2 :]])
-    x = xp.abs(u - center) + center if symmetric else u
-    part = (x[..., None] - levels[:-1]) / (levels[1:] - levels[:-1])
-    first, last = np.eye(levels.shape[0] - 1)[[0, -1]].astype(bool)
-    low, high = np.where(first & (not symmetric), -np.inf, 0.0), np.where(last, np.inf, 1.0)
-    part = xp.clip(part, low, high)
-    return xp.sign(u - center)[..., None] * part if symmetric else part
-
-
-def second_differences(n: int, symmetric: bool) -> np.ndarray:
-    """Matrix of the second differences of n (n + 1) / 2 weights along rows and columns, on the independent weights."""
-    at = -np.ones((n, n), dtype=int)
-    at[cells(n)] = np.arange(n * (n + 1) // 2)
-    rows = []
-    for view in (at, at.T):
-        parts = np.stack([view[k : n - 2 + k, :] for k in range(3)]) if n > 2 else np.zeros((3, 0, 0), dtype=int)
-        inside = parts[:, (parts >= 0).all(axis=0)]
-        block = np.zeros((inside.shape[1], n * (n + 1) // 2))
-        for part, factor in zip(inside, (1.0, -2.0, 1.0), strict=True):
-            block[np.arange(part.size), part] += factor
-        rows.append(block)
-    return fold(np.concatenate(rows), n) if symmetric else np.concatenate(rows)
-
-
-def fold(columns: np.ndarray, n: int) -> np.ndarray:
-    """Columns for all cells added up to columns for the independent weights of a symmetric model."""
-    first, image = mirror(n)[1]
-    return columns[..., first] + np.where(first == image, 0.0, columns[..., image])
-
-
-def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> None:
-    """Refuse levels that do not rise, or that are not symmetric where they should be.
-
-    Raises:
-        ModelError: as said.
-    """
-    if not np.isfinite(levels).all() or (np.diff(levels) <= 0).any():
-        raise ModelError(f"levels must be finite and rise strictly, got {np.array2string(levels, threshold=8)}")
-    if symmetric and center is not None:
-        gap = np.abs(levels + levels[::-1] - 2 * center).max()
-        if gap > 1e-9 * (np.ptp(levels) + abs(center)):
-            raise ModelError(
-                f"levels of a symmetric model must be symmetric about its center {center:g}; they miss by {gap:g}"
-            )
-
-
-def _intervals(count: int, symmetric: bool) -> int:
-    return count // 2 if symmetric else max(count - 1, 0)
 
 
 def _traced(value: object) -> bool:

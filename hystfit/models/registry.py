@@ -71,6 +71,12 @@ MODELS: dict[str, Entry] = {
         "Preisach with the classical point relays",
         lambda model: model.elements == "relays",
     ),
+    "preisach-forc": Entry(
+        lambda: Preisach.of(40, spacing="reversal-curves"),
+        "core",
+        "Preisach with cells from first-order reversal curves, each a record that starts from saturation",
+        lambda model: model.spacing == "reversal-curves",
+    ),
     "prandtl-ishlinskii": Entry(
         PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"
     ),

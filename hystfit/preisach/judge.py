@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.fitting.preisach import fit_preisach
-from hystfit.models.compiled import features
+from hystfit.models.columns import features
 from hystfit.models.preisach import Preisach
 from hystfit.models.staircase import Rest
 from hystfit.preisach.properties import NOISE, Closures, Congruency, congruency, error_by_order, orders, wiping_out

@@ -1,0 +1,132 @@
+"""Measured curves and loops: every fourth reversal curve fitted and the others predicted; minor loops of a piezo stack predicted from its
+major one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from common import Results
+
+import hystfit as hf
+from hystfit.fitting.preisach import PreisachFit, fit_preisach
+from hystfit.preisach import fit_forc, forc_diagram
+from hystfit.preisach.forc import ForcDiagram
+
+CLOSE = 0.5  # s after which the piezo has come from 0 V, where it had rested, to the signal's first input
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """What is drawn of the measured records.
+
+    Attributes:
+        curves, predicted: reversal curves that were not fitted, and their outputs as predicted.
+        fit: of the others.
+        diagram: of all of them.
+        loops: the piezo's record of minor loops.
+        runs: its outputs as predicted by each route.
+    """
+
+    curves: list[hf.Record]
+    predicted: list[np.ndarray]
+    fit: PreisachFit
+    diagram: ForcDiagram
+    loops: hf.Record
+    runs: dict[str, np.ndarray]
+
+
+def measured(results: Results) -> Measured | None:
+    """All of it; None where the records are not at hand and cannot be fetched."""
+    try:
+        wires = [_counting(r) for r in hf.datasets.load("mag_forc_pyforc/FeCo")]
+        model, test = hf.datasets.load("piezo_dbo/model"), hf.datasets.load("piezo_dbo/test")
+    except hf.HystfitError as error:
+        results.skip("measured", str(error))
+        return None
+    held, predicted, fit = reversal_curves(results, wires)
+    runs = minor_loops(results, model, test)
+    return Measured(held, predicted, fit, forc_diagram(wires), test, runs)
+
+
+def _counting(record: hf.Record) -> hf.Record:
+    return record.replace(u=record.u[record.used], y=record.y[record.used], weight=record.weight[record.used])
+
+
+def reversal_curves(results: Results, wires: list[hf.Record]) -> tuple[list[hf.Record], list[np.ndarray], PreisachFit]:
+    """Every fourth of 152 reversal curves fitted, the others predicted, in percent of the range of all."""
+    train, held = wires[::4], [r for k, r in enumerate(wires) if k % 4]
+    span = float(np.ptp(np.concatenate([r.y for r in wires])))
+
+    def judge(name: str, predict: Callable[[hf.Record], np.ndarray]) -> list[np.ndarray]:
+        found = [predict(r) for r in held]
+        error = np.concatenate([y - r.y for y, r in zip(found, held, strict=True)])
+        results.add(f"measured reversal curves: {name}, RMS %", 100 * float(np.sqrt(np.mean(error**2))) / span)
+        results.add(f"measured reversal curves: {name}, max %", 100 * float(np.abs(error).max()) / span)
+        return found
+
+    fit = fit_forc(train)
+    predicted = judge("cells, weights >= 0", lambda r: fit.predict(r.u))
+    signed = fit_forc(train, nonnegative=False)
+    judge("cells, signed weights", lambda r: signed.predict(r.u))
+    relays = fit_forc(train, elements="relays")
+    judge("relays, thresholds from the data", lambda r: relays.predict(r.u))
+    other = fit_forc([r for k, r in enumerate(wires) if k % 4 == 2], elements="relays")
+    rest = [r for k, r in enumerate(wires) if k % 4 != 2]
+    error = np.concatenate([other.predict(r.u) - r.y for r in rest])
+    percent = 100 * float(np.sqrt(np.mean(error**2))) / span
+    results.add("measured reversal curves: the same on curves 3, 7, ... fitted, RMS %", percent)
+    coarse = fit_preisach(
+        train, hf.Preisach.of(50, elements="relays", spacing="uniform", initial="positive"), left_out="records"
+    )
+    judge("relays, 50 uniform thresholds", lambda r: coarse.predict(r.u))
+    judge("straight line between the curves fitted next to it", lambda r: _between(r, train))
+    return held, predicted, fit
+
+
+def _between(record: hf.Record, curves: list[hf.Record]) -> np.ndarray:
+    """Linear interpolation between the neighbors in reversal, at fields as far along the way from reversal to the end."""
+    starts = np.array([r.u[0] for r in curves])
+    order = np.argsort(starts)
+    k = int(np.clip(np.searchsorted(starts[order], record.u[0]) - 1, 0, starts.size - 2))
+    low, high = curves[order[k]], curves[order[k + 1]]
+    part = np.clip((record.u[0] - low.u[0]) / (high.u[0] - low.u[0]), 0.0, 1.0)
+    along = lambda r: np.interp(record.u - record.u[0] + r.u[0], r.u, r.y)
+    at = lambda r: np.interp(record.u, r.u, r.y)
+    # Near the reversal along the distance from it, far from it at the same field.
+    far = np.clip((record.u - record.u[0]) / max(high.u[0] - low.u[0], 1e-300), 0.0, 1.0)
+    return (1 - far) * ((1 - part) * along(low) + part * along(high)) + far * ((1 - part) * at(low) + part * at(high))
+
+
+def minor_loops(results: Results, model: hf.Record, test: hf.Record) -> dict[str, np.ndarray]:
+    """Loops of all sizes predicted from 40 cycles of one size: cells behind a lag (as `check` estimates it), and what `compare` takes."""
+    lag = hf.check(model).records[0].lag
+    if lag is None or lag.seconds is None:
+        raise RuntimeError("no lag was found in the major loop")
+    passed = lambda r: r.replace(u=np.asarray(hf.simulate(hf.Lag(tau=lag.seconds), r.u, r.dt)[0]))
+    fit = fit_preisach(passed(model), hf.Preisach.of(24, initial="negative"))
+    winner = hf.compare(model).winner
+    results.add("measured minor loops: lag of the major loop, ms", 1e3 * lag.seconds)
+    runs = {"cells": fit.predict(passed(test).u), "compare's choice": winner.predict(test)}
+    size = _local_size(test)
+    late = test.t >= test.t[0] + CLOSE
+    parts = {"whole": np.ones(len(test), bool), f"after {CLOSE:g} s": late}
+    parts["loops of less than half the range"] = late & (size < 0.5 * size.max())
+    span = float(np.ptp(test.y))
+    for name, y in runs.items():
+        shifted = y - np.mean(y - test.y)  # another zero of the sensor
+        runs[name] = shifted
+        for part, at in parts.items():
+            error = (shifted - test.y)[at]
+            results.add(f"measured minor loops: {name}, {part}, RMS %", 100 * float(np.sqrt(np.mean(error**2))) / span)
+            results.add(f"measured minor loops: {name}, {part}, max %", 100 * float(np.abs(error).max()) / span)
+    return runs
+
+
+def _local_size(record: hf.Record) -> np.ndarray:
+    """Peak to peak of the input over the second about each sample."""
+    width = round(1.0 / float(np.median(record.dt))) | 1
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(record.u, width // 2, mode="edge"), width)
+    return np.ptp(windows, axis=1)
