@@ -63,7 +63,7 @@ def _label(ax: Any) -> Any:
 def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None) -> Any:
     """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative."""
     ax = _axes(ax)
-    top = np.nanpercentile(np.abs(diagram.density), 99.5) or 1.0
+    top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
     x, y = diagram.coercivity, diagram.interaction
     reversal, field = _edges(diagram.reversal)[:, None], _edges(diagram.field)[None, :]
     shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
