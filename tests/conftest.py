@@ -16,7 +16,19 @@ settings.register_profile("constant", derandomize=True, deadline=None)
 settings.load_profile("constant")
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST = ("recovery", "ukf", "sampling", "models", "creep", "inverse", "noise", "stage", "nested", "convex", "duhem_remedies")
+LONGEST = (
+    "recovery",
+    "ukf",
+    "sampling",
+    "models",
+    "creep",
+    "inverse",
+    "noise",
+    "stage",
+    "nested",
+    "convex",
+    "duhem_remedies",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

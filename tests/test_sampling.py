@@ -68,6 +68,15 @@ def test_density_is_likelihood_prior_and_jacobian(fitted):
         assert float(density(z)) == pytest.approx(want, rel=1e-6)
 
 
+def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
+    setup = prepare(fitted, noise="ou")
+    prior = setup.target.priors[setup.names.index("noise_time")]
+    draws = np.asarray(prior.sample(jax.random.key(0), (20_000,)))
+    assert np.quantile(draws, 0.977) == pytest.approx(500 / 3, rel=0.1)
+    own = priors.LogNormal(40.0, 0.2)
+    assert "40" in prepare(fitted, noise="ou", priors={"noise_time": own}).describe_priors()["noise_time"]
+
+
 def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
     target = prepare(fitted, noise="ou").target
     value = eqx.filter_jit(lambda q: target(q))

@@ -43,8 +43,12 @@ def _corner(posterior: Posterior) -> Any:
         flat[:, moving],
         labels=labels,
         quantiles=[0.025, 0.5, 0.975],
+        levels=(0.5, 0.9),
+        range=[0.998] * len(labels),
+        bins=25,
+        smooth=1.0,
         show_titles=True,
-        title_fmt=".3g",
+        title_fmt=".4g",
         title_kwargs={"fontsize": 8},
     )
 

@@ -23,7 +23,7 @@ from hystfit.fitting.newton import FORWARD, forward, maximize
 from hystfit.fitting.released import refine_released
 from hystfit.noise import Setting
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
-from hystfit.priors import AbstractPrior, choose_priors
+from hystfit.priors import AbstractPrior, LogNormal, choose_priors
 from hystfit.problem import Objective, Problem
 from hystfit.residuals import Diagnosis, diagnose
 from hystfit.results import FitResult
@@ -248,7 +248,8 @@ def prepare(
     refined = refine_released(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), name)
     space = refined.space
     values = np.concatenate([refined.x, refined.values])
-    chosen = choose_priors_for(problem.space, space, priors, values)
+    longest = max(int(np.count_nonzero(r.used)) for r in problem.data)
+    chosen = choose_priors_for(problem.space, space, noise_priors(space, longest) | dict(priors or {}), values)
     z = np.concatenate([_inside(problem.space, refined.x), _inside(space, refined.values)])
     batch = trimmed(problem.objective.batch)
     objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
@@ -271,6 +272,13 @@ def prepare(
     notes += [f"the data say next to nothing about {names[k]}: its posterior is its prior" for k in flat]
     target = eqx.tree_at(lambda t: (t.center, t.factor), start, (jnp.asarray(center), jnp.asarray(factor)))
     return Setup(problem, name, space, target, value, names, units, tuple(notes))
+
+
+def noise_priors(space: ParameterSpace, samples: int) -> dict[str, AbstractPrior]:
+    """Defaults that the record's length decides: noise slower than a third of it is a constant, which the offset already is."""
+    slowest = max(samples / 3, 10.0)
+    about = LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)  # one sample to the slowest: two sd each way
+    return {name: about for name in space.names if name == "noise_time"}
 
 
 def choose_priors_for(

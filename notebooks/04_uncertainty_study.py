@@ -1,0 +1,197 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # How well are the parameters known? A study to copy
+#
+# From a CSV to error bars that can be published: what the residuals say about the errors, which parameters the data determine, draws
+# from the posterior, and what follows for the loop, for predictions and for the inverse. At the end: a poor experiment, and the
+# input that would have saved it.
+#
+# To use it on your own data, change the cell that reads the file and the name of the model; nothing else knows the example.
+#
+# The record is *simulated* (a Bouc-Wen actuator, slow drift and white noise in the sensor), so that the answers can be checked
+# against the truth. Nothing before the last table uses it.
+
+# %%
+import os
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import hystfit as hf
+
+hf.enable_x64()  # double precision, which every fit asks for
+QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer draws
+folder = Path("out") / "uncertainty"
+folder.mkdir(parents=True, exist_ok=True)
+
+# %% [markdown]
+# ## The file
+# Eight cycles between 0 V and an amplitude that falls from 100 V to 20 V, then three more with other turning points, 800 samples. The
+# sensor has 10 nm of white noise, and 15 nm that wander within about 25 samples (temperature, cables).
+
+# %%
+TRUTH = hf.BoucWen(c=0.2, mu=0.45, tau=0.06, rho=0.3, offset=0.1, scheme="exact")
+
+
+def measure(u: np.ndarray, seed: int) -> np.ndarray:
+    """Output of the true actuator [um], with the sensor's noise."""
+    rng = np.random.default_rng(seed)
+    keep = np.exp(-1 / 25)
+    slow = np.empty(u.size)
+    slow[0] = 0.015 * rng.normal()
+    for k in range(1, u.size):
+        slow[k] = keep * slow[k - 1] + 0.015 * np.sqrt(1 - keep**2) * rng.normal()
+    return np.asarray(hf.simulate(TRUTH, u)[0]) + slow + 0.010 * rng.normal(size=u.size)
+
+
+t = np.arange(800) / 100.0
+top = np.interp(t, [0, 5.5, 6, 8], [100, 20, 90, 60])
+low = np.interp(t, [0, 5.5, 6, 8], [0, 0, 25, 10])
+u = low + (top - low) * 0.5 * (1 - np.cos(2 * np.pi * 1.4 * t))
+file = folder / "loop.csv"
+np.savetxt(file, np.column_stack([t, u, measure(u, 1)]), fmt="%.5f", delimiter=",", header="t_s,u_V,y_um", comments="")
+
+# %%
+record = hf.read_csv(file)
+fitted, held_back = record.window(0, 6.0), record.window(6.0, None)
+MODEL = hf.BoucWen(scheme="exact")  # the exact step: right at any sampling rate
+print(hf.check(record))
+
+# %% [markdown]
+# ## Fit, and what the residuals say about the errors
+# A plain least-squares fit takes the residuals for independent. They are not: neighbors resemble each other, so that 600 samples hold the
+# information of far fewer. The report gives the residuals' correlation time and by how much the honest errors exceed the plain ones.
+
+# %%
+fit = hf.fit(MODEL, fitted)
+print(fit)
+
+# %%
+plain = hf.fit(MODEL, fitted, noise="iid")
+print(f"residuals are correlated over {fit.correlation_time:.1f} samples; honest errors are {fit.honest_ratio:.1f} times the plain ones")
+for name in fit.free_names:
+    print(f"{name:7} {fit[name].value:9.5f}   honest {fit[name].stderr:.5f}   plain {plain[name].stderr:.5f}")
+
+# %% [markdown]
+# ## What the data determine
+# The profile of a parameter is the best fit with that parameter held: where it rises on both sides, the data close it. Curved or lopsided
+# profiles are where symmetric error bars mislead.
+
+# %%
+profiles = hf.profile(fit)
+print(profiles)
+profiles.plot()
+plt.show()
+
+# %% [markdown]
+# ## Draws from the posterior
+# The noise is a parameter too: a slow part and a white part. NUTS starts at the fit and is whitened by its curvature. The first thing to
+# read is the status; then R-hat (1.01 at most) and the effective number of draws (400 at least), by parameter.
+
+# %%
+posterior = hf.sample(fit, "nuts", noise="ou", draws=500 if QUICK else 2000, chains=4, seed=1)
+print(posterior)
+
+# %%
+posterior.plot("corner")
+plt.show()
+
+# %%
+posterior.plot("rank")
+plt.show()
+
+# %% [markdown]
+# The derived numbers (area of the loop, coercive input, remanence, hysteresis in percent of the stroke) come with the draws' spread:
+# each draw has its own loop.
+#
+# ## Predictions
+# Two bands over the part that was held back: the narrow one is where the model's curve may lie, the wide one where measurements may. About
+# nine in ten samples should lie in the wide band.
+
+# %%
+lower, median, upper = posterior.bands(held_back, level=0.9, seed=2)
+curve = posterior.bands(held_back, level=0.9, kind="credible", seed=2)
+late = held_back.used  # the part before only sets the memory right
+inside = np.mean(((held_back.y >= lower) & (held_back.y <= upper))[late])
+figure, (top_axes, rest_axes) = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
+top_axes.plot(held_back.t[late], held_back.y[late], "k.", ms=2, label="held back")
+top_axes.plot(held_back.t[late], median[late], lw=1, label="median of the draws")
+top_axes.set_ylabel("y [um]")
+top_axes.legend()
+rest_axes.fill_between(held_back.t[late], 1e3 * (lower - median)[late], 1e3 * (upper - median)[late], alpha=0.25, label="90 % of measurements")
+rest_axes.fill_between(held_back.t[late], 1e3 * (curve[0] - median)[late], 1e3 * (curve[2] - median)[late], alpha=0.6, label="90 % of curves")
+rest_axes.plot(held_back.t[late], 1e3 * (held_back.y - median)[late], "k.", ms=2)
+rest_axes.set(xlabel="t [s]", ylabel="residual [nm]")
+rest_axes.legend(loc="upper right")
+plt.show()
+print(f"{100 * inside:.1f} % of the samples held back lie in the 90 % band")
+
+# %% [markdown]
+# ## The inverse
+# The voltage that makes the output follow a reference, by the fit and by draws; and the error that each draw expects of the fit's voltage:
+# the tracking error that the uncertainty of the parameters alone causes.
+
+# %%
+phase = np.arange(200) / 200
+lowest, highest = float(np.quantile(fitted.y, 0.1)), float(np.quantile(fitted.y, 0.9))
+reference = lowest + (highest - lowest) * 0.5 * (1 - np.cos(4 * np.pi * phase))
+bands = hf.inverse_bands(posterior, reference, 0.01, count=50)
+low_rms, high_rms = np.quantile(bands.rms, [0.05, 0.95])
+print(f"uncertain parameters alone make a tracking error of {1e3 * low_rms:.1f} to {1e3 * high_rms:.1f} nm rms (90 %)")
+bands.plot()
+plt.show()
+
+# %% [markdown]
+# ## A poor experiment, and a better one
+# Three cycles of 10 V at mid-range: the loop is hardly open. The fit says which combination of parameters it cannot tell apart and
+# prints no error where there is none, profiles stay open, and `design` looks for the input that closes them.
+
+
+# %%
+def said(error: float | None) -> str:
+    """A standard error in words."""
+    return "unknown" if error is None else f"{error:.2g}"
+
+
+short_t = np.arange(300) / 100.0
+small = 50 + 5 * np.sin(2 * np.pi * short_t)
+poor = hf.fit(MODEL, hf.Record(u=small, y=measure(small, 3), t=short_t, u_unit="V", y_unit="um", t_unit="s"))
+for note in poor.notes:
+    print("-", note)
+for name in poor.free_names:
+    print(f"{name:7} {poor[name].value:10.4g} +- {said(poor[name].stderr)}")
+
+# %%
+better = hf.design(poor, low=0.0, high=100.0, samples=300, steps=20 if QUICK else 150)
+print(better)
+
+# %%
+again = hf.fit(
+    MODEL,
+    [poor.data[0], hf.Record(u=better.best.u, y=measure(better.best.u, 4), t=short_t, u_unit="V", y_unit="um", name="designed")],
+)
+for name in again.free_names:
+    print(f"{name:17} {again[name].value:10.4g} +- {said(again[name].stderr)}")
+
+# %% [markdown]
+# ## Against the truth
+# How many standard deviations the truth lies from the posterior's mean; mostly within two.
+
+# %%
+for row in posterior.table():
+    if hasattr(TRUTH, row["name"]):
+        true = float(getattr(TRUTH, row["name"]))
+        print(f"{row['name']:7} true {true:8.4f}   mean {row['mean']:8.4f} +- {row['sd']:.4f}   {(row['mean'] - true) / row['sd']:+.1f} sd")
+print(f"saved in {posterior.save(folder / 'posterior')}")
