@@ -99,6 +99,11 @@ def test_unreachable_goals_are_refused() -> None:
         assess(PAPER * 1.5, PLANT, rate=1.5e3)
     with pytest.raises(ParameterError, match="damping_ratio"):
         design(omega=328.0, zeta=0.02, gain=0.62, damping_ratio=1.5)
+    for rate, delay in ((0.0, 1.5), (-1e4, 1.5), (1e4, -1.0)):
+        with pytest.raises(ParameterError, match="rate must be positive"):
+            assess(PAPER, PLANT, rate=rate, delay=delay)
+    with pytest.raises(ParameterError, match="rate must be positive"):
+        Controller.of(PAPER, 0.0)
     with pytest.raises(ParameterError, match="as many poles"):
         TransferFunction((1.0, 0.0, 0.0), (1.0, 1.0))
     with pytest.raises(ParameterError, match="samples/s"):

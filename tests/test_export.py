@@ -54,6 +54,11 @@ CASES = {
         -1.0,
         1.0,
     ),
+    "preisach_positive": (
+        weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="positive"), offset=-0.2),
+        -1.0,
+        1.0,
+    ),
     "preisach_symmetric": (
         weighted(hf.Preisach.of(6, depth=16, symmetric=True, degree=3), b=[0.2, 0.0, 0.05]),
         -1.0,

@@ -133,8 +133,10 @@ def assess(
         delay: dead time of the sampled loop, in samples.
 
     Raises:
-        ParameterError: the loop is unstable, or the rate is too low for it.
+        ParameterError: the loop is unstable, or the rate is too low for it; a rate that is not positive, a negative delay.
     """
+    if (rate is not None and not rate > 0) or not delay >= 0:
+        raise ParameterError(f"the rate must be positive and the delay not negative, got {rate} and {delay}")
     loop = controller * plant
     ideal = margins(loop)
     poles = loop.closed()
