@@ -6,6 +6,7 @@ two bounds    x = lower + (upper - lower) / (1 + exp(-z))
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +16,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 REAL, LOWER, UPPER, BOTH = range(4)
+
+
+@functools.partial(jax.jit, static_argnums=4, inline=True)  # called outside traced code too: one program, not twenty
+def _physical(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[int, ...]) -> Array:
+    kind = jnp.asarray(kinds, dtype=int)
+    # One exponential for all maps; for two bounds it is exp(-|z|), measured from the nearer bound, so that the slope keeps
+    # its digits next to either. Without a bound its argument is 0, as a branch not taken must not overflow in the gradient.
+    away = jnp.where(kind == BOTH, jnp.where(z < 0, z, -z), z)
+    grown = jnp.exp(jnp.where(kind == REAL, 0.0, away))
+    low = jnp.where(jnp.isfinite(lower), lower, 0.0)
+    high = jnp.where(jnp.isfinite(upper), upper, 0.0)
+    x = jnp.where(kind == REAL, scale * z, low + scale * grown)
+    x = jnp.where(kind == UPPER, high - scale * grown, x)
+    part = (high - low) * grown / (1.0 + grown)
+    both = jnp.where(z < 0, low + part, high - part)
+    return jnp.where(kind == BOTH, both, x)
 
 
 class Coordinates(eqx.Module):
@@ -36,23 +53,9 @@ class Coordinates(eqx.Module):
     treedef: Any = eqx.field(static=True)
     n_records: int = eqx.field(static=True)
 
-    def _kind(self) -> Array:
-        return jnp.asarray(self.kinds, dtype=int)
-
     def physical(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """x from z."""
-        kind = self._kind()
-        # One exponential for all maps; for two bounds it is exp(-|z|), measured from the nearer bound, so that the slope keeps
-        # its digits next to either. Without a bound its argument is 0, as a branch not taken must not overflow in the gradient.
-        away = jnp.where(kind == BOTH, jnp.where(z < 0, z, -z), z)
-        grown = jnp.exp(jnp.where(kind == REAL, 0.0, away))
-        low = jnp.where(jnp.isfinite(self.lower), self.lower, 0.0)
-        high = jnp.where(jnp.isfinite(self.upper), self.upper, 0.0)
-        x = jnp.where(kind == REAL, self.scale * z, low + self.scale * grown)
-        x = jnp.where(kind == UPPER, high - self.scale * grown, x)
-        part = (high - low) * grown / (1.0 + grown)
-        both = jnp.where(z < 0, low + part, high - part)
-        return jnp.where(kind == BOTH, both, x)
+        return _physical(z, self.lower, self.upper, self.scale, self.kinds)
 
     def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """dx/dz, element by element (the maps do not mix parameters)."""
@@ -60,7 +63,7 @@ class Coordinates(eqx.Module):
 
     def log_jacobian(self, z: Float[Array, " p"]) -> Float[Array, ""]:
         """log |det dx/dz|."""
-        kind = self._kind()
+        kind = jnp.asarray(self.kinds, dtype=int)
         free = jnp.log(self.scale)
         width = jnp.where(kind == BOTH, self.upper - self.lower, 1.0)
         both = jnp.log(width) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
