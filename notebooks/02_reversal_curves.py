@@ -81,7 +81,8 @@ print(len(family), "curves,", sum(len(r) for r in family), "samples")
 # ## The density
 # Every other curve is fitted, the rest is kept to see how well it is predicted. The plane is cut into cells, within each of which the density is
 # uniform: a point relay for each cell would let the output jump. The levels lie closer where the output is steep. Masses are not negative, and
-# smooth; how smooth is chosen on curves left out in turn.
+# smooth; how smooth is chosen on curves left out in turn. At the shell it is `hystfit fit FILE --by CURVE --model preisach-forc`, and `hystfit check`
+# says whether a file holds such curves.
 
 # %%
 fit = fit_forc(family[::2], 16 if QUICK else 32)

@@ -33,8 +33,8 @@ def check(
 
     Args:
         loop: file or data set.
-        preisach: also measure what a Preisach model presumes: wiping-out, congruency, higher-order reversals; the exit status
-            is then 1 where the record can test none of them.
+        preisach: also measure what a Preisach model presumes: wiping-out, congruency, higher-order reversals, and of a family of
+            reversal curves that they neither cross nor end apart; the exit status is then 1 where the data can test none of them.
         out: folder for result.json and check.txt.
         json: print result.json alone.
     """
