@@ -467,6 +467,7 @@ def test_bad_settings_are_refused_in_words():
         "beta must be finite": {"beta": np.nan},
         r"array of shape \(5,\)": {"prior": np.ones(5)},
         "outside its bounds": {"fix": {"mu": 3.0}},
+        "every parameter is fixed": {"fix": ("c", "mu", "tau", "rho", "offset")},
     }
     for message, settings in cases.items():
         with pytest.raises(ParameterError, match=message):

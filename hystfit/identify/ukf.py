@@ -141,6 +141,8 @@ class Ukf(AbstractIdentifier):
             fix = tuning.all_but(model, tuple(only), ParameterSpace.of(model, free=free).names)
         scales = scales_of(data)
         space = ParameterSpace.of(model, fix=fix, free=free, scales=scales, records=[record.name for record in data])
+        if not len(space):
+            raise ParameterError("every parameter is fixed: there is nothing to identify (use predict)")
         ranges = tuning.state_ranges(space.template, data)
         s, p = ranges.size, len(space)
         first = tuning.deviations(state_prior, _STATE_PRIOR * ranges, "state_prior")
