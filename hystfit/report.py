@@ -165,7 +165,7 @@ def _facts(result: FitResult) -> dict[str, list[str]]:
         how.append(f"{len(result.free_names)} free parameters")
     how.append(f"{_number(result.compile_s, '.2f')} s compiling, {_number(result.run_s, '.2f')} s running")
     spread = [f"standard deviation {_number(result.sigma)} {unit}".rstrip()]
-    if result.correlation_time > 1:
+    if result.correlation_time > 1 or result.honest_ratio != 1:
         spread.append(f"correlated over {result.correlation_time:.3g} samples (integrated autocorrelation time)")
     else:
         spread.append("no correlation found")

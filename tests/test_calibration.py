@@ -79,6 +79,43 @@ def test_a_study_goes_on_from_its_chunks(honest):
         calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, seed=1)
 
 
+@pytest.mark.parametrize("damage", ["empty", "half", "noise"])
+def test_a_damaged_chunk_is_made_again(honest, damage):
+    folder, study = honest
+    file = folder / "chunk-00001.npz"
+    whole = file.read_bytes()
+    file.write_bytes(
+        {"empty": b"", "half": whole[: len(whole) // 2], "noise": b"PK\x03\x04" + bytes(range(200))}[damage]
+    )
+    seen: list[str] = []
+    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, progress=seen.append)
+    np.testing.assert_array_equal(again.ranks, study.ranks)
+    assert len(seen) == 1
+    assert file.read_bytes() != b""
+
+
+def test_a_chunk_that_breaks_is_told_and_not_kept(honest, tmp_path, monkeypatch):
+    from hystfit.uncertainty import chunks
+
+    run_chunk = chunks.run_chunk
+
+    def breaking(study, number):
+        if number == 1:
+            raise MemoryError("no memory left")
+        return run_chunk(study, number)
+
+    monkeypatch.setattr(chunks, "run_chunk", breaking)
+    found = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
+    assert len(found.failures) == 10
+    assert all("chunk broke" in why for _, why in found.failures)
+    assert found.broken == ("chunk 1 broke: MemoryError: no memory left",)
+    assert not (tmp_path / "chunk-00001.npz").exists()
+    assert found.status == "miscalibrated"  # a sixth of the replicates failed
+    monkeypatch.setattr(chunks, "run_chunk", run_chunk)
+    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
+    np.testing.assert_array_equal(again.ranks, honest[1].ranks)
+
+
 @pytest.mark.usefixtures("as_users_run")
 def test_settings_that_mean_nothing_are_refused():
     with pytest.raises(ParameterError, match="method must be"):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.data.batch import Batch
 from hystfit.errors import ParameterError
+from hystfit.fitting.covariance import leftover
 from hystfit.fitting.fit import solve
 from hystfit.fitting.generalized import Whitened, linearize, refine, restricted
 from hystfit.noise import NOISES, Ar1, LoopDiscrepancy, OrnsteinUhlenbeck, Setting, StudentT, White, make_noise
@@ -196,9 +197,7 @@ def test_diagnosis_names_the_noise(kind, want):
     for seed in range(3):
         record, model = noisy_loop(seed, kind)
         problem = Problem(model, record)
-        x = solve(problem, "lm", 1, 0).x
-        raw = np.asarray(problem.objective.predict_physical(jnp.asarray(x)) - problem.objective.batch.y)
-        names.append(diagnose(problem.objective.batch, raw).recommended)
+        names.append(diagnose(leftover(problem, solve(problem, "lm", 1, 0).x)).recommended)
     assert names.count(want) >= 2, names
 
 

@@ -8,10 +8,12 @@ Status 1 where a number misses expected.json.
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait for each other
@@ -30,35 +32,87 @@ HERE = Path(__file__).resolve().parent
 warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy")  # columns without one finite error bar
 
 
+class Page:
+    """Sections of the page; in full each is kept with its numbers when it is done, and a later run goes on from there."""
+
+    def __init__(self, results: Results):
+        self.results = results
+        self.parts: list[str] = []
+        self.kept = None if results.quick else results.out / "sections"
+        if self.kept is not None:
+            self.kept.mkdir(parents=True, exist_ok=True)
+
+    def add(self, name: str, make: Callable[[], dict[str, str] | None]) -> None:
+        """Texts under their titles, made now or found ready."""
+        file = None if self.kept is None else self.kept / f"{name}.json"
+        if file is not None and file.exists():
+            stored = json.loads(file.read_text(encoding="utf-8"))
+            for number, value in stored["numbers"].items():
+                self.results.add(number, value)
+            self.parts.append(stored["text"])
+            return
+        before, started = set(self.results.numbers), time.perf_counter()
+        made = make()
+        if made is None:
+            return
+        text = "\n".join(f"## {title}\n\n{words}" for title, words in made.items())
+        text += f"\n({time.perf_counter() - started:.0f} s)\n"
+        self.parts.append(text)
+        if file is not None:
+            numbers = {k: v for k, v in self.results.numbers.items() if k not in before}
+            scratch = file.with_suffix(".part")
+            scratch.write_text(json.dumps({"text": text, "numbers": numbers}, indent=1), encoding="utf-8")
+            scratch.replace(file)
+
+
+def coverages(results: Results) -> dict[str, str]:
+    """The tables of `coverage.py` under their titles."""
+    tables = coverage.run(results, None if results.quick else results.out / "coverage.jsonl")
+    titles = {
+        "coverage": "Coverage of 95 % intervals, % (least of the four parameters in brackets)",
+        "width": "Median standard error over the spread of the estimates",
+        "none": "Parameters without an error bar, and replicates that were warned of repeating error, %",
+        "samplers": f"Samplers on the first {coverage.SAMPLED_REPLICATES} replicates",
+    }
+    return {title: tables[name] for name, title in titles.items() if name in tables}
+
+
+def measured(results: Results) -> dict[str, str] | None:
+    """The tables of `piezo.py` under their titles."""
+    found = piezo.run(results)
+    if found is None:
+        for name in [name for name in results.expected if name.startswith("piezo")]:
+            del results.expected[name]  # nothing to hold them against
+        return None
+    return {"piezo_dbo: fitted 5 to 15 s, predicted 15 to 40 s": found["bands"], "What that fit says": found["notes"]}
+
+
 def main() -> None:
     """Run everything."""
     given = arguments("Width and coverage of error bars, calibration, and predictions of a measured piezo stack.")
     hf.enable_x64()
     results = Results(HERE, given.quick, given.out)
-    parts, started = [], time.perf_counter()
-
-    def section(title: str, *pieces: str) -> None:
-        nonlocal started
-        parts.append("\n".join([f"## {title}\n", *pieces, f"({time.perf_counter() - started:.0f} s)\n"]))
-        started = time.perf_counter()
-
-    section("Least squares, NUTS and emcee on a well-determined problem", agreement.well_determined(results))
+    page = Page(results)
+    well = "Least squares, NUTS and emcee on a well-determined problem"
+    page.add("well determined", lambda: {well: agreement.well_determined(results)})
     if not given.quick:
-        section("A bent posterior of two parameters, beside a grid", agreement.banana_on_a_grid(results))
-        section("A bent posterior of all parameters, beside a long run", agreement.banana_in_full(results))
-    section("One amplitude", *one_amplitude.run(results).values())
-    tables = coverage.run(results, None if given.quick else results.out / "coverage.jsonl")
-    section("Coverage of 95 % intervals, % (least of the four parameters in brackets)", tables["coverage"])
-    section("Median standard error over the spread of the estimates", tables["width"])
-    if "samplers" in tables:
-        section("Samplers on the first replicates", tables["samplers"])
-    section("Simulation-based calibration", sbc.run(results, None if given.quick else results.out / "sbc"))
-    measured = None if given.quick else piezo.run(results)
-    if measured is not None:
-        section("piezo_dbo: fitted 5 to 15 s, predicted 15 to 40 s", measured["bands"], measured["notes"])
-    page = "# Error bars on trial\n\nMade by `run.py`; seconds are of the run that wrote this page, without what it found ready.\n\n"
+        grid, full = (
+            f"A bent posterior of {words}"
+            for words in ("two parameters, beside a grid", "all parameters, beside a long run")
+        )
+        page.add("grid", lambda: {grid: agreement.banana_on_a_grid(results)})
+        page.add("long run", lambda: {full: agreement.banana_in_full(results)})
+    page.add("one amplitude", lambda: {f"One amplitude: {k}": v for k, v in one_amplitude.run(results).items()})
+    if not given.quick:
+        page.add("piezo", lambda: measured(results))
+    page.add(
+        "calibration",
+        lambda: {"Simulation-based calibration": sbc.run(results, None if given.quick else results.out / "sbc")},
+    )
+    page.add("coverage", lambda: coverages(results))
+    head = "# Error bars on trial\n\nMade by `run.py` (full form).\n\n"
     target = results.out if given.quick else HERE
-    (target / "RESULTS.md").write_text(page + "\n".join(parts), encoding="utf-8")
+    (target / "RESULTS.md").write_text(head + "\n".join(page.parts), encoding="utf-8")
     results.finish()
 
 

@@ -62,8 +62,8 @@ def fit(
             rls, gradient-correction and ukf go sample by sample. auto suits the model.
         fix: hold a parameter: NAME, or NAME=VALUE; repeatable.
         free: fit a parameter that the model holds; repeatable.
-        noise: auto widens standard errors by the residuals' correlation time, iid does not; ou, ar1, student-t and
-            discrepancy refine the fit by that noise's likelihood.
+        noise: auto takes standard errors under slow and independent noise where residuals are correlated, iid does not; ou, ar1,
+            student-t and discrepancy refine the fit by that noise's likelihood.
         loss: robust losses let outliers count less.
         start: starting values read off the data, or the model's own.
         starts: number of starting points.

@@ -12,16 +12,20 @@ from jaxtyping import Array
 
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.preisach import responses
-from hystfit.metrics import autocorrelation_time
 from hystfit.models.preisach import Preisach
+from hystfit.noise.serial import least_squares_root
 from hystfit.params import BOTH, REAL
 from hystfit.problem import Objective, Problem
+from hystfit.residuals import Leftover
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes an error bar, which is symmetric, meaningless
 _RANK = 1e-7  # or when its singular value is below this part of the largest: rounding decides then, not data
 _TOUCHED = 0.05  # component in an undetermined direction from which a parameter has no error bar
 _PART = 0.25  # components of a direction that its description names
+_FEW = (
+    60  # parameters up to which errors take the noise's covariance; those of more weights grow by its correlation time
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +42,7 @@ class Uncertainty:
         correlation_time: integrated autocorrelation time of the residuals, samples; 1 for white ones.
         ratio: errors over those for independent residuals (geometric mean over the parameters).
         sigma: standard deviation of the residuals, output units.
+        left: what the fit leaves.
     """
 
     covariance: np.ndarray
@@ -49,6 +54,7 @@ class Uncertainty:
     correlation_time: float
     ratio: float
     sigma: float
+    left: Leftover
 
 
 @eqx.filter_jit
@@ -75,13 +81,14 @@ def uncertainty(
 ) -> Uncertainty:
     """Covariance at an estimate, to first order.
 
-    Residuals that are correlated in time carry less information than their number: with `honest` the covariance grows by their
-    integrated autocorrelation time. Parameters on a bound and directions that the data leave open get no finite error.
+    Residuals that are correlated in time carry less information than their number: with `honest` the covariance of a least-squares
+    estimate is taken under slow and independent noise with their statistics (`hystfit.noise.serial`), and that of hundreds of weights
+    grows by their integrated autocorrelation time. Parameters on a bound and directions that the data leave open get no finite error.
 
     Args:
         problem: what was fitted.
         estimate: where it ended.
-        honest: widen by the correlation time.
+        honest: allow for correlated residuals.
         root: square root R of the information R'R about x that a noise model leaves, shape (p, p); it then decides.
     """
     space, x = problem.space, estimate.x
@@ -93,19 +100,29 @@ def uncertainty(
     gain = np.linalg.norm(J, axis=0)
     inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
     live = ~at_bound & ~inactive
-    time = max(_times(problem, residual)) if honest or root is not None else 1.0
-    left = max(int(used.sum()) - int(live.sum()), 1)
-    plain = float(np.sum(residual**2)) / left
-    variance, ratio = plain * time, float(np.sqrt(time))
+    y = problem.scales.y
+    few = int(live.sum()) <= _FEW
+    left = Leftover.of(problem.objective.batch, residual * y, (jacobian * relative)[:, live] if few else None)
+    time = left.correlation_time if honest or root is not None else 1.0
+    freedom = max(int(used.sum()) - int(live.sum()), 1)
+    plain = float(np.sum(residual**2)) / freedom
+    variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
+    if root is None and honest and left.correlated and few and live.any():
+        root = np.zeros((int(live.sum()), x.size))
+        # Noise that pushed a parameter to its bound might as well have left it inside: the errors of the others allow for that.
+        pushed = at_bound & (gain > 1e-9 * gain.max()) & ~np.array([info.linear for info in space.infos])
+        order = np.concatenate([np.flatnonzero(pushed), np.flatnonzero(live)])
+        triangle = np.linalg.qr(least_squares_root(left.noise, J[:, order] * y), mode="r")
+        root[:, live] = triangle[pushed.sum() :, pushed.sum() :] / relative[live]
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
-        J, variance = root * relative, 1.0
+        J, variance, unit = root * relative, 1.0, 1 / plain
     covariance = np.full((x.size, x.size), np.nan)
     determined = live.copy()
     directions: list[str] = []
     rank, condition = 0, None
     if live.any():
-        ridge = None if estimate.penalty is None else (estimate.penalty * relative**2)[live]
+        ridge = None if estimate.penalty is None else (unit * estimate.penalty * relative**2)[live]
         values, vectors = _spectrum(J[:, live], ridge)
         names = [name for name, on in zip(space.names, live, strict=True) if on]
         floor = _RANK * values[0]
@@ -126,17 +143,55 @@ def uncertainty(
         at = np.flatnonzero(live)
         covariance[np.ix_(at, at)] = full
         determined[at[touched]] = False
-    sigma = float(np.sqrt(np.sum(residual**2) / left)) * problem.scales.y
-    return Uncertainty(covariance, determined, inactive, tuple(directions), rank, condition, time, ratio, sigma)
+    return Uncertainty(
+        covariance,
+        determined,
+        inactive,
+        tuple(directions),
+        rank,
+        condition,
+        time,
+        ratio,
+        float(np.sqrt(plain)) * y,
+        left,
+    )
+
+
+def leftover(problem: Problem, x: np.ndarray) -> Leftover:
+    """What is left of the data at physical x."""
+    residual, jacobian = _residual_and_jacobian(problem, x)
+    live = np.array([side is None for side in near_bound(problem, x)])
+    few = live.any() and int(live.sum()) <= _FEW
+    columns = jacobian[:, live] * _relative_size(problem, x)[live] if few else None
+    return Leftover.of(problem.objective.batch, residual * problem.scales.y, columns)
+
+
+def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Standard errors of a least-squares fit under the noise that it leaves, over those for independent noise, shape (p,)."""
+    left = leftover(problem, x)
+    ratios = np.full(x.size, np.sqrt(left.correlation_time))
+    if not left.correlated or not left.basis.shape[1]:
+        return ratios
+    live = np.array([side is None for side in near_bound(problem, x)])
+    used = left.samples.on.reshape(-1)
+    J = _residual_and_jacobian(problem, x)[1][used][:, live] * _relative_size(problem, x)[live]
+    root = least_squares_root(left.noise, J * problem.scales.y)
+    plain = float(np.sum(left.residual**2)) / max(int(used.sum()) - int(live.sum()), 1) / problem.scales.y**2
+    ratios[live] = np.exp(_log_ratios(root, J, plain))
+    return np.where(np.isfinite(ratios), ratios, np.sqrt(left.correlation_time))
 
 
 def _ratio(root: np.ndarray, J: np.ndarray, variance: float) -> float:
     """Geometric mean of standard errors under a noise model over those for independent noise; 1 where neither is finite."""
-    with np.errstate(all="ignore"):
-        errors = [np.sum(np.linalg.pinv(np.linalg.qr(A, mode="r")) ** 2, axis=1) for A in (root, J)]
-        logs = 0.5 * np.log(errors[0] / (errors[1] * variance))
+    logs = _log_ratios(root, J, variance)
     logs = logs[np.isfinite(logs)]
     return float(np.exp(logs.mean())) if logs.size else 1.0
+
+
+def _log_ratios(root: np.ndarray, J: np.ndarray, variance: float) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        errors = [np.sum(np.linalg.pinv(np.linalg.qr(A, mode="r")) ** 2, axis=1) for A in (root, J)]
+        return 0.5 * np.log(errors[0] / (errors[1] * variance))
 
 
 def _spectrum(J: np.ndarray, ridge: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -180,12 +235,6 @@ def near_bound(problem: Problem, x: np.ndarray, tolerance: float = 1e-4) -> list
     width = np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
     low, high = x - lower < tolerance * width, upper - x < tolerance * width
     return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
-
-
-def _times(problem: Problem, residual: np.ndarray) -> list[float]:
-    weight = np.asarray(problem.objective.batch.weight)
-    rows = residual.reshape(weight.shape)
-    return [autocorrelation_time(row[on > 0]) for row, on in zip(rows, weight, strict=True)]
 
 
 def describe(direction: np.ndarray, names: list[str]) -> str:

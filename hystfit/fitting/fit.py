@@ -76,11 +76,11 @@ def fit(
         starts: number of starting points: the data-driven one, and a Latin hypercube about it.
         seed: of the starting points.
         loss: robust losses bend at 1 % of the output's range.
-        noise: "auto" keeps plain least squares and widens its errors by the residuals' correlation time; "iid" does not. "ou"
-            (slow and independent noise), "ar1", "student-t" and "discrepancy" (model error that repeats every loop) refine the fit by that
-            noise model's likelihood, with its parameters from the residuals. "auto" is the default because it costs nothing: its
-            errors hold under white noise and are on the wide side under slow noise (experiments/uncertainty); "ou" is the
-            sharper estimate there, and errors under a repeating misfit need "discrepancy" (the notes say when).
+        noise: "auto" keeps the least-squares estimate; where its residuals are correlated, its errors are those under slow
+            (Ornstein-Uhlenbeck) and independent noise learnt from them. "iid" takes residuals as independent. "ou" (slow and
+            independent noise), "ar1", "student-t" and "discrepancy" (model error that repeats every loop) refine the fit by that noise
+            model's likelihood: "ou" is the sharper estimate under slow noise, and errors under a repeating misfit need "discrepancy"
+            (the notes say when).
         test: records to report the error on, never fitted.
 
     Returns:
@@ -112,7 +112,9 @@ def fit(
         chosen = [*chosen, described["words"]]
     else:
         errors, described = uncertainty(problem, estimate, honest=noise == "auto"), {"name": noise}
-    chosen = [*chosen, *_warnings(problem, estimate, noise)]
+        if noise == "auto" and errors.left.correlated:
+            described["parameters"] = errors.left.noise.noise.parameters
+    chosen = [*chosen, *_warnings(errors, noise)]
     result = conclude(problem, estimate, errors, name, seed, watch, extra=chosen, test=test)
     result.provenance["noise"] = described
     return result
@@ -141,13 +143,9 @@ def _with_noise(problem: Problem, estimate: Estimate, noise: str) -> tuple[Estim
     return changed, uncertainty(problem, changed, root=refined.root), described
 
 
-def _warnings(problem: Problem, estimate: Estimate, noise: str) -> list[str]:
+def _warnings(errors: Uncertainty, noise: str) -> list[str]:
     """What the residuals say against errors of this kind."""
-    batch = problem.objective.batch
-    raw = np.zeros(batch.u.shape)
-    for row, record, y in zip(raw, problem.data, problem.predict_at(estimate.x), strict=True):
-        row[: len(record)] = np.where(record.used & np.isfinite(y), y - record.y, 0.0)
-    reasons = diagnose(batch, raw).objections(noise)
+    reasons = diagnose(errors.left).objections(noise)
     return reasons if noise == "auto" else [f"noise={noise!r} was asked for, but {reason}" for reason in reasons]
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 _LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
+_CLIMBING, _POLISHING, _DONE = 0, 1, 2
 _DIFFERENCE = 1e-4  # in z, before any curvature is known
 _FARTHEST = 0.2  # in z
 _PART = 0.5  # of a standard deviation: differences of gradients that far apart do not mistake for curvature the kinks that a
@@ -102,25 +103,31 @@ def maximize(
         return jnp.where(new > value, t, 0.0) * step
 
     def go_on(carry: tuple[Any, ...]) -> Array:
-        return ~carry[5] & (carry[6] < steps)
+        return (carry[5] < _DONE) & (carry[6] < steps)
 
     def once(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        z = carry[0] + carry[1]
+        z, polishing = carry[0] + carry[1], carry[5] == _POLISHING
         value, gradients, hessian = second_order(slope, z, *carry[4])
+        # Half as wide differences and Richardson's extrapolation: in a bent valley the wide ones see its walls.
+        hessian = jnp.where(polishing, (4 * hessian - carry[3]) / 3, hessian)
         size, axes = jnp.linalg.eigh(jnp.where(jnp.isfinite(hessian), hessian, 0.0))
         size = jnp.maximum(jnp.abs(size), 1e-8 * jnp.max(jnp.abs(size)) + 1e-12)
         along = jnp.where(jnp.isfinite(gradients), gradients, 0.0) @ axes
         step = axes @ (along[0] / size)
         step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
         gain = jnp.sum(along**2 / size, axis=1)
-        small = (gain[0] < 1e-7) & (carry[6] > 0)
+        small = ((gain[0] < 1e-7) & (carry[6] > 0)) | polishing
         step = jax.lax.cond(small, lambda: jnp.zeros_like(z), lambda: search(z, value, step))
+        there = small | ~jnp.any(step != 0)
         frame = (axes, jnp.clip(_PART / jnp.sqrt(size), 1e-7, _FARTHEST))
-        return z, step, value, hessian, frame, small | ~jnp.any(step != 0), carry[6] + 1, jnp.min(gain) < 1e-2
+        frame = jax.tree.map(lambda new, old: jnp.where(there, old, new), frame, (carry[4][0], 0.5 * carry[4][1]))
+        phase = jnp.where(polishing, _DONE, jnp.where(there, _POLISHING, _CLIMBING))
+        return z, step, value, hessian, frame, phase, carry[6] + 1, jnp.min(gain) < 1e-2
 
     d, no = z.shape[0], jnp.zeros((), bool)
     frame = (jnp.eye(d), jnp.full(d, _DIFFERENCE))
-    start = (z, jnp.zeros(d), jnp.asarray(-jnp.inf), jnp.zeros((d, d)), frame, no, jnp.asarray(0), no)
+    begin = jnp.asarray(_CLIMBING)
+    start = (z, jnp.zeros(d), jnp.asarray(-jnp.inf), jnp.zeros((d, d)), frame, begin, jnp.asarray(0), no)
     z, _, value, hessian, _, _, _, near = jax.lax.while_loop(go_on, once, start)
     return Optimum(z, value, hessian, near & jnp.isfinite(value) & jnp.all(jnp.isfinite(hessian)))
 

@@ -115,7 +115,7 @@ def notes_of(
         )
     else:
         notes += [f"not determined by these data: {words}" for words in errors.directions]
-    if errors.correlation_time > 1.0:
+    if errors.correlation_time > 1.0 or errors.ratio != 1.0:
         notes.append(
             f"residuals are correlated over {errors.correlation_time:.3g} samples; standard errors are "
             f"{errors.ratio:.2g} times those for independent residuals"

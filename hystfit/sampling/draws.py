@@ -22,6 +22,7 @@ from hystfit.models.base import AbstractHysteresis, run
 from hystfit.params import Coordinates
 from hystfit.results import FitResult
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.predictive import predictive_draws
 from hystfit.sampling.raw import Evidence
 
 SCHEMA = "hystfit.sample/1"
@@ -178,30 +179,18 @@ class Posterior:
             level: of the pointwise band.
             count: draws used.
             seed: of their choice and of the noise.
-            kind: "credible" (of the model's curve) or "predictive" (of a measurement: noise is added, with its marginal variance).
+            kind: "credible" (of the model's curve) or "predictive" (of a measurement: see
+                `hystfit.sampling.predictive`).
 
         Raises:
             ParameterError: another kind, or a level outside (0, 1).
         """
         if kind not in ("credible", "predictive") or not 0 < level < 1:
             raise ParameterError(f"kind must be credible or predictive and 0 < level < 1, got {kind!r} and {level}")
-        y = self.predict(record, count, seed)
-        if kind == "predictive":
-            rng = np.random.default_rng(seed + 1)
-            flat = self.draws.reshape(-1, len(self.names))
-            at = np.random.default_rng(seed).choice(len(flat), len(y), replace=False)
-            y = y + rng.normal(size=y.shape) * self._noise_sd(flat[at])[:, None]
+        draw = predictive_draws if kind == "predictive" else Posterior.predict
+        y = draw(self, record, count, seed)
         edges = np.quantile(y, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
         return edges[0], edges[1], edges[2]
-
-    def _noise_sd(self, rows: np.ndarray) -> np.ndarray:
-        """Marginal standard deviation of the noise in each draw."""
-        parts = [k for k, name in enumerate(self.names) if name in ("noise_white", "noise_slow", "noise_loop")]
-        variance = np.sum(rows[:, parts] ** 2, axis=1)
-        if "noise_dof" in self.names:
-            dof = rows[:, self.names.index("noise_dof")]
-            variance = variance * np.where(dof > 2.1, dof / (dof - 2), 20.0)
-        return np.sqrt(variance)
 
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
         """Posterior draws of derived quantities, each (count,): see `hystfit.sampling.derived.QUANTITIES`."""

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.fitting.covariance import leftover
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import linearize, log_prior, raw_residual
 from hystfit.fitting.newton import FORWARD, forward, maximize
@@ -25,7 +26,7 @@ from hystfit.noise import Setting
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, LogNormal, choose_priors
 from hystfit.problem import Objective, Problem
-from hystfit.residuals import Diagnosis, diagnose
+from hystfit.residuals import diagnose
 from hystfit.results import FitResult
 
 _MOST = 100  # parameters beyond which sampling is refused
@@ -205,18 +206,9 @@ def problem_of(result: FitResult) -> tuple[Problem, np.ndarray]:
     return problem, problem.space.vector(models)
 
 
-def residual_diagnosis(problem: Problem, x: np.ndarray) -> Diagnosis:
-    """`diagnose` the residuals at x."""
-    batch = problem.objective.batch
-    raw = np.zeros(batch.u.shape)
-    for row, record, y in zip(raw, problem.data, problem.predict_at(x), strict=True):
-        row[: len(record)] = np.where(record.used & np.isfinite(y), y - record.y, 0.0)
-    return diagnose(batch, raw)
-
-
 def choose_noise(problem: Problem, x: np.ndarray, asked: str) -> tuple[str, list[str]]:
     """The noise model to use and why: what was asked for, or for "auto" slow noise, unless the residuals call for more."""
-    found = residual_diagnosis(problem, x)
+    found = diagnose(leftover(problem, x))
     if asked == "auto":
         name = found.recommended if found.recommended in ("discrepancy", "student-t") else "ou"
         return name, [f"noise model {name}, because {'; '.join(found.reasons)}"]

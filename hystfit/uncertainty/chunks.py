@@ -58,7 +58,7 @@ def _file(place: Path, k: int) -> Path:
 def _load(file: Path) -> Chunk | None:
     """A stored chunk; None where there is none, or a damaged one."""
     try:
-        with np.load(file) as stored:
+        with file.open("rb") as handle, np.load(handle) as stored:
             return {name: stored[name] for name in ("ranks", "errors", "reason")}
     except FileNotFoundError:
         return None

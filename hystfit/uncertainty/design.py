@@ -151,7 +151,7 @@ def design(
         raise ParameterError(f"design needs low < high and at least 100 samples, got {low}, {high} and {samples}")
     c = problem.space.coordinates
     size = _sizes(c, x)
-    sigma = result.sigma * np.sqrt(result.correlation_time)
+    sigma = result.sigma * result.honest_ratio
     typical = float(np.median(np.concatenate([r.dt for r in result.data])))
     prior = jnp.eye(x.size) / _PRIOR**2
     setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical))

@@ -11,30 +11,24 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from scipy.stats import chi2
 
 from hystfit.config import require_x64
 from hystfit.errors import ParameterError
-from hystfit.fitting.covariance import near_bound
+from hystfit.fitting.covariance import error_ratios, near_bound
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.generalized import Whitened, linearize, refine, unconstrained
-from hystfit.fitting.newton import descend
-from hystfit.metrics import autocorrelation_time
+from hystfit.fitting.generalized import Whitened, linearize, refine
 from hystfit.noise import Setting, White
 from hystfit.params import BOTH, LOWER, UPPER
 from hystfit.problem import Objective
 from hystfit.results import FitResult
 from hystfit.sampling.posterior import problem_of, trimmed
+from hystfit.uncertainty.profile_paths import crossing, follow_all
 
 SCHEMA = "hystfit.profile/1"
-_STEPS = 24  # points on each side at most
-_STRIDE = 0.6  # aimed rise of the root statistic from point to point
-_FAR = 12.0  # way in z beyond which a side is called open: a factor of 160 000, or within 6e-6 of a bound
-_FITS = 12  # Levenberg-Marquardt steps at each point
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,8 +142,9 @@ def profile(
     Args:
         result: the fit.
         names: parameters; all free ones by default.
-        noise: "auto" counts misfit as the fit's errors do: with its noise model if it had one, else independent noise widened
-            by the residuals' correlation time; or a noise model by name, whose values are taken at the optimum.
+        noise: "auto" counts misfit as the fit's errors do: with its noise model if it had one, else by the sum of squares, which for
+            correlated residuals counts less by the square of each parameter's honest over its plain error (Kent 1982); or a noise
+            model by name, whose values are taken at the optimum.
         level: of the limits, by chi squared with one degree of freedom.
 
     Raises:
@@ -165,11 +160,14 @@ def profile(
         raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(problem.space.names)}")
     sides = near_bound(problem, x)
     moving = np.array([side is None for side in sides])
-    described, x, whitened = _whitened(result, problem, x, moving, noise)
+    described, x, whitened, wider = _whitened(result, problem, x, moving, noise)
     at = np.array([problem.space.names.index(name) for name in chosen], dtype=int)
     limit = float(chi2.ppf(level, 1))
     traced = [
-        np.asarray(v) for v in _profile_all(whitened, jnp.asarray(x), jnp.asarray(moving), jnp.asarray(at), limit)
+        np.asarray(v)
+        for v in follow_all(
+            whitened, jnp.asarray(x), jnp.asarray(moving), jnp.asarray(at), jnp.asarray(wider[at]), limit
+        )
     ]
     profiles: dict[str, Profile] = {}
     notes = []
@@ -191,8 +189,8 @@ def profile(
 
 def _whitened(
     result: FitResult, problem: Any, x: np.ndarray, moving: np.ndarray, noise: str
-) -> tuple[str, np.ndarray, Whitened]:
-    """How misfit is counted, where the optimum is, and the whitened problem."""
+) -> tuple[str, np.ndarray, Whitened, np.ndarray]:
+    """How misfit is counted, where the optimum is, the whitened problem, and by how much each parameter's error is wider than there."""
     batch = trimmed(problem.objective.batch)
     objective: Objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
     setting = Setting.of(batch)
@@ -202,70 +200,18 @@ def _whitened(
         raise ParameterError("profiles need Gaussian noise: use noise='ou', or sample the posterior")
     if noise not in ("auto", "iid"):
         refined = refine(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), noise, moving)
-        return noise, refined.x, Whitened(objective, refined.noise, setting)
+        return noise, refined.x, Whitened(objective, refined.noise, setting), np.ones(x.size)
     r = np.asarray(_residuals(objective, jnp.asarray(x)))
     used = np.asarray(batch.weight) > 0
-    time = max(autocorrelation_time(row[on]) for row, on in zip(r, used, strict=True)) if noise == "auto" else 1.0
-    sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1) * time))
-    words = f"independent, widened by {np.sqrt(time):.3g}" if noise == "auto" else "iid"
-    return words, x, Whitened(objective, White(noise_white=jnp.asarray(sd)), setting)
+    wider = error_ratios(problem, x) if noise == "auto" else np.ones(x.size)
+    sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))
+    words = f"independent, widened by {wider.min():.3g} to {wider.max():.3g}" if wider.max() > 1 else "independent"
+    return words, x, Whitened(objective, White(noise_white=jnp.asarray(sd)), setting), wider
 
 
 @eqx.filter_jit
 def _residuals(objective: Objective, x: Array) -> Array:
     return linearize(objective, x)[0]
-
-
-@eqx.filter_jit
-def _profile_all(
-    whitened: Whitened, x: Array, moving: Array, at: Array, limit: float
-) -> tuple[Float[Array, "sides n"], Float[Array, "sides n"], Array, Float[Array, "sides p"]]:
-    """Paths to both sides of each parameter: (z, statistic, whether each point counts, the optimum), sides first down then up."""
-    c = whitened.objective.coordinates
-    start = unconstrained(c, x)
-
-    def normal(z: Array) -> tuple[Array, Array, Array]:
-        slope = c.slope(z)
-        value, g, matrix = whitened.normal(c.physical(z))
-        return value, g * slope, matrix * slope[:, None] * slope[None, :]
-
-    cost = lambda z: whitened.cost(c.physical(z))
-    start, _, _ = descend(cost, normal, start, moving, 50, 1e-10)  # a fit's tolerance is wide beside a profile's
-    least, _, matrix = normal(start)
-    floor = jnp.where(moving, 0.0, 1.0)
-    size = jnp.sqrt(jnp.diag(matrix)) + 1e-12
-    scaled = jnp.where(moving[:, None] & moving, matrix / size[:, None] / size, 0.0) + jnp.diag(floor + 1e-10)
-    error = jnp.sqrt(jnp.diag(jnp.linalg.inv(scaled))) / size
-
-    def side(task: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        k, sign = task
-        others = moving & (jnp.arange(start.shape[0]) != k)
-        first = jnp.clip(_STRIDE * error[k], 1e-6, 1.0)
-
-        def walk(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-            z, step, before, done = carry
-            ahead = z.at[k].add(sign * step)
-            found, value, _ = jax.lax.cond(
-                done,
-                lambda a: (a, least, jnp.ones((), bool)),
-                lambda a: descend(cost, normal, a, others, _FITS, 1e-4),
-                ahead,
-            )
-            root = jnp.sqrt(jnp.maximum(2 * (value - least), 0.0))
-            rise = jnp.maximum(root - before, 1e-3)
-            change = jnp.clip(_STRIDE / rise, 0.4, 3.0)
-            kept = jnp.where(done, z, found)
-            over = (root**2 > 1.3 * limit) | (jnp.abs(found[k] - start[k]) > _FAR)
-            out = (found[k], root**2, ~done)
-            return (kept, jnp.minimum(step * change, 2.0), jnp.where(done, before, root), done | over), out
-
-        begin = (start, first, jnp.zeros(()), jnp.zeros((), bool))
-        z, statistic, counts = jax.lax.scan(walk, begin, None, length=_STEPS)[1]
-        return z, statistic, counts
-
-    tasks = (jnp.repeat(at, 2), jnp.tile(jnp.asarray([-1.0, 1.0]), at.shape[0]))
-    z, statistic, counts = jax.lax.map(side, tasks)
-    return z, statistic, counts, jnp.broadcast_to(start, (2 * at.shape[0], start.shape[0]))
 
 
 def _collect(space: Any, k: int, traced: list[np.ndarray], limit: float) -> Profile:
@@ -280,7 +226,7 @@ def _collect(space: Any, k: int, traced: list[np.ndarray], limit: float) -> Prof
 
     kind, lower, upper = c.kinds[k], float(c.lower[k]), float(c.upper[k])
     paths = [(z[on], s[on]) for z, s, on in zip(*traced[:3], strict=True)]
-    limits = [_crossing(z0[k], *path, limit) for path in paths]
+    limits = [crossing(z0[k], *path, limit) for path in paths]
     down_is_up = kind == UPPER  # with an upper bound alone, x falls as z rises
     ends = [None if limit_z is None else float(physical(np.array([limit_z]))[0]) for limit_z in limits]
     z = np.concatenate([paths[0][0][::-1], [z0[k]], paths[1][0]])
@@ -304,14 +250,3 @@ def _collect(space: Any, k: int, traced: list[np.ndarray], limit: float) -> Prof
         told[0],
         told[1],
     )
-
-
-def _crossing(z0: float, z: np.ndarray, statistic: np.ndarray, limit: float) -> float | None:
-    """Where the root of the statistic crosses the limit, by linear interpolation; None where it does not."""
-    root, z = np.sqrt(np.concatenate([[0.0], statistic])), np.concatenate([[z0], z])
-    above = np.flatnonzero(root > np.sqrt(limit))
-    if not above.size:
-        return None
-    j = int(above[0])
-    part = (np.sqrt(limit) - root[j - 1]) / (root[j] - root[j - 1])
-    return float(z[j - 1] + part * (z[j] - z[j - 1]))

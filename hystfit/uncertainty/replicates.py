@@ -28,8 +28,8 @@ Method = Literal["laplace", "nuts", "emcee"]
 CHUNK = 10  # replicates in one compiled call and one file
 RANKS = 79  # posterior draws among which the truth is ranked: eighty places, of which intervals of 90 and 95 % hold whole numbers
 REASONS = {1: "the mode was not found", 2: "the posterior is not finite", 3: "its chunk broke"}
-_THIN, _WARM, _DEPTH = 5, 100, 6  # of NUTS: transitions between two draws, for adaptation, and doublings at most
-_STEPS = 160  # of emcee, after which the last place of each walker is a draw
+_THIN, _WARM, _DEPTH = 3, 60, 6  # of NUTS: transitions between two draws, for adaptation, and doublings at most
+_STEPS = 100  # of emcee, after which the last place of each walker is a draw
 
 
 @dataclasses.dataclass(frozen=True)

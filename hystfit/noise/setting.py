@@ -1,0 +1,61 @@
+"""The data as a noise model sees them."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.batch import Batch
+
+_UNEVEN = 0.02  # deviation from even sampling, relative, below which the filters take one interval for all samples
+
+
+class Setting(eqx.Module):
+    """The data as a noise model sees them.
+
+    Attributes:
+        gap: time since the sample before, in typical sampling intervals, shape (R, T), or () where sampling is even.
+        weight: shape (R, T), 0 where a sample does not count; white noise has variance white^2 / weight.
+        place: input in parts of its range, 0 to 1, shape (R, T).
+        rising: whether the input last rose, shape (R, T), bool.
+        count: of the samples that count.
+        log_weight: sum of the logarithms of their weights.
+    """
+
+    gap: Float[Array, "*samples"]
+    weight: Float[Array, "R T"]
+    place: Float[Array, "R T"]
+    rising: Array
+    count: Float[Array, ""]
+    log_weight: Float[Array, ""]
+
+    @classmethod
+    def of(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:
+        """The setting of a batch; records without time are taken as evenly sampled. `limits` of the input, by default the batch's own."""
+        u, dt, weight = (np.asarray(v) for v in (batch.u, batch.dt, batch.weight))
+        low, high = limits or (float(u.min()), float(u.max()))
+        typical = float(np.median(dt[dt > 0])) if (dt > 0).any() else 1.0
+        gap = dt / typical if (dt > 0).any() else np.ones_like(dt)
+        last = [int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in weight]
+        inside = np.concatenate([row[1 : end + 1] for row, end in zip(gap, last, strict=True)])
+        even = bool(np.all(np.abs(inside - 1.0) < _UNEVEN))
+        turning = np.sign(np.diff(u, axis=1, prepend=u[:, :1]))
+        return cls(
+            gap=jnp.asarray(1.0 if even else gap),
+            weight=jnp.asarray(weight),
+            place=jnp.asarray((u - low) / (high - low)),
+            rising=jnp.asarray(np.stack([_held(row) for row in turning]) > 0),
+            count=jnp.asarray(float(np.count_nonzero(weight))),
+            log_weight=jnp.asarray(float(np.sum(np.log(weight[weight > 0])))),
+        )
+
+
+def _held(sign: np.ndarray) -> np.ndarray:
+    """Signs with each zero replaced by the last sign before it, or the first after it."""
+    known = np.flatnonzero(sign)
+    if not known.size:
+        return np.ones_like(sign)
+    at = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), known[0]))
+    return sign[at]

@@ -1,0 +1,91 @@
+"""Predictive draws: what a further measurement would show, given what the fitted records say of the noise."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.batch import Batch
+from hystfit.data.record import Record
+from hystfit.fitting.generalized import raw_residual
+from hystfit.noise import LoopDiscrepancy, Setting, make_noise
+from hystfit.params import Coordinates, ParameterSpace
+from hystfit.problem import Objective
+
+if TYPE_CHECKING:
+    from hystfit.sampling.draws import Posterior
+
+
+def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:
+    """Outputs that might be measured over a record's input: parameters vary, and noise is added.
+
+    What repeats with input and direction is drawn given the residuals of the fitted records, which determine it: it belongs to the
+    prediction. Slow noise has forgotten them, and is drawn from its stationary distribution, as is independent noise.
+    """
+    from hystfit.sampling.draws import simulate_draws
+
+    names, p = posterior.names, len(posterior.result.free_names)
+    flat = posterior.draws.reshape(-1, len(names))
+    rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
+    y = simulate_draws(posterior.result, record, rows[:, :p])
+    variance = _independent_variance(rows, names)[:, None]
+    if "noise_loop" in names:
+        curve, unknown = _repeating(posterior, record, rows, seed)
+        y, variance = y + curve, variance + unknown
+    return y + np.sqrt(variance) * np.random.default_rng(seed + 1).normal(size=y.shape)
+
+
+def _independent_variance(rows: np.ndarray, names: tuple[str, ...]) -> Float[np.ndarray, " count"]:
+    """Marginal variance of slow and independent noise in each draw."""
+    parts = [k for k, name in enumerate(names) if name in ("noise_white", "noise_slow")]
+    variance = np.sum(rows[:, parts] ** 2, axis=1)
+    if "noise_dof" in names:
+        dof = rows[:, names.index("noise_dof")]
+        variance = variance * np.where(dof > 2.1, dof / (dof - 2), 20.0)
+    return variance
+
+
+def _repeating(
+    posterior: Posterior, record: Record, rows: np.ndarray, seed: int
+) -> tuple[Float[np.ndarray, "count T"], Float[np.ndarray, "count T"]]:
+    """A repeating error for each draw over a record's input, and the variance that its shapes cannot make there."""
+    from hystfit.sampling.posterior import problem_of, trimmed
+
+    problem, _ = problem_of(posterior.result)
+    noise = make_noise(posterior.noise)
+    coordinates = ParameterSpace.of(noise, scales=problem.scales).coordinates
+    batch = trimmed(problem.objective.batch)
+    objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
+    limits = float(np.min(batch.u)), float(np.max(batch.u))
+    settings = Setting.of(batch), Setting.of(Batch.of(record), limits)
+    curve, unknown = _curves(objective, coordinates, *settings, jnp.asarray(rows), jax.random.key(seed))
+    return np.asarray(curve)[:, : len(record)], np.asarray(unknown)[:, : len(record)]
+
+
+@eqx.filter_jit
+def _curves(
+    objective: Objective, coordinates: Coordinates, seen: Setting, new: Setting, rows: Array, key: Array
+) -> tuple[Array, Array]:
+    p = len(objective.coordinates.kinds)
+
+    def one(at: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, key = at
+        noise: LoopDiscrepancy = coordinates.assemble(x[p:])
+        columns = noise.columns(seen)
+        left = -raw_residual(objective, x[:p])  # measurement less prediction
+        e, _ = noise.whiten(seen, jnp.concatenate([left[..., None], columns], axis=-1))
+        e = e.reshape(-1, e.shape[-1])
+        own, shapes = e[:, 0], e[:, 1:]
+        factor = jnp.linalg.cholesky(jnp.eye(shapes.shape[1]) + shapes.T @ shapes)
+        mean = jax.scipy.linalg.cho_solve((factor, True), shapes.T @ own)
+        push = jax.random.normal(key, mean.shape)
+        weights = mean + jax.scipy.linalg.solve_triangular(factor.T, push, lower=False)
+        ahead = noise.columns(new)[0]
+        return ahead @ weights, jnp.maximum(noise.noise_loop**2 - jnp.sum(ahead**2, axis=-1), 0.0)
+
+    return jax.lax.map(one, (rows, jax.random.split(key, rows.shape[0])))
