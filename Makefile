@@ -34,11 +34,8 @@ lint: setup
 types: setup
 	$(BIN)/basedpyright
 
-# Tests run short data through many programs: most of their time is compilation, which these flags (of the XLA that
-# constraints.txt pins) cut to a third. Experiments and notebooks run what users run.
 tests: setup
-	XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false" \
-	  $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -q
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -q
 
 notebooks: setup  ## run every notebook (QUICK= for the full form)
 	$(BIN)/python notebooks/run.py $(QUICK)

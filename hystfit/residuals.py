@@ -21,6 +21,7 @@ _POINTS, _LENGTH = (
     0.3,
 )  # of the curves over the input that it is looked for in: inducing points, and smoothness in parts of the range
 _LENGTHS = (0.1, 0.15, 0.22, 0.3, 0.45, 0.7)  # among which its description takes the most probable
+_LARGEST = 3.0  # standard deviation of noise, in those of the residuals, up to which it is believed
 _TURNS = 8  # of the input, at least, to tell what repeats
 _ENOUGH = 240  # samples, for the same
 _TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are called heavy
@@ -78,15 +79,27 @@ class Leftover:
         return _repeating(self) if self.correlated else None
 
     @functools.cached_property
-    def noise(self) -> SlowNoiseFit:
-        """`slow`, with a curve over input and direction on top where `repeating` shows one."""
-        found = self.repeating
-        if found is None or not found.shown:
-            return self.slow
+    def noise(self) -> SlowNoiseFit | None:
+        """`slow`, with a curve over input and direction on top where `repeating` shows one; None where neither is believable.
+
+        Noise that a fit could have swallowed whole (slower than the record, or shaped like the model's derivatives) may be of any size: the
+        restricted likelihood then makes it many times larger than all that is seen of it, and every error bar with it.
+        """
+        if self.repeating is not None and self.repeating.shown and self._believable(self._curved):
+            return self._curved
+        return self.slow if self._believable(self.slow) else None
+
+    @functools.cached_property
+    def _curved(self) -> SlowNoiseFit:
         own = self.slow.noise
         ratio = (own.white / own.slow) ** 2
         fitted = [self._with(length) for length in _LENGTHS]
         return fit_slow_noise(min(fitted, key=lambda contrasts: contrasts.at(ratio, own.time)[0]))
+
+    def _believable(self, found: SlowNoiseFit) -> bool:
+        noise = found.noise
+        curve = noise.loop * float(np.sqrt(np.mean(np.sum(noise.shapes**2, axis=1)))) if noise.shapes.shape[1] else 0.0
+        return max(noise.slow, curve) <= _LARGEST * float(np.sqrt(np.mean(self.residual**2)))
 
     def _with(self, length: float) -> Contrasts:
         power = (self.repeating.share if self.repeating else 0.0) * float(np.mean(self.residual**2))

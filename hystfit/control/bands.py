@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from hystfit.control.inverse import Inverse, invert
-from hystfit.control.running import Limits, known_range
+from hystfit.control.inverse import Inverse, Task, invert, prepare
+from hystfit.control.running import Answer, Limits, known_range
 from hystfit.errors import ParameterError
 from hystfit.models.base import simulate
 from hystfit.sampling.draws import Posterior
@@ -97,10 +100,23 @@ def inverse_bands(
     edges = known_range(fit) if limits is None else limits
     given = invert(fit, reference, dt, limits=limits)
     wanted = np.asarray(reference, dtype=float)
-    inputs, errors, missed = [], [], []
-    for model in posterior.models(count, seed):
-        found = invert(model, wanted, dt, limits=edges)
-        inputs.append(found.u)
-        missed.append(np.mean(found.codes != 0))
-        errors.append(np.asarray(simulate(model, given.u, dt)[0]) - wanted)
-    return InverseBands(wanted, given, np.array(inputs), np.array(errors), np.array(missed))
+    models = list(posterior.models(count, seed))
+    inputs, codes = _invert_all(models, wanted, dt, edges)
+    errors = np.array([np.asarray(simulate(model, given.u, dt)[0]) - wanted for model in models])
+    return InverseBands(wanted, given, inputs, errors, np.mean(codes != 0, axis=1))
+
+
+def _invert_all(models: list[Any], wanted: np.ndarray, dt: Any, edges: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs and codes by model, each (count, T): side by side in one scan where all inverses are of one form."""
+    tasks = [prepare(model, wanted, dt, limits=edges) for model in models]
+    forms = {jax.tree_util.tree_structure(task) for task in tasks}
+    if tasks[0].inverse is None or len(forms) > 1:
+        every = [invert(model, wanted, dt, limits=edges) for model in models]
+        return np.array([one.u for one in every]), np.array([one.codes for one in every])
+    found = _run_all(jax.tree_util.tree_map(lambda *leaves: jnp.stack(leaves), *tasks))
+    return np.asarray(found.u), np.asarray(found.status)
+
+
+@eqx.filter_jit
+def _run_all(tasks: Task) -> Answer:
+    return jax.vmap(lambda task: task.inverse.run(task.start, task.wanted, task.steps)[1])(tasks)

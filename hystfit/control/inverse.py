@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -96,6 +96,37 @@ def invert(
         DataError: a reference that is empty or of another shape than dt.
         PrecisionError: double precision is off.
     """
+    task = prepare(model, reference, dt, resume=resume, limits=limits)
+    if task.inverse is None:
+        return _invert_resonant(model, task, resume, limits)
+    end, answer = task.inverse.run(task.start, task.wanted, task.steps)
+    return Inverse(np.asarray(answer.u), np.asarray(answer.y), np.asarray(answer.status), task.start, end)
+
+
+class Task(NamedTuple):
+    """An inversion made ready, on arrays only: tasks of one model with other parameters stack, for `jax.vmap`.
+
+    Attributes:
+        inverse: sample by sample; None where a resonance is led instead.
+        start: where the model is before the first sample.
+        wanted, steps: reference and times between its samples, shape (T,).
+    """
+
+    inverse: InverseStep | None
+    start: Any
+    wanted: Array
+    steps: Array
+
+
+def prepare(
+    model: AbstractHysteresis | FitResult,
+    reference: Any,
+    dt: Any = None,
+    *,
+    resume: Resume | None = None,
+    limits: Limits | None = None,
+) -> Task:
+    """What `invert` runs; arguments and errors are its."""
     require_x64()
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim != 1 or wanted.size == 0:
@@ -107,22 +138,21 @@ def invert(
     times = np.broadcast_to(given, wanted.shape) if given.ndim == 0 else given
     if times.shape != wanted.shape:
         raise DataError(f"dt must be a number or have the shape of the reference {wanted.shape}, got {times.shape}")
+    targets, steps = jnp.asarray(wanted), jnp.asarray(times)
     if isinstance(own, Series) and isinstance(own.parts[-1], SecondOrder):
-        return _invert_resonant(model, own, wanted, times, resume, limits)
+        return Task(None, resume, targets, steps)
     finite = wanted[np.isfinite(wanted)]
     span = float(np.ptp(finite)) if finite.size else 0.0
     inverse = InverseStep.of(model, limits=limits, tolerance=1e-7 * span if span > 0 else None)
-    targets, steps = jnp.asarray(wanted), jnp.asarray(times)
     start = _start(inverse, targets[0], steps[0]) if resume is None else resume
-    end, answer = inverse.run(start, targets, steps)
-    return Inverse(np.asarray(answer.u), np.asarray(answer.y), np.asarray(answer.status), start, end)
+    return Task(inverse, start, targets, steps)
 
 
-def _invert_resonant(
-    model: Any, own: Series, wanted: np.ndarray, times: np.ndarray, resume: Resume | None, limits: Any
-) -> Inverse:
+def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
     if resume is not None:
         raise ModelError("a model with a resonance is led, not stepped: its inverse starts from rest, leave resume out")
+    own = model if isinstance(model, AbstractHysteresis) else model.model
+    wanted, times = np.asarray(task.wanted), np.asarray(task.steps)
     *parts, resonance = own.parts
     rest = parts[0] if len(parts) == 1 else Series(*parts)
     edges = limits if limits is not None else known_inputs(model)[0]

@@ -82,8 +82,9 @@ def uncertainty(
     """Covariance at an estimate, to first order.
 
     Residuals that are correlated in time carry less information than their number: with `honest` the covariance of a least-squares
-    estimate is taken under slow and independent noise with their statistics (`hystfit.noise.serial`), and that of hundreds of weights
-    grows by their integrated autocorrelation time. Parameters on a bound and directions that the data leave open get no finite error.
+    estimate is taken under slow and independent noise with their statistics (`hystfit.noise.serial`). That of hundreds of weights, or
+    where such noise would have to be far larger than the residuals, grows by their integrated autocorrelation time. Parameters on a
+    bound and directions that the data leave open get no finite error.
 
     Args:
         problem: what was fitted.
@@ -107,7 +108,7 @@ def uncertainty(
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
     variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
-    if root is None and honest and left.correlated and few and live.any():
+    if root is None and honest and left.correlated and few and live.any() and left.noise is not None:
         root = np.zeros((int(live.sum()), x.size))
         # Noise that pushed a parameter to its bound might as well have left it inside: the errors of the others allow for that.
         pushed = at_bound & (gain > 1e-9 * gain.max()) & ~np.array([info.linear for info in space.infos])
@@ -170,7 +171,7 @@ def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Standard errors of a least-squares fit under the noise that it leaves, over those for independent noise, shape (p,)."""
     left = leftover(problem, x)
     ratios = np.full(x.size, np.sqrt(left.correlation_time))
-    if not left.correlated or not left.basis.shape[1]:
+    if not left.correlated or not left.basis.shape[1] or left.noise is None:
         return ratios
     live = np.array([side is None for side in near_bound(problem, x)])
     used = left.samples.on.reshape(-1)

@@ -112,7 +112,7 @@ def fit(
         chosen = [*chosen, described["words"]]
     else:
         errors, described = uncertainty(problem, estimate, honest=noise == "auto"), {"name": noise}
-        if noise == "auto" and errors.left.correlated:
+        if noise == "auto" and errors.left.correlated and errors.left.noise is not None:
             described["parameters"] = errors.left.noise.noise.parameters
     chosen = [*chosen, *_warnings(errors, noise)]
     result = conclude(problem, estimate, errors, name, seed, watch, extra=chosen, test=test)

@@ -126,7 +126,8 @@ class Profiles:
         for ax, p in zip(axes.ravel(), self.profiles.values(), strict=False):
             ax.plot(p.x, p.statistic, ".-", color="#0072b2")
             ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8)
-            ax.set(xlabel=f"{p.name} {p.unit}", ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
+            ax.locator_params(axis="x", nbins=4)
+            ax.set(xlabel=f"{p.name} [{p.unit}]" if p.unit else p.name, ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         return figure
 
 
