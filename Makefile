@@ -34,11 +34,11 @@ lint: setup
 types: setup
 	$(BIN)/basedpyright
 
-tests: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -q
+tests: setup  ## the tests, without the slow ones (QUICK= for all)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -q $(if $(QUICK),-m "not slow")
 
-notebooks: setup  ## run every notebook (QUICK= for the full form)
-	$(BIN)/python notebooks/run.py $(QUICK)
+notebooks: setup  ## run every notebook, two at a time (QUICK= for the full form)
+	@ls notebooks/[0-9]*.py | xargs -n 1 basename -s .py | xargs -P 2 -I NAME $(BIN)/python notebooks/run.py $(QUICK) NAME
 
 experiments: setup  ## run every experiment, two at a time, and check its numbers (QUICK= for the full form)
 	@mkdir -p build/experiments

@@ -76,6 +76,7 @@ def reversal_file(folder: Path, name: str, change: dict[int, float] | None = Non
     return str(folder / name)
 
 
+@pytest.mark.slow
 def test_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = reversal_file(tmp_path, "good.csv")
     assert run(["check", good, "--by", "curve", "--preisach", "--out", str(tmp_path / "check")]) == 0

@@ -243,6 +243,7 @@ def steps_of(model: AbstractHysteresis, seed: int = 0) -> list[Record]:
     ]
 
 
+@pytest.mark.slow
 def test_creep_that_depends_on_the_level_is_identified_with_the_hysteresis() -> None:
     """A sweep and five steps, one least-squares fit of everything: the truth lies within four standard errors."""
     truth = piezo(gamma=(0.012, 0.006), span=12.0)
@@ -281,6 +282,7 @@ def test_the_papers_gamma_of_the_voltage_is_recovered() -> None:
     assert found.train.rmse == pytest.approx(0.005, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_filter_tracks_creep_that_depends_on_the_level() -> None:
     truth = piezo(gamma=(0.012, 0.006), span=12.0)
     begin = Series(truth.parts[0], LogCreep(gamma=(0.015, 0.0), span=12.0))

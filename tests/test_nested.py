@@ -39,6 +39,7 @@ def run(two_modes, tmp_path_factory):
     return sample(two_modes, "nested", folder=folder, **SETTINGS), folder
 
 
+@pytest.mark.slow
 def test_evidence_is_that_of_quadrature_over_both_modes(two_modes, run):
     target = prepare(two_modes, noise="iid").target
     edge = np.linspace(-7, 7, 49)
@@ -53,6 +54,7 @@ def test_evidence_is_that_of_quadrature_over_both_modes(two_modes, run):
     assert abs(found.log_z - (one_mode + np.log(2))) < 3 * found.error
 
 
+@pytest.mark.slow
 def test_both_modes_hold_half_of_the_draws(run):
     posterior, _ = run
     first, second = (posterior[name] for name in posterior.names[:2])
@@ -63,6 +65,7 @@ def test_both_modes_hold_half_of_the_draws(run):
     assert apart.min() > 1.0  # nothing between them
 
 
+@pytest.mark.slow
 def test_it_goes_on_from_what_a_run_left(two_modes, run, tmp_path):
     whole, folder = run
     for file in [*sorted(folder.glob("nested-*"))[:9], folder / "run.json"]:
@@ -74,6 +77,7 @@ def test_it_goes_on_from_what_a_run_left(two_modes, run, tmp_path):
         sample(two_modes, "nested", folder=tmp_path, **(SETTINGS | {"live": 350}))
 
 
+@pytest.mark.slow
 def test_the_evidence_is_saved_and_said(run, tmp_path):
     posterior, _ = run
     loaded = load_posterior(posterior.save(tmp_path / "out"))

@@ -220,6 +220,7 @@ def test_unknown_noise_and_a_robust_loss_beside_one_are_refused():
     assert set(NOISES) == {"iid", "ou", "ar1", "student-t", "discrepancy"}
 
 
+@pytest.mark.slow
 def test_a_noise_model_frees_what_a_repeating_error_pushed_to_a_bound():
     """Least squares puts rho on its bound; held there, the others were wrong by ten of their errors."""
     truth = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)

@@ -194,6 +194,7 @@ class TestReversalCurves:
             sharp_levels([(u, 2 * u)], 8, power=0.5, even=0.0), (np.arange(9) / 8) ** (2 / 3), atol=2e-3
         )
 
+    @pytest.mark.slow
     def test_hystfit_fit_takes_a_family_as_fit_forc_does(self):
         curves = family(truth("positive"), 14)
         result = hf.fit(Preisach.of(8, spacing="reversal-curves"), curves)

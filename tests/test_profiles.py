@@ -78,6 +78,7 @@ def test_an_open_side_is_named_and_no_error_is_finite_there(faint):
     assert any("not determined" in note for note in faint.notes)
 
 
+@pytest.mark.slow
 def test_the_design_closes_what_was_open(faint):
     made = design(faint, low=-1.0, high=1.0, samples=600, steps=30)
     assert made.closes

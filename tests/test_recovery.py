@@ -81,7 +81,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+# The quick form takes one model of each kind.
+QUICK = ("duhem", "bouc-wen", "bouc-wen-force", "log-creep", "prandtl-ishlinskii", "preisach")
+
+
+@pytest.mark.parametrize(
+    "case", [case if case in QUICK else pytest.param(case, marks=pytest.mark.slow) for case in CASES]
+)
 def test_parameters_are_recovered_within_their_errors(case):
     truth, u = CASES[case]
     dt = hf.Record(u=u, y=u, t=T).dt

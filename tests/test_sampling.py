@@ -104,6 +104,7 @@ def test_least_squares_nuts_and_emcee_agree_on_a_well_determined_problem(fitted,
     assert "emcee.moves.DESnookerMove" not in str(ensemble)
 
 
+@pytest.mark.slow
 def test_banana_in_two_dimensions_agrees_with_a_grid(fitted):
     record, _ = loop(seed=5)
     u = 0.12 * record.u

@@ -269,6 +269,7 @@ def test_an_axis_is_the_scaled_actuator():
         axis_plant(BoucWen())
 
 
+@pytest.mark.slow
 def test_a_filter_beside_the_inverse_corrects_the_model():
     plant, dt = axis_plant(mode=None), 2e-3
     wrong = perturbed(plant, c=1.05, mu=0.9, tau=1.2, delta=0.85)

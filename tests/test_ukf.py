@@ -296,6 +296,7 @@ def test_one_amplitude_does_not_determine_the_parameters():
     assert amplitudes(Dataset.of(measured())) > 5
 
 
+@pytest.mark.slow
 def test_creep_in_stages_on_the_bundled_records():
     fast, slow = datasets.load("stage-sweep"), datasets.load("stage-step")
     start = Series(bouc_wen(1.1, 0.9, 1.2, 0.85), LogCreep(gamma=(0.01,)))
