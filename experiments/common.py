@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any
 
 
-def arguments(description: str) -> argparse.Namespace:
-    """Command line of an experiment: --quick for the short form, --out for another folder than out/."""
+def arguments(description: str, sections: Sequence[str] = ()) -> argparse.Namespace:
+    """Command line of an experiment: --quick for the short form, --out for another folder than out/, --only for some sections."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="the same checks on less")
     parser.add_argument("--out", type=Path, default=None, help="folder for figures and results.json")
+    if sections:
+        only = "make only these sections of the full form, for a later run to put together"
+        parser.add_argument("--only", nargs="+", choices=sections, default=(), help=only)
     return parser.parse_args()
 
 

@@ -1,6 +1,6 @@
 """Error bars on trial: width and coverage where the truth is known, calibration of stated pairs, and a measured piezo stack.
 
-    python experiments/uncertainty/run.py [--quick] [--out FOLDER]
+    python experiments/uncertainty/run.py [--quick] [--out FOLDER] [--only SECTION ...]
 
 Writes results.json to out/ and, in full, the page RESULTS.md here; the full form goes on from what an interrupted one left in out/.
 Status 1 where a number misses expected.json.
@@ -42,8 +42,8 @@ class Page:
         if self.kept is not None:
             self.kept.mkdir(parents=True, exist_ok=True)
 
-    def add(self, name: str, make: Callable[[], dict[str, str] | None]) -> None:
-        """Texts under their titles, made now or found ready."""
+    def add(self, name: str) -> None:
+        """A section, made now or found ready."""
         file = None if self.kept is None else self.kept / f"{name}.json"
         if file is not None and file.exists():
             stored = json.loads(file.read_text(encoding="utf-8"))
@@ -52,7 +52,7 @@ class Page:
             self.parts.append(stored["text"])
             return
         before, started = set(self.results.numbers), time.perf_counter()
-        made = make()
+        made = SECTIONS[name](self.results)
         if made is None:
             return
         text = "\n".join(f"## {title}\n\n{words}" for title, words in made.items())
@@ -87,32 +87,41 @@ def measured(results: Results) -> dict[str, str] | None:
     return {"piezo_dbo: fitted 5 to 15 s, predicted 15 to 40 s": found["bands"], "What that fit says": found["notes"]}
 
 
+def calibrations(results: Results) -> dict[str, str]:
+    """The table of `sbc.py`."""
+    return {"Simulation-based calibration": sbc.run(results, None if results.quick else results.out / "sbc")}
+
+
+# In the order of the page; those of FULL (long samplers, measured loops) belong to the full form alone.
+SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
+    "well-determined": lambda r: {
+        "Least squares, NUTS and emcee on a well-determined problem": agreement.well_determined(r)
+    },
+    "grid": lambda r: {"A bent posterior of two parameters, beside a grid": agreement.banana_on_a_grid(r)},
+    "long-run": lambda r: {"A bent posterior of all parameters, beside a long run": agreement.banana_in_full(r)},
+    "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
+    "piezo": measured,
+    "calibration": calibrations,
+    "coverage": coverages,
+}
+FULL = ("grid", "long-run", "piezo")
+
+
 def main() -> None:
-    """Run everything."""
-    given = arguments("Width and coverage of error bars, calibration, and predictions of a measured piezo stack.")
+    """Run everything, or some sections."""
+    words = "Width and coverage of error bars, calibration, and predictions of a measured piezo stack."
+    given = arguments(words, tuple(SECTIONS))
     hf.enable_x64()
     results = Results(HERE, given.quick, given.out)
     if not given.quick:
         for name in [name for name in results.expected if name.endswith(", quick")]:
             del results.expected[name]  # of the short form alone
     page = Page(results)
-    well = "Least squares, NUTS and emcee on a well-determined problem"
-    page.add("well determined", lambda: {well: agreement.well_determined(results)})
-    if not given.quick:
-        grid, full = (
-            f"A bent posterior of {words}"
-            for words in ("two parameters, beside a grid", "all parameters, beside a long run")
-        )
-        page.add("grid", lambda: {grid: agreement.banana_on_a_grid(results)})
-        page.add("long run", lambda: {full: agreement.banana_in_full(results)})
-    page.add("one amplitude", lambda: {f"One amplitude: {k}": v for k, v in one_amplitude.run(results).items()})
-    if not given.quick:
-        page.add("piezo", lambda: measured(results))
-    page.add(
-        "calibration",
-        lambda: {"Simulation-based calibration": sbc.run(results, None if given.quick else results.out / "sbc")},
-    )
-    page.add("coverage", lambda: coverages(results))
+    for name in SECTIONS:
+        if name in (given.only or SECTIONS) and not (given.quick and name in FULL):
+            page.add(name)
+    if given.only:
+        return
     head = "# Error bars on trial\n\nMade by `run.py` (full form).\n\n"
     target = results.out if given.quick else HERE
     (target / "RESULTS.md").write_text(head + "\n".join(page.parts), encoding="utf-8")
