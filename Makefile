@@ -7,6 +7,8 @@ QUICK ?= --quick
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/build/programs
 export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0.1
 export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
+# Two processes at a time on two cores: threads of linear algebra would wait for each other.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup fit test lint types tests notebooks experiments measured benchmarks package records clean

@@ -216,6 +216,7 @@ def test_a_record_knows_where_the_device_rested() -> None:
     assert "rested on -3 V" in longer.notes[-1]
 
 
+@pytest.mark.slow
 def test_measured_drift_is_creep(measured: Path) -> None:
     """The piezo's published drift, about 0.42 um a decade, is creep of a step from rest at 0 V, by 1 to 2 % a decade."""
     record = datasets.load("piezo_dbo/model").resting_on(0.0)  # type: ignore[union-attr]

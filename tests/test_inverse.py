@@ -73,6 +73,7 @@ def test_forward_of_inverse_is_the_identity(name: str) -> None:
     again = np.asarray(hf.simulate(model, found.u, dt, resume=found.start)[0])
     assert np.abs(again - y).max() <= 1e-10 * np.ptp(y)
     assert found.ok
+    assert repr(found).startswith(f"Inverse({u.size} samples: {u.size} ok; u from ")
     np.testing.assert_allclose(found.y, again, rtol=0, atol=1e-12 * np.ptp(y))
     if name != "duhem":  # its output at rest does not tell the input
         assert np.abs(found.u - u).max() <= 1e-8 * (high - low)

@@ -82,7 +82,12 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("name", MODELS)
+SLOW = ("density",)  # its relays keep the laws in the quick form
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in MODELS]
+)
 def test_every_model_keeps_the_laws(name: str) -> None:
     model, options = MODELS[name]
     check_model(model, samples=32, **options)

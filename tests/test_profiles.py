@@ -50,6 +50,7 @@ def test_profile_points_are_the_best_refits(fitted):
 def test_limits_of_a_well_determined_fit_are_those_of_its_errors(fitted):
     found = profile(fitted)
     assert found.usable
+    assert repr(found) == str(found)  # what a notebook shows of it: words, no arrays
     assert set(found.profiles) == set(fitted.free_names)
     for name, p in found.profiles.items():
         width = 2 * 1.96 * fitted[name].stderr

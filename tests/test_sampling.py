@@ -68,6 +68,7 @@ def test_density_is_likelihood_prior_and_jacobian(fitted):
         assert float(density(z)) == pytest.approx(want, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
     setup = prepare(fitted, noise="ou")
     prior = setup.target.priors[setup.names.index("noise_time")]

@@ -135,7 +135,7 @@ def left_of(u: np.ndarray, J: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, Le
     return x, Leftover.of(batch, full[:, 0], full[:, 1:])
 
 
-@pytest.mark.parametrize("white", [0.0, 0.5])
+@pytest.mark.parametrize("white", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_errors_are_as_large_as_estimates_spread_and_slow_noise_alarms_no_one(white):
     u, J, _ = loop()
     rng = np.random.default_rng(int(10 * white))

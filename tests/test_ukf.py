@@ -321,7 +321,7 @@ def test_creep_in_stages_on_the_bundled_records():
     [
         Duhem(),
         PrandtlIshlinskii.of(6),
-        Preisach.uniform(4, elements="relays"),
+        pytest.param(Preisach.uniform(4, elements="relays"), marks=pytest.mark.slow),
         Sum(bouc_wen(), Viscous()),
         Series(bouc_wen(), SecondOrder(omega=300.0, zeta=0.1)),
     ],

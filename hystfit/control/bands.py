@@ -36,6 +36,10 @@ class InverseBands:
     error: np.ndarray
     missed: np.ndarray
 
+    def __repr__(self) -> str:
+        spread = float(np.median(np.std(self.u, axis=0)))
+        return f"InverseBands({self.u.shape[0]} draws of {self.u.shape[1]} samples, median sd of u {spread:.3g}; given {self.given!r})"
+
     def band(self, of: str = "u", level: float = 0.9) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(lower, median, upper) of "u" or "error", pointwise, each (T,).
 

@@ -42,6 +42,10 @@ class Inverse:
     start: Resume
     state: Resume
 
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{many} {label}" for label, many in self.counts().items() if many)
+        return f"Inverse({self.u.size} samples: {counts}; u from {self.u.min():.4g} to {self.u.max():.4g})"
+
     @property
     def status(self) -> tuple[str, ...]:
         """Status of every sample: "ok", "saturated", "not-monotone" or "out-of-range"."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import scipy.linalg
 import scipy.optimize
+from threadpoolctl import ThreadpoolController
 
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one
-_LIMIT = 400
+_LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
 
 
 def solve_nonnegative(
@@ -24,7 +27,17 @@ def solve_nonnegative(
     Returns:
         w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
     """
-    active = ~bounded if start is None else start | ~bounded
+    with _blas().limit(limits=1, user_api="blas"):
+        return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
+
+
+@functools.cache
+def _blas() -> ThreadpoolController:
+    # numpy and scipy bring a pool of threads each, which wait for each other where small products and factors alternate.
+    return ThreadpoolController()
+
+
+def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     fewest, patience = b.size + 1, _PATIENCE
     for _ in range(_LIMIT):
         w, dual = _solve_on(A, b, active)

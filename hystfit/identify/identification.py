@@ -69,6 +69,11 @@ class Identification:
     notes: tuple[str, ...]
     state: Any
 
+    def __repr__(self) -> str:
+        values = ", ".join(f"{p.name} {p.value:.5g} {p.unit}".rstrip() for p in self.parameters)
+        free = "no free run" if self.free_run is None else f"free run {self.free_run.nrmse_percent:.3g} % of range"
+        return f"<Identification by {self.method}, {self.status}: {values}; {free}>"
+
     @property
     def usable(self) -> bool:
         """Whether the status is "ok"."""

@@ -85,6 +85,9 @@ class Calibration:
         """ "ok" or "miscalibrated"."""
         return "ok" if self.passes() else "miscalibrated"
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         low, high = self.coverage_band()
         lines = [

@@ -38,6 +38,11 @@ class Covariance:
     block: int
     ratio: np.ndarray
 
+    def __repr__(self) -> str:
+        rows = zip(self.names, self.stderr, self.ratio, strict=True)
+        errors = ", ".join(f"{name} {error:.3g} ({ratio:.2g} times)" for name, error, ratio in rows)
+        return f"Covariance({self.kind}, blocks of {self.block}; standard errors, and over independent ones: {errors})"
+
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors, shape (p,)."""

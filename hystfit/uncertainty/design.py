@@ -79,6 +79,9 @@ class Design:
         sd = self.result.sigma if sigma is None else sigma
         return Record(u=u, y=y + sd * np.random.default_rng(seed).normal(size=u.size), t=t, name="designed")
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         names = list(self.present)
         width = max(len(c.name) for c in self.candidates)

@@ -59,6 +59,9 @@ class Profile:
         """Both limits exist."""
         return self.lower is not None and self.upper is not None
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         side = lambda limit, words: words if limit is None else f"{limit:.5g}"
         ends = f"{side(self.lower, self.open_lower)} to {side(self.upper, self.open_upper)}"
@@ -90,6 +93,9 @@ class Profiles:
 
     def __getitem__(self, name: str) -> Profile:
         return self.profiles[name]
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         lines = [f"{self.result.name}: {self.level:.0%} limits by profile likelihood, noise {self.noise}"]
