@@ -94,7 +94,7 @@ def banana_on_a_grid(results: Results) -> str:
 
 
 def banana_in_full(results: Results) -> str:
-    """All parameters free: shorter runs against a reference run of 24 000 draws. Steps follow the bend in small ones alone: 0.9 are accepted."""
+    """All parameters free: runs beside a reference of 24 000 draws; only small steps follow the bend, so 0.9 of them are accepted."""
     fit = _bent({}, 5)
     names = ("c", "mu", "tau", "rho")
     own = {"c": priors.LogNormal(1.0, 0.3), "tau": priors.LogNormal(2.0, 1.0)}
@@ -104,7 +104,10 @@ def banana_in_full(results: Results) -> str:
     mean, sd = reference.mean(axis=0), reference.std(axis=0)
     rows = [["reference", *mean, *sd, float(np.min(long.convergence.bulk)), long.status]]
     worst = 0.0
-    short = {"nuts": {"chains": 4, "draws": 2500, "warmup": 400, "target_accept": 0.9}, "emcee": {"walkers": 64, "draws": 8000}}
+    short = {
+        "nuts": {"chains": 4, "draws": 2500, "warmup": 400, "target_accept": 0.9},
+        "emcee": {"walkers": 64, "draws": 8000},
+    }
     for sampler, settings in short.items():
         made = draw(sampler, 10, **settings)
         z = _in_z(made, names)
