@@ -51,6 +51,14 @@ def honest(tmp_path_factory):
     return folder, calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder)
 
 
+def test_a_study_without_one_replicate_says_why_and_gives_no_number():
+    nothing = np.zeros((0, 1))
+    failed = Calibration(("c",), nothing.astype(int), 99, nothing, ((0, "no fit"),), "laplace", "ou", "ou", "duhem")
+    assert "0 replicates, 1 failed: miscalibrated" in str(failed)
+    assert "replicate 0 failed: no fit" in repr(failed)
+    assert "%" not in str(failed)
+
+
 def test_a_right_set_up_passes(honest):
     study = honest[1]
     assert study.passes(0.01), str(study)

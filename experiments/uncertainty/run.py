@@ -111,6 +111,8 @@ def main() -> None:
     """Run everything, or some sections."""
     words = "Width and coverage of error bars, calibration, and predictions of a measured piezo stack."
     given = arguments(words, tuple(SECTIONS))
+    if given.quick and (left_out := [name for name in given.only if name in FULL]):
+        sys.exit(f"the quick form has no {', '.join(left_out)}: leave out --quick")
     hf.enable_x64()
     results = Results(HERE, given.quick, given.out)
     if not given.quick:

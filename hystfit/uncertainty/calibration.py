@@ -89,15 +89,15 @@ class Calibration:
         return str(self)
 
     def __str__(self) -> str:
-        low, high = self.coverage_band()
         lines = [
             f"{self.model}, noise {self.truth}, assumed {self.assumed}, {self.method}: {len(self.ranks)} replicates, "
-            f"{len(self.failures)} failed: {self.status}",
-            f"95 % intervals should cover {low:.1%} to {high:.1%}",
-            f"{'':12} {'p':>8} {'covered':>8}",
+            f"{len(self.failures)} failed: {self.status}"
         ]
-        rows = zip(self.names, self.p_values(), self.coverage(), strict=True)
-        lines += [f"{name:12} {p:8.4f} {c:8.1%}" for name, p, c in rows]
+        if len(self.ranks):
+            low, high = self.coverage_band()
+            lines += [f"95 % intervals should cover {low:.1%} to {high:.1%}", f"{'':12} {'p':>8} {'covered':>8}"]
+            rows = zip(self.names, self.p_values(), self.coverage(), strict=True)
+            lines += [f"{name:12} {p:8.4f} {c:8.1%}" for name, p, c in rows]
         lines += [f"replicate {k} failed: {why}" for k, why in self.failures[:10]]
         return "\n".join(lines + list(self.broken))
 
