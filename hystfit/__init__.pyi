@@ -46,6 +46,8 @@ from hystfit.sampling.draws import load_posterior as load_posterior
 from hystfit.sampling.sample import sample as sample
 from hystfit.saved import load_fit as load_fit
 from hystfit.uncertainty.calibration import calibrate as calibrate
+from hystfit.uncertainty.covariances import covariance as covariance
+from hystfit.uncertainty.covariances import standard_errors as standard_errors
 from hystfit.uncertainty.design import design as design
 from hystfit.uncertainty.drift import explain_drift as explain_drift
 from hystfit.uncertainty.profiles import profile as profile

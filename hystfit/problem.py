@@ -137,7 +137,8 @@ class Problem:
         """The same problem with other weights, one array (T,) for each record; shapes stay, so that nothing compiles anew."""
         changed = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
         other = copy.copy(self)
-        other.objective = eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(Dataset(tuple(changed))))
+        other.data = Dataset(tuple(changed))
+        other.objective = eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(other.data))
         return other
 
     def predict_at(self, x: Any) -> list[np.ndarray]:

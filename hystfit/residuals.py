@@ -96,6 +96,18 @@ class Leftover:
         fitted = [self._with(length) for length in _LENGTHS]
         return fit_slow_noise(min(fitted, key=lambda contrasts: contrasts.at(ratio, own.time)[0]))
 
+    @functools.cached_property
+    def curve_size(self) -> float | None:
+        """Standard deviation of curves over input and direction that would leave as much as is seen of one; None where nothing is seen.
+
+        A model swallows most of such a curve, so that it is larger than what it leaves. What is seen is shrunk, and slow noise has its
+        part of it: on average two thirds of the truth.
+        """
+        if self.repeating is None:
+            return None
+        size = self._with(_LENGTH).expected ** 0.5
+        return size if np.isfinite(size) and size > 0 else None
+
     def _believable(self, found: SlowNoiseFit) -> bool:
         noise = found.noise
         curve = noise.loop * float(np.sqrt(np.mean(np.sum(noise.shapes**2, axis=1)))) if noise.shapes.shape[1] else 0.0

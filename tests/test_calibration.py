@@ -1,5 +1,10 @@
 """Calibration on cases whose answer is known: a right set-up passes, a wrong one fails, runs resume, failures are kept."""
 
+import re
+import tomllib
+from pathlib import Path
+
+import distributed
 import numpy as np
 import pytest
 
@@ -132,6 +137,41 @@ def test_settings_that_mean_nothing_are_refused():
         calibrate(TRUTH, DATA, assumed="pink")
     with pytest.raises(ParameterError, match="at least 1"):
         calibrate(TRUTH, DATA, replicates=0)
+
+
+def test_dask_workers_make_the_same_chunks(honest, tmp_path):
+    study, again = honest[1], tmp_path / "dask"
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        address, settings = cluster.scheduler_address, {"noise": "iid", "replicates": 20, "fix": ["rho"]}
+        found = calibrate(TRUTH, DATA, scheduler=address, folder=again, **settings)
+        np.testing.assert_array_equal(found.ranks, study.ranks[:20])
+        assert len(list(again.glob("chunk-*.npz"))) == 2
+        cluster.scale(0)
+        with pytest.raises(DataError, match="has no workers"):
+            calibrate(TRUTH, DATA, scheduler=address, **settings)
+
+
+@pytest.mark.parametrize("nobody", ["tcp://127.0.0.1:1", "127.0.0.1", "http://127.0.0.1:80", "nonsense"])
+def test_an_address_where_nobody_listens_is_told_at_once(monkeypatch, nobody):
+    # A client that finds nobody waits for half a minute, and for a whole one when it is thrown away.
+    monkeypatch.setattr(distributed, "Client", lambda *a, **k: pytest.fail("asked a client"))
+    with pytest.raises(DataError, match="no Dask scheduler answers"):
+        calibrate(TRUTH, DATA, noise="iid", replicates=10, scheduler=nobody)
+
+
+def test_every_extra_that_an_error_names_is_one_of_the_project():
+    root = Path(hf.__file__).parents[1]
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    calls = [
+        found
+        for file in (root / "hystfit").rglob("*.py")
+        for found in re.findall(r"raise MissingExtraError\(([^,]+), \"(\w+)\"", file.read_text())
+    ]
+    assert len(calls) >= 8
+    for package, extra in calls:
+        named = [part.split(">")[0].strip() for part in extras[extra]]
+        assert not package.startswith('"') or package.strip('"') in named, (package, extra)
+    assert set(extras["all"][0].partition("[")[2].strip("]").split(",")) == set(extras) - {"all", "test", "dev"}
 
 
 def test_a_scheduler_without_dask_names_the_extra(monkeypatch):

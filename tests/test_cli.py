@@ -166,6 +166,17 @@ def test_compare_ranks_and_saves_the_winner(folder, loop, capsys):
     assert load_fit(out / "winner").name == "bouc-wen"
 
 
+def test_compare_by_the_future(folder, loop, capsys):
+    out = folder / "future"
+    assert run(["compare", str(loop), "--models", "bouc-wen", "--left-out", "future", "--out", str(out)]) == 0
+    assert "what came before" in capsys.readouterr().out
+    result = strict((out / "result.json").read_text())
+    assert result["left_out"] == "future"
+    assert np.isfinite(result["rows"][0]["bic"])
+    assert run(["compare", str(loop), "--left-out", "points"]) == 2
+    assert "--left-out" in capsys.readouterr().err
+
+
 def test_check(folder, loop, capsys):
     assert run(["check", str(loop), "--out", str(folder / "checked")]) == 0
     assert "loops" in capsys.readouterr().out
@@ -448,6 +459,7 @@ def test_messages_speak_the_shell():
         as_options("gaps='split' makes a record; give by= or output=")
         == "--gaps split makes a record; give --by or --output"
     )
+    assert as_options("use left_out='blocks'; scheduler= needs") == "use --left-out blocks; --scheduler needs"
 
 
 def test_curves_of_one_file_are_split_into_fit_and_test(folder, loop):

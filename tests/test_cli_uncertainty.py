@@ -53,6 +53,18 @@ def test_profile_writes_limits(fitdir, tmp_path, capsys):
     assert (tmp_path / "q" / "profiles.png").stat().st_size > 0
 
 
+def test_errors_by_every_rule(fitdir, tmp_path, capsys):
+    assert run(["errors", str(fitdir), "--block", "20", "--out", str(tmp_path / "e")]) == 0
+    text = capsys.readouterr().out
+    assert "sandwich" in text
+    assert (tmp_path / "e" / "errors.txt").read_text().strip() in text
+    content = json.loads((tmp_path / "e" / "result.json").read_text())
+    assert content["schema"] == "hystfit.errors/1"
+    assert content["parameters"]["tau"]["ratio"]["sandwich"] > 0
+    assert run(["errors", str(fitdir), "--block", "0"]) == 2
+    assert "block" in capsys.readouterr().err
+
+
 def test_calibrate_and_design_write_their_results(fitdir, tmp_path, capsys):
     out = tmp_path / "c"
     assert run(["calibrate", str(fitdir), "--noise", "iid", "--replicates", "10", "--out", str(out)]) in (0, 1)

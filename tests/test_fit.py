@@ -8,8 +8,8 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.fitting.compare import left_out_error
 from hystfit.fitting.fit import ESTIMATORS
+from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
 
 T = np.linspace(0.0, 6.0, 600)

@@ -111,8 +111,8 @@ def test_sandwich_is_the_plain_double_sum_and_both_agree_with_iid_on_white_noise
     for kind in ("sandwich", "bootstrap"):
         other = covariance(fitted, kind, block=20, seed=1)
         assert np.all((other.ratio > 0.6) & (other.ratio < 1.5)), kind
+    from hystfit.fitting.again import problem_of
     from hystfit.fitting.generalized import linearize
-    from hystfit.sampling.posterior import problem_of
 
     problem, x = problem_of(fitted)
     r, J = (np.asarray(v)[0][:600] for v in linearize(problem.objective, jnp.asarray(x)))
@@ -122,6 +122,36 @@ def test_sandwich_is_the_plain_double_sum_and_both_agree_with_iid_on_white_noise
             meat += (1 - abs(i - j) / 6) * np.outer(scores[i], scores[j])
     bread = np.linalg.inv(J.T @ J)
     np.testing.assert_allclose(covariance(fitted, "sandwich", block=5).matrix, bread @ meat @ bread, rtol=1e-6)
+
+
+def test_standard_errors_stand_side_by_side(fitted):
+    found = hf.standard_errors(fitted, block=20)
+    assert list(found.errors) == ["fit", "iid", "sandwich", "bootstrap"]
+    np.testing.assert_array_equal(found.errors["sandwich"], covariance(fitted, "sandwich", block=20).stderr)
+    content = found.to_dict()["parameters"]["c"]
+    assert content["ratio"]["bootstrap"] == pytest.approx(content["stderr"]["bootstrap"] / content["stderr"]["iid"])
+    text = str(found)
+    assert f"{found.errors['sandwich'][0]:.3g}" in text.splitlines()[2]
+    assert f"blocks of {found.block} samples" in text
+
+
+def test_no_rule_gives_an_error_to_what_is_not_determined(faint):
+    found = hf.standard_errors(faint)
+    open_ = [k for k, name in enumerate(faint.free_names) if faint[name].stderr is None]
+    assert open_
+    assert all(np.isnan(error[open_]).all() for error in found.errors.values())
+    name = faint.free_names[open_[0]]
+    assert set(found.to_dict()["parameters"][name]["stderr"].values()) == {None}
+    assert any(name in note for note in found.notes)
+
+
+def test_records_too_short_for_blocks_say_so_and_fits_under_a_noise_model_are_refused(fitted):
+    short = hf.standard_errors(fitted, block=400)
+    assert set(short.errors) == {"fit", "iid"}
+    assert "fewer than four blocks" in str(short)
+    other = hf.fit(TRUTH, loop(), starts=1, noise="ou")
+    with pytest.raises(ParameterError, match="under noise 'ou'"):
+        hf.standard_errors(other)
 
 
 def test_correlated_noise_widens_sandwich_and_bootstrap():

@@ -1,7 +1,7 @@
-"""A measured piezo stack: what independent, autoregressive, slow and repeating noise make of errors and of predictions.
+"""A measured piezo stack: what independent, autoregressive and repeating noise make of errors and of predictions.
 
 The record began with a step from rest at 0 V, whose creep goes on through all of it (experiments/preisach shows that its published
-drift is that creep). The model is told so; one row is of a model that is not.
+drift is that creep): the model is told so. The split is that of experiments/measured.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from common import Results, table
 
 import hystfit as hf
 
-EVERY = 2  # of 200 samples a second
-TRAIN, HELD = (5.0, 15.0), (15.0, 40.0)  # seconds
-# The law was chosen within the fitted part (README.md); lag and rest came later, once drift had been seen in the cycles held back.
-MODEL = "lag+bouc-wen-asymmetric+log-creep"
-NOISES = ("auto", "iid", "ar1", "ou")
+EVERY = 4  # of 200 samples a second
+TRAIN, HELD = (5.0, 25.0), (25.0, 40.0)  # seconds
+MODEL = "lag+bouc-wen-asymmetric+log-creep"  # README.md says how it was chosen
+FIX = {"rho": 0.5, "n": 1.0}  # the fit says that the data leave rho open; with n free they leave a long bent valley
+NOISES = ("auto", "iid", "ar1")
 REST = 0.0  # V
-SETTINGS = {"chains": 2, "draws": 300, "warmup": 100}
+SETTINGS = {"chains": 2, "draws": 1000, "warmup": 200, "target_accept": 0.85}
 
 
 def records() -> hf.Record | None:
@@ -28,28 +28,31 @@ def records() -> hf.Record | None:
         print(f"  measured loops are left out: {error}")
         return None
     t = np.asarray(whole.t)[::EVERY]
-    return hf.Record(t=t, u=whole.u[::EVERY], y=whole.y[::EVERY], u_unit="V", y_unit="um", t_unit="s", name="piezo_dbo")
+    thin = hf.Record(t=t, u=whole.u[::EVERY], y=whole.y[::EVERY], u_unit="V", y_unit="um", t_unit="s", name="piezo_dbo")
+    return thin.resting_on(REST)
 
 
 def run(results: Results) -> dict[str, str] | None:
     """Coverage of 90 % bands on the cycles held back, for each noise model."""
-    unsaid = records()
-    if unsaid is None:
+    record = records()
+    if record is None:
         return None
-    rested = unsaid.resting_on(REST)
-    fit = hf.fit(MODEL, rested.window(*TRAIN))
+    fit = fitted(record)
     results.add("piezo: correlation time of the residuals, samples", fit.correlation_time)
     results.add("piezo: honest over independent errors", fit.honest_ratio)
     results.add("piezo: the default fit warns of repeating error", float(any("repeats" in note for note in fit.notes)))
-    rows = [one(results, "piezo", fit, rested.window(*HELD), noise) for noise in NOISES]
-    other = hf.fit(MODEL, unsaid.window(*TRAIN))
-    rows.append(one(results, "piezo, rest unsaid", other, unsaid.window(*HELD), "auto"))
-    head = ["", "noise model", "90 % predictive bands cover, %", "mean width, um", "error of the median, % of range",
+    rows = [one(results, fit, record.window(*HELD), noise) for noise in NOISES]
+    head = ["noise model", "90 % predictive bands cover, %", "mean width, um", "error of the median, % of range",
             "credible bands cover, %", *(f"sd of {n}" for n in fit.free_names), "status"]  # fmt: skip
     return {"bands": table(head, rows), "notes": "\n".join(f"- {note}" for note in fit.notes) + "\n"}
 
 
-def one(results: Results, label: str, fit: hf.FitResult, held: hf.Record, noise: str) -> list[object]:
+def fitted(record: hf.Record) -> hf.FitResult:
+    """The fit from which all rows start."""
+    return hf.fit(MODEL, record.window(*TRAIN), fix=FIX)
+
+
+def one(results: Results, fit: hf.FitResult, held: hf.Record, noise: str) -> list[object]:
     """A row of the table."""
     made = hf.sample(fit, "nuts", noise=noise, seed=0, **SETTINGS)
     low, middle, high = made.bands(held, 0.9, count=400)
@@ -58,13 +61,13 @@ def one(results: Results, label: str, fit: hf.FitResult, held: hf.Record, noise:
     below, _, above = made.bands(held, 0.9, count=400, kind="credible")
     hit = ((held.y >= below) & (held.y <= above))[on]
     name = "default" if noise == "auto" else noise
-    results.add(f"{label}: 90 % predictive bands cover, {name}", float(inside.mean()))
-    results.add(f"{label}: mean width of the bands, um, {name}", float(np.mean((high - low)[on])))
+    results.add(f"piezo: 90 % predictive bands cover, {name}", float(inside.mean()))
+    results.add(f"piezo: mean width of the bands, um, {name}", float(np.mean((high - low)[on])))
     if noise == "auto":
-        results.add(f"{label}: the default noise model is that of repeating error", float(made.noise == "discrepancy"))
+        results.add("piezo: the default noise model is that of repeating error", float(made.noise == "discrepancy"))
     error = float(np.sqrt(np.mean((middle - held.y)[on] ** 2)) / np.ptp(held.y[on]))
     sds = [made[parameter].std() for parameter in fit.free_names]
     words = f"default ({made.noise})" if noise == "auto" else noise
     return [
-        label, words, 100 * float(inside.mean()), float(np.mean((high - low)[on])), 100 * error, 100 * float(hit.mean()), *sds, made.status,
+        words, 100 * float(inside.mean()), float(np.mean((high - low)[on])), 100 * error, 100 * float(hit.mean()), *sds, made.status,
     ]  # fmt: skip

@@ -30,6 +30,10 @@ _VERBS = {
         "hystfit.cli.uncertainty:profile",
         "Limits of each parameter by profile likelihood, or where there are none.",
     ),
+    "errors": (
+        "hystfit.cli.uncertainty:errors",
+        "Standard errors by every rule: independent residuals, sandwich, block bootstrap.",
+    ),
     "calibrate": ("hystfit.cli.uncertainty:calibrate", "Check by simulation that the error bars of a set-up hold."),
     "design": ("hystfit.cli.uncertainty:design", "Propose the input that shrinks the errors most."),
     "report": ("hystfit.cli.using:report", "Print and draw the report of a saved fit anew."),
@@ -82,13 +86,15 @@ def run(arguments: Sequence[str]) -> int:
 
 
 _ARGUMENT = re.compile(
-    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|warmup|level|low|high|replicates|spread)=(?:'([^']*)')?"
+    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|warmup|level|low|high|replicates|spread|left_out|scheduler)=(?:'([^']*)')?"
 )
 
 
 def as_options(message: str) -> str:
     """A message of the library in the words of the shell: gaps='split' is --gaps split."""
-    return _ARGUMENT.sub(lambda found: f"--{found[1]}" + (f" {found[2]}" if found[2] else ""), message)
+    return _ARGUMENT.sub(
+        lambda found: f"--{found[1].replace('_', '-')}" + (f" {found[2]}" if found[2] else ""), message
+    )
 
 
 def _refuse(message: str) -> int:

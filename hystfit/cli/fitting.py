@@ -158,6 +158,7 @@ def compare(
     /,
     *,
     models: list[str] | None = None,
+    left_out: Literal["blocks", "future"] = "blocks",
     seed: int = 0,
     reading: Reading = Reading(),  # noqa: B008  (frozen)
     split: Split = Split(),  # noqa: B008  (frozen)
@@ -169,6 +170,8 @@ def compare(
     Args:
         loop: file or data set.
         models: names, repeated or with commas between them; a choice that suits the data where not given.
+        left_out: blocks in turn (whole records where there are three or more), or the future: later parts of each record are
+            predicted from a fit to what came before.
         seed: of the starting points.
         out: folder for result.json, comparison.txt and the winner's fit (in winner/).
         json: print result.json alone.
@@ -179,7 +182,7 @@ def compare(
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
     train, test = train_and_test(loop, reading, split)
     with progress("comparing models") as tell:
-        comparison = compare_models(train, names or None, seed=seed, progress=tell)
+        comparison = compare_models(train, names or None, left_out=left_out, seed=seed, progress=tell)
     text, content = comparison.text(), comparison.to_dict()
     winner = comparison.winner
     if test is not None:

@@ -1,4 +1,4 @@
-"""`hystfit sample`, `hystfit profile`, `hystfit calibrate` and `hystfit design`."""
+"""`hystfit sample`, `hystfit profile`, `hystfit errors`, `hystfit calibrate` and `hystfit design`."""
 
 from __future__ import annotations
 
@@ -129,6 +129,35 @@ def profile(
     _write(out, found.to_dict(), {"profiles.png": found.plot})
     show(_told(found, out, "profiles.png"), found.to_dict(), json)
     return 0 if found.usable else 1
+
+
+def errors(
+    fitdir: Path,
+    /,
+    *,
+    block: int | None = None,
+    seed: int = 0,
+    out: Path | None = None,
+    json: Json = False,
+) -> int:
+    """Standard errors of a saved fit by every rule: its own, independent residuals, sandwich, block bootstrap.
+
+    Args:
+        fitdir: what `hystfit fit --out` wrote, by least squares.
+        block: samples of a lag window or block; one cycle of the input, or five correlation times, where not given.
+        seed: of the bootstrap.
+        out: folder for result.json and errors.txt.
+        json: print result.json alone.
+    """
+    from hystfit.saved import load_fit
+    from hystfit.uncertainty.covariances import standard_errors
+
+    result = load_fit(fitdir)
+    refuse_unwritable(out)
+    found = standard_errors(result, block=block, seed=seed)
+    _write(out, found.to_dict(), {}, {"errors.txt": f"{found}\n"})
+    show(_told(found, out, "errors.txt"), found.to_dict(), json)
+    return 0 if result.usable else 1
 
 
 def calibrate(

@@ -1,4 +1,4 @@
-"""`compare`: which model describes these loops best, judged on contiguous blocks that were left out of its fit."""
+"""`compare`: which model describes these loops best, judged on data that were left out of its fit."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from hystfit.config import require_x64
 from hystfit.data.loops import loop_area
 from hystfit.data.record import Dataset, Record
 from hystfit.data.reversal import recognize_family
-from hystfit.errors import DataError, HystfitError, ModelError
-from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
-from hystfit.fitting.fit import ESTIMATORS, fit
-from hystfit.fitting.preisach_system import PreisachSystem
-from hystfit.fitting.smooth import SMOOTHNESS, fit_smooth
+from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
+from hystfit.fitting.fit import fit
+from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.structure import search_structure
 from hystfit.models.preisach import Preisach
 from hystfit.models.registry import make_model
-from hystfit.problem import Problem
 from hystfit.results import FitResult
 
 SCHEMA = "hystfit.compare/1"
 SEARCH = "prandtl-ishlinskii-search"
 _OTHER_PLAYS = (10, 40)  # tried beside the 20 of the search, and taken if they pay
 _OTHER_LEVELS = (16, 24)  # tried beside a Preisach model's own, and taken if they pay
+_WORDS = {
+    "blocks": "on contiguous blocks (or records) that the fit did not see",
+    "future": "on the last three fifths of each record, each fifth predicted from a fit to what came before it",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,12 +37,13 @@ class Row:
 
     Attributes:
         name: what was asked for.
-        score_percent: error on blocks left out, in percent of the output's range; None where it failed.
+        score_percent: error on data left out, in percent of the output's range; None where it failed.
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
         seconds: what fit and validation took.
         status: of the fit, or "failed".
         note: the structure found, or why it failed.
+        bic: Bayesian information criterion, see `hystfit.fitting.left_out.bic`; None where it failed.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Row:
     seconds: float
     status: str
     note: str = ""
+    bic: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,19 +65,24 @@ class Comparison:
         rows: one for each model.
         winner: the fitted result of the first row.
         fits: every fit that succeeded, by name.
+        left_out: what was left out, "blocks" or "future".
     """
 
     rows: tuple[Row, ...]
     winner: FitResult
     fits: dict[str, FitResult]
+    left_out: Scheme = "blocks"
 
     def text(self) -> str:
         """The table as text."""
-        head = f"{'model':<32} {'left out %':>10} {'fitted %':>9} {'max %':>7} {'params':>6} {'seconds':>8}  status"
+        wide = max(32, *(len(row.name) for row in self.rows))
+        head = f"{'model':<{wide}} {'left out %':>10} {'fitted %':>9} {'max %':>7} {'params':>6} {'BIC above':>9} {'seconds':>8}  status"
         lines = [
-            "Error in percent of the output's range; 'left out': on contiguous blocks that the fit did not see.",
+            f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
+            "'BIC above': above the smallest, with slow and independent noise; ten speak clearly against a model.",
             head,
         ]
+        least = min((row.bic for row in self.rows if row.bic is not None), default=0.0)
         number = lambda value, width, form: f"{'-':>{width}}" if value is None else f"{value:>{width}{form}}"
         for row in self.rows:
             cells = (
@@ -82,13 +90,14 @@ class Comparison:
                 number(row.in_sample_percent, 9, ".3f"),
                 number(row.max_error_percent, 7, ".2f"),
                 number(row.parameters, 6, "d"),
+                number(None if row.bic is None else row.bic - least, 9, ".1f"),
                 number(row.seconds, 8, ".1f"),
             )
-            lines.append(f"{row.name:<32} {' '.join(cells)}  {row.status}{': ' + row.note if row.note else ''}")
+            lines.append(f"{row.name:<{wide}} {' '.join(cells)}  {row.status}{': ' + row.note if row.note else ''}")
         lines.append(f"winner: {self.rows[0].name}")
         return "\n".join(lines)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return self.text()
 
     def to_dict(self) -> dict[str, Any]:
@@ -97,6 +106,7 @@ class Comparison:
             "schema": SCHEMA,
             "status": self.winner.status,
             "winner": self.rows[0].name,
+            "left_out": self.left_out,
             "rows": [dataclasses.asdict(row) for row in self.rows],
             "provenance": self.winner.provenance,
         }
@@ -106,26 +116,34 @@ def compare(
     data: Record | Dataset | Sequence[Record],
     models: Sequence[str] | None = None,
     *,
+    left_out: Scheme = "blocks",
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
     """Fit several models and rank them by their error on data left out.
 
     Whole records are left out in turn where there are three or more, else five contiguous blocks of each: the input drives the
-    model through a block, its output is not fitted. Test data never enter.
+    model through a block, its output is not fitted. Samples are never left out one by one, because their neighbors give them away.
+    Test data never enter.
 
     Args:
         data: one record or several.
         models: names as `hystfit models` lists them (joined by "+"), or "prandtl-ishlinskii-search", which searches that
             family for its terms; None takes a choice that suits the data.
+        left_out: "blocks" as said above; "future" predicts the later parts of every record from fits to what came before, which
+            asks whether creep and drift are understood. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         seed: of the starting points.
         progress: told what is being done.
 
     Raises:
-        HystfitError: data that cannot be used, an unknown model, or no model that could be fitted.
+        HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
     """
     require_x64()
+    if left_out not in SCHEMES:
+        raise ParameterError(f"left_out must be one of {', '.join(SCHEMES)}, got {left_out!r}")
     data = Dataset.of(data)
+    if left_out == "future" and recognize_family(data) is not None:
+        raise ModelError("reversal curves have no order in time: use left_out='blocks'")
     names = tuple(models) if models else candidates(data)
     for name in names:
         if name != SEARCH:
@@ -134,7 +152,7 @@ def compare(
     for number, name in enumerate(names, start=1):
         if progress:
             progress(f"{name} ({number} of {len(names)})")
-        row, result = _judge(name, data, seed)
+        row, result = _judge(name, data, seed, left_out)
         rows.append(row)
         if result is not None:
             fits[name] = result
@@ -143,7 +161,7 @@ def compare(
     rows.sort(
         key=lambda row: (row.status in ("failed", "no-loop"), row.score_percent is None, row.score_percent or 0.0)
     )
-    return Comparison(tuple(rows), fits[rows[0].name], fits)
+    return Comparison(tuple(rows), fits[rows[0].name], fits, left_out)
 
 
 def candidates(data: Dataset) -> tuple[str, ...]:
@@ -162,7 +180,7 @@ def candidates(data: Dataset) -> tuple[str, ...]:
     return ("bouc-wen", *loops, "duhem", "preisach", SEARCH)
 
 
-def _judge(name: str, data: Dataset, seed: int) -> tuple[Row, FitResult | None]:
+def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, FitResult | None]:
     started = time.perf_counter()
     try:
         if name == SEARCH:
@@ -170,8 +188,10 @@ def _judge(name: str, data: Dataset, seed: int) -> tuple[Row, FitResult | None]:
         elif isinstance(model := make_model(name), Preisach) and model.spacing != "reversal-curves":
             result, score, note = best_levels(model, data, seed)
         else:
-            result = fit(model, data, seed=seed)
-            score, note = left_out_error(result), ""
+            result, score, note = fit(model, data, seed=seed), None, ""
+        if score is None or left_out != "blocks":
+            score = left_out_error(result, left_out)
+        criterion = bic(result)
     except DataError:
         raise
     except HystfitError as error:
@@ -186,6 +206,7 @@ def _judge(name: str, data: Dataset, seed: int) -> tuple[Row, FitResult | None]:
         time.perf_counter() - started,
         result.status,
         note,
+        criterion if np.isfinite(criterion) else None,
     )
     return row, result
 
@@ -216,44 +237,3 @@ def best_levels(model: Preisach, data: Dataset, seed: int) -> tuple[FitResult, f
     best = int(np.argmin(scores)) if min(scores) < 0.98 * scores[0] else 0
     note = f"{fits[best].model.levels.size} levels"
     return dataclasses.replace(fits[best], notes=(*fits[best].notes, f"structure: {note}")), scores[best], note
-
-
-def left_out_error(result: FitResult) -> float:
-    """Root mean square error on blocks left out in turn, each predicted by a fit to the others, output units.
-
-    Refits start at the fit of all data, which saves the search for the basin.
-    """
-    problem = result_problem(result)
-    x = np.array([result[name].value for name in result.free_names])
-    blocks = left_out_blocks(problem)
-    if isinstance(problem.model, Preisach) and result.method == "preisach":
-        system = PreisachSystem.of(problem.model, list(problem.data))
-        return float(fit_smooth(system, SMOOTHNESS).left_out.min()) * system.size
-    if result.method == "convex" and len(linear_positions(problem)):
-        return fit_ridge(LinearSystem.of(problem, x), Convex().strengths).score
-    space = problem.space
-    z = space.unconstrained(np.clip(x, np.asarray(space.coordinates.lower), np.asarray(space.coordinates.upper)))
-    squares, count = 0.0, 0
-    for block in range(max(int(np.max(b)) for b in blocks) + 1):
-        inside = [b == block for b in blocks]
-        weights = [record.weight * ~mask for mask, record in zip(inside, problem.data, strict=True)]
-        own = problem.reweighted(weights)
-        estimate = ESTIMATORS["lm" if result.method == "convex" else result.method].estimate(own, z[None])
-        predicted = own.predict_at(estimate.x)
-        for mask, record, y in zip(inside, problem.data, predicted, strict=True):
-            held = mask & record.used
-            squares += float(np.sum((y - record.y)[held] ** 2))
-            count += int(held.sum())
-    return float(np.sqrt(squares / count)) if count else float("nan")
-
-
-def result_problem(result: FitResult) -> Problem:
-    """The problem that a result solved, at its fitted model."""
-    held = [p.name for p in result.parameters if p.fixed]
-    return Problem(
-        result.model, result.data, fix=held, free=_freed(result), loss=result.provenance.get("loss", "linear")
-    )
-
-
-def _freed(result: FitResult) -> list[str]:
-    return [name.partition("@")[0] for name in dict.fromkeys(n.partition("@")[0] for n in result.free_names)]

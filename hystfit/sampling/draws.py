@@ -157,7 +157,7 @@ class Posterior:
 
     def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
         """The models of `thinned` draws, as the first record sees them: simulate or invert each."""
-        from hystfit.sampling.posterior import problem_of
+        from hystfit.fitting.again import problem_of
 
         coordinates = problem_of(self.result)[0].space.coordinates
         for row in self.thinned(count, seed):
@@ -325,7 +325,7 @@ def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, own: 
 
 def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
     """Outputs over a record's input for rows of free parameters x, shape (count, p): (count, T)."""
-    from hystfit.sampling.posterior import problem_of
+    from hystfit.fitting.again import problem_of
 
     problem, _ = problem_of(result)
     names = [r.name for r in result.data]

@@ -204,7 +204,7 @@ def _sampler(target: Target, moves: int, batch: int) -> Any:
     try:
         import blackjax
     except ImportError as error:
-        raise MissingExtraError("blackjax", "bayes", "sampler='nested'") from error
+        raise MissingExtraError("blackjax", "bayes", "nested sampling") from error
 
     def likelihood(z: Array) -> Array:
         value = target.log_likelihood_lean(z)

@@ -176,7 +176,7 @@ def _kernel() -> Any:
     try:
         import blackjax
     except ImportError as error:
-        raise MissingExtraError("blackjax", "bayes", "sampler='nuts'") from error
+        raise MissingExtraError("blackjax", "bayes", "sampling by NUTS") from error
     return blackjax.nuts.build_kernel(), blackjax.nuts.init
 
 

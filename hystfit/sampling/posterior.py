@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
-from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.errors import DataError, ParameterError
+from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import leftover
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import linearize, log_prior, raw_residual
@@ -26,10 +27,11 @@ from hystfit.noise import Setting
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, LogNormal, choose_priors
 from hystfit.problem import Objective, Problem
-from hystfit.residuals import diagnose
+from hystfit.residuals import Leftover, diagnose
 from hystfit.results import FitResult
 
 _MOST = 100  # parameters beyond which sampling is refused
+_CURVE = 0.7  # standard deviation of the logarithm of a repeating error's size about what the residuals show of it
 _WIDEST = 3.0  # standard deviation in z that a direction without curvature is given to start with
 
 
@@ -193,22 +195,9 @@ class Setup:
         return {name: str(prior) for name, prior in zip(self.names, self.target.priors, strict=True)}
 
 
-def problem_of(result: FitResult) -> tuple[Problem, np.ndarray]:
-    """The problem that a result solved, and where it ended, physical."""
-    fixed = [p.name for p in result.parameters if p.fixed]
-    free = list(dict.fromkeys(name.split("@")[0] for name in result.free_names))
-    problem = Problem(result.model, result.data, fix=fixed, free=free)
-    if problem.space.names != tuple(result.free_names):
-        raise ModelError(
-            f"the result's free parameters {result.free_names} are not those of its model {problem.space.names}"
-        )
-    models = list(result.models) if len(result.models) > 1 else result.model
-    return problem, problem.space.vector(models)
-
-
-def choose_noise(problem: Problem, x: np.ndarray, asked: str) -> tuple[str, list[str]]:
+def choose_noise(left: Leftover, asked: str) -> tuple[str, list[str]]:
     """The noise model to use and why: what was asked for, or for "auto" slow noise, unless the residuals call for more."""
-    found = diagnose(leftover(problem, x))
+    found = diagnose(left)
     if asked == "auto":
         name = found.recommended if found.recommended in ("discrepancy", "student-t") else "ou"
         return name, [f"noise model {name}, because {'; '.join(found.reasons)}"]
@@ -236,12 +225,12 @@ def prepare(
         raise ParameterError(
             f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): fix most of them, or fewer cells or plays"
         )
-    name, notes = choose_noise(problem, x, noise)
+    left = leftover(problem, x)
+    name, notes = choose_noise(left, noise)
     refined = refine_released(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), name)
     space = refined.space
     values = np.concatenate([refined.x, refined.values])
-    longest = max(int(np.count_nonzero(r.used)) for r in problem.data)
-    chosen = choose_priors_for(problem.space, space, noise_priors(space, longest) | dict(priors or {}), values)
+    chosen = choose_priors_for(problem.space, space, noise_priors(space, left) | dict(priors or {}), values)
     z = np.concatenate([_inside(problem.space, refined.x), _inside(space, refined.values)])
     batch = trimmed(problem.objective.batch)
     objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
@@ -266,11 +255,19 @@ def prepare(
     return Setup(problem, name, space, target, value, names, units, tuple(notes))
 
 
-def noise_priors(space: ParameterSpace, samples: int) -> dict[str, AbstractPrior]:
-    """Defaults that the record's length decides: noise slower than a third of it is a constant, which the offset already is."""
-    slowest = max(samples / 3, 10.0)
+def noise_priors(space: ParameterSpace, left: Leftover) -> dict[str, AbstractPrior]:
+    """Defaults that the residuals decide.
+
+    Noise slower than a third of the record is a constant, which the offset already is. An error that repeats is about as large as
+    the residuals show: model and discrepancy explain each other, and without a prior that says so draws run off to
+    errors of any size that the model makes good (Brynjarsdottir and O'Hagan 2014).
+    """
+    slowest = max(max(row.size for row in left.rows) / 3, 10.0)
     about = LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)  # one sample to the slowest: two sd each way
-    return {name: about for name in space.names if name == "noise_time"}
+    found: dict[str, AbstractPrior] = {"noise_time": about}
+    if left.curve_size is not None:
+        found["noise_loop"] = LogNormal(left.curve_size, _CURVE)
+    return {name: prior for name, prior in found.items() if name in space.names}
 
 
 def choose_priors_for(

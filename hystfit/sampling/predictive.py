@@ -54,7 +54,8 @@ def _repeating(
     posterior: Posterior, record: Record, rows: np.ndarray, seed: int
 ) -> tuple[Float[np.ndarray, "count T"], Float[np.ndarray, "count T"]]:
     """A repeating error for each draw over a record's input, and the variance that its shapes cannot make there."""
-    from hystfit.sampling.posterior import problem_of, trimmed
+    from hystfit.fitting.again import problem_of
+    from hystfit.sampling.posterior import trimmed
 
     problem, _ = problem_of(posterior.result)
     noise = make_noise(posterior.noise)

@@ -7,6 +7,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import socket
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from hystfit.uncertainty.replicates import CHUNK, Study, broken_chunk, run_chunk
 
 Chunk = dict[str, np.ndarray]
 Outcome = tuple[int, Chunk | Exception]
+_PATIENCE = 10.0  # seconds that a scheduler and its workers are waited for
 
 
 def collect(
@@ -90,17 +92,35 @@ def _computed(study: Study, numbers: Sequence[int], workers: int, scheduler: str
 
 def _by_dask(study: Study, numbers: Sequence[int], scheduler: str) -> Iterator[Outcome]:
     try:
-        from distributed import Client, as_completed  # pyright: ignore[reportMissingImports]
+        from distributed import Client, as_completed
     except ImportError as error:
         raise MissingExtraError("distributed", "batch", "scheduler=") from error
     try:
+        _knock(scheduler)
         client = Client(scheduler)
     except (OSError, ValueError) as error:
         raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
     with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError as error:
+            raise DataError(
+                f"the Dask scheduler at {scheduler!r} has no workers: start some (dask worker ADDRESS)"
+            ) from error
         tasks = {client.submit(run_chunk, study, k, pure=False): k for k in numbers}
         for task in as_completed(list(tasks)):
             yield tasks[task], _outcome(task.result)
+
+
+def _knock(scheduler: str) -> None:
+    """A client that finds nobody tries for half a minute, and again when it is thrown away: see whether anybody listens first."""
+    from distributed.comm.addressing import get_address_host_port, parse_address
+    from distributed.comm.registry import get_backend
+
+    scheme, _ = parse_address(scheduler)
+    get_backend(scheme)  # ValueError where it knows none
+    if scheme in ("tcp", "tls"):
+        socket.create_connection(get_address_host_port(scheduler), timeout=_PATIENCE).close()
 
 
 def _outcome(result: Callable[[], Chunk]) -> Chunk | Exception:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,12 +12,14 @@ from jaxtyping import Array
 
 from hystfit.config import require_x64
 from hystfit.errors import ParameterError
+from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import near_bound
 from hystfit.fitting.generalized import linearize
 from hystfit.metrics import autocorrelation_time
 from hystfit.problem import Objective
 from hystfit.results import FitResult
-from hystfit.sampling.posterior import problem_of
+
+SCHEMA = "hystfit.errors/1"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +51,105 @@ class Covariance:
         return np.sqrt(np.diag(self.matrix))
 
 
+@dataclasses.dataclass(frozen=True)
+class StandardErrors:
+    """Standard errors of a fit by every rule, side by side.
+
+    Attributes:
+        result: the fit.
+        errors: of each free parameter by rule, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
+            where the data do not determine the parameter, whatever the rule.
+        block: samples a lag window or a block spans; None where the records are too short for either.
+        notes: what is missing and why, one sentence each.
+    """
+
+    result: FitResult
+    errors: dict[str, np.ndarray]
+    block: int | None
+    notes: tuple[str, ...]
+
+    @property
+    def ratios(self) -> dict[str, np.ndarray]:
+        """Errors by rule over those for independent residuals."""
+        return {rule: error / self.errors["iid"] for rule, error in self.errors.items() if rule != "iid"}
+
+    def __repr__(self) -> str:
+        show = lambda value: f"{value:.2g}" if np.isfinite(value) else "-"
+        head = ["parameter", "value", "fit", "independent", *([] if self.block is None else ["sandwich", "bootstrap"])]
+        rows = [head]
+        for k, name in enumerate(self.result.free_names):
+            found = self.result[name]
+            cells = [f"{error[k]:.3g}" if np.isfinite(error[k]) else "-" for error in self.errors.values()]
+            rows.append([name, f"{found.value:.5g} {found.unit}".strip(), *cells])
+        rows.append(["times independent", "", show(_typical(self.ratios["fit"])), "1"])
+        rows[-1] += [show(_typical(self.ratios[rule])) for rule in ("sandwich", "bootstrap") if rule in self.errors]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+        lines = [f"Standard errors of {self.result.name}, by rule"]
+        lines += [
+            "  ".join(c.ljust(w) if k < 1 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
+            for row in rows
+        ]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`; unknown is null."""
+        number = lambda value: float(value) if np.isfinite(value) else None
+        rows = {}
+        for k, name in enumerate(self.result.free_names):
+            own = {rule: number(error[k]) for rule, error in self.errors.items()}
+            over = {rule: number(ratio[k]) for rule, ratio in self.ratios.items()}
+            rows[name] = {
+                "value": self.result[name].value,
+                "unit": self.result[name].unit,
+                "stderr": own,
+                "ratio": over,
+            }
+        return {
+            "schema": SCHEMA,
+            "model": self.result.name,
+            "status": self.result.status,
+            "notes": list(self.notes),
+            "block": self.block,
+            "parameters": rows,
+            "provenance": self.result.provenance,
+        }
+
+
+def _typical(ratio: np.ndarray) -> float:
+    """Geometric mean of those that are known."""
+    known = ratio[np.isfinite(ratio) & (ratio > 0)]
+    return float(np.exp(np.mean(np.log(known)))) if known.size else float("nan")
+
+
+def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 0) -> StandardErrors:
+    """Errors of a least-squares fit by every rule: the report's own, independent residuals, sandwich, block bootstrap.
+
+    Args:
+        result: a least-squares fit.
+        block: samples, see `covariance`.
+        seed: of the bootstrap.
+
+    Raises:
+        ParameterError: a fit under a noise model; its own likelihood gives its errors.
+    """
+    own = np.array([np.nan if (e := result[name].stderr) is None else e for name in result.free_names], dtype=float)
+    errors, notes, span = {"fit": own}, [], None
+    found = covariance(result, "iid", block=block)
+    errors["iid"] = np.where(np.isfinite(own), found.stderr, np.nan)
+    try:
+        others = [covariance(result, kind, block=block, seed=seed) for kind in ("sandwich", "bootstrap")]
+    except ParameterError as error:
+        notes.append(f"no sandwich and no bootstrap: {error}")
+    else:
+        span = others[0].block
+        errors |= {other.kind: np.where(np.isfinite(own), other.stderr, np.nan) for other in others}
+        notes.append(f"sandwich and bootstrap take blocks of {span} samples, and see no error that repeats every loop")
+    open_ = [name for name, error in zip(result.free_names, own, strict=True) if not np.isfinite(error)]
+    if open_:
+        notes.append(f"no rule gives an error to what the data do not determine: {', '.join(open_)}")
+    return StandardErrors(result, errors, span, tuple(notes))
+
+
 @eqx.filter_jit
 def _linear(objective: Objective, x: Array) -> tuple[Array, Array]:
     return linearize(objective, x)
@@ -75,18 +176,25 @@ def covariance(
         seed: of the bootstrap.
 
     Raises:
-        ParameterError: an unknown kind, or a block that leaves fewer than four of them.
+        ParameterError: an unknown kind, a block that leaves fewer than four of them, or a fit under a noise model.
     """
     require_x64()
+    noise = result.provenance.get("noise", {}).get("name", "auto")
+    if noise not in ("auto", "iid"):
+        raise ParameterError(
+            f"this fit is under noise {noise!r}, whose likelihood gives its errors: fit with noise='auto'"
+        )
     if kind not in ("iid", "sandwich", "bootstrap"):
         raise ParameterError(f"kind must be iid, sandwich or bootstrap, got {kind!r}")
+    if block is not None and block < 1:
+        raise ParameterError(f"a block holds at least one sample, got {block}")
     problem, x = problem_of(result)
     used = np.asarray(problem.objective.batch.weight) > 0
     r, J = (np.asarray(v) for v in _linear(problem.objective, jnp.asarray(x)))
     live = np.array([side is None for side in near_bound(problem, x)])
     rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, used, strict=True) if on.any()]
     total = sum(len(row) for row, _ in rows)
-    span = block or _block(problem.data, rows)
+    span = _block(problem.data, rows) if block is None else block
     if kind != "iid" and total < 4 * span:
         raise ParameterError(
             f"{total} samples hold fewer than four blocks of {span}: measure longer, or choose a smaller block"

@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
+from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import describe
 from hystfit.models.base import run, simulate
 from hystfit.params import REAL, Coordinates
 from hystfit.results import FitResult
-from hystfit.sampling.posterior import problem_of
 
 SCHEMA = "hystfit.design/1"
 _TURNS = 14  # turning levels of the optimised input

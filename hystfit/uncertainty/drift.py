@@ -13,10 +13,10 @@ import numpy as np
 from hystfit.data.drift import cycle_means, drift
 from hystfit.data.loops import cycles
 from hystfit.errors import DataError, ModelError
+from hystfit.fitting.again import problem_of
 from hystfit.models.creep import LinearCreep, LogCreep
 from hystfit.models.free_run import free_run
 from hystfit.results import FitResult
-from hystfit.sampling.posterior import problem_of
 
 _TURN = 0.02  # of the input's range, which a turning point must stand out by
 _STEP = 1e-3  # finite difference, in standard errors: the output is nearly linear over that far

@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from hystfit.config import require_x64
 from hystfit.errors import ParameterError
+from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import error_ratios, near_bound
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import Whitened, linearize, refine
@@ -25,7 +26,7 @@ from hystfit.noise import Setting, White
 from hystfit.params import BOTH, LOWER, UPPER
 from hystfit.problem import Objective
 from hystfit.results import FitResult
-from hystfit.sampling.posterior import problem_of, trimmed
+from hystfit.sampling.posterior import trimmed
 from hystfit.uncertainty.profile_paths import crossing, follow_all
 
 SCHEMA = "hystfit.profile/1"

@@ -1,0 +1,127 @@
+"""Error on data left out of refits, and BIC, against plain refits and a dense likelihood."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.stats
+
+import hystfit as hf
+from hystfit.errors import ModelError, ParameterError
+from hystfit.fitting.left_out import bic, left_out_error
+
+T = np.arange(600) / 100
+U = np.sin(2 * np.pi * T) * (0.4 + 0.1 * T)
+
+
+def record(model, noise=0.01, seed=0, u=U, name="made"):
+    y = np.asarray(hf.simulate(model, jnp.asarray(u), 0.01)[0])
+    return hf.Record(t=T[: u.size], u=u, y=y + noise * np.random.default_rng(seed).normal(size=u.size), name=name)
+
+
+def bouc_wen():
+    return hf.BoucWen(c=1.0, mu=0.5, tau=3.0, rho=0.5, scheme="exact")  # the cost of the other scheme has small steps
+
+
+def fifths(size):
+    return np.array_split(np.arange(size), 5)
+
+
+def test_the_future_is_predicted_from_plain_refits_to_the_past():
+    made = record(bouc_wen())
+    fit = hf.fit(hf.BoucWen(scheme="exact"), made)
+    squares = []
+    for k in (2, 3, 4):
+        part = fifths(U.size)[k]
+        weight = np.where(np.arange(U.size) < part[0], 1.0, 0.0)
+        y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=weight)).predict(made)
+        squares.append((np.asarray(y)[part] - made.y[part]) ** 2)
+    assert left_out_error(fit, "future") == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-4)
+
+
+@pytest.mark.parametrize("model", [hf.Preisach.of(8), hf.PrandtlIshlinskii.of(6), hf.BoucWen(scheme="exact")])
+def test_nothing_of_what_is_predicted_enters_its_fit(model):
+    """The last fifth moved by D: its errors move by D, and all others stay as they are."""
+    made = record(bouc_wen(), noise=0.003)
+    fit = hf.fit(model, made)
+    last, D = fifths(U.size)[4], 0.05
+    moved = made.replace(y=np.where(np.arange(U.size) >= last[0], made.y + D, made.y))
+    weight = np.where(np.arange(U.size) < last[0], 1.0, 0.0)
+    past = hf.fit(model, made.replace(weight=weight))
+    e = (np.asarray(past.predict(made)) - made.y)[last]
+    count = sum(part.size for part in fifths(U.size)[2:])
+    extra = np.sum((e - D) ** 2 - e**2) / count
+    other = dataclasses.replace(fit, data=hf.Dataset((moved,)))
+    before, after = left_out_error(fit, "future"), left_out_error(other, "future")
+    assert after**2 - before**2 == pytest.approx(extra, rel=0.01)
+
+
+def test_missing_creep_shows_in_the_future():
+    made = record(hf.Series(bouc_wen(), hf.LogCreep(gamma=0.08)), noise=0.002)
+    plain, creeping = (hf.fit(name, made) for name in ("bouc-wen", "bouc-wen+log-creep"))
+    assert left_out_error(creeping, "future") == pytest.approx(0.002, rel=0.1)
+    assert left_out_error(plain, "future") > 2 * left_out_error(creeping, "future")
+
+
+def dense_deviance(r):
+    """-2 log likelihood of residuals under slow and independent noise, its three parameters at their best, by dense algebra."""
+    lag = np.abs(np.subtract.outer(np.arange(r.size), np.arange(r.size)))
+
+    def value(at):
+        white, slow, time = np.exp(at)
+        cover = slow**2 * np.exp(-lag / time) + white**2 * np.eye(r.size)
+        return -2 * scipy.stats.multivariate_normal(np.zeros(r.size), cover).logpdf(r)
+
+    size = np.std(r)
+    starts = [np.log([a * size, b * size, c]) for a, b, c in ((0.7, 0.7, 3.0), (0.2, 1.0, 20.0))]
+    options = {"xatol": 1e-2, "fatol": 1e-3}
+    return min(scipy.optimize.minimize(value, start, method="Nelder-Mead", options=options).fun for start in starts)
+
+
+def test_bic_is_that_of_a_dense_likelihood():
+    u = U[:300]
+    made = record(bouc_wen(), noise=0.01, u=u)
+    rng, slow = np.random.default_rng(4), np.zeros(u.size)
+    for k in range(1, u.size):
+        slow[k] = np.exp(-1 / 8) * slow[k - 1] + 0.01 * rng.normal()
+    made = made.replace(y=made.y + slow)
+    fit = hf.fit("bouc-wen", made)
+    r = made.y - np.asarray(fit.predict(made))
+    expected = dense_deviance(r) + (len(fit.free_names) + 3) * np.log(u.size)
+    assert bic(fit) == pytest.approx(expected, abs=0.1)
+
+
+def test_bic_counts_neither_correlated_samples_as_news_nor_needless_parameters_as_gain():
+    made = record(bouc_wen(), noise=0.005)
+    rows = hf.compare(made, ["bouc-wen", "bouc-wen+log-creep"]).rows
+    found = {row.name: row.bic for row in rows}
+    assert found["bouc-wen"] == min(found.values())
+    # A parameter more costs log n, less what it fits of the noise: chi-squared of one degree.
+    assert 0 < found["bouc-wen+log-creep"] - found["bouc-wen"] < np.log(U.size) + 1
+
+
+def test_compare_ranks_by_the_future_and_says_so():
+    made = record(hf.Series(bouc_wen(), hf.LogCreep(gamma=0.08)), noise=0.002)
+    found = hf.compare(made, ["bouc-wen", "bouc-wen+log-creep"], left_out="future")
+    assert found.rows[0].name == "bouc-wen+log-creep"
+    assert found.rows[0].score_percent == pytest.approx(100 * 0.002 / np.ptp(made.y), rel=0.1)
+    assert found.to_dict()["left_out"] == "future"
+    assert "predicted from a fit to what came before" in found.text()
+    assert found.text() == repr(found)
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_an_unknown_scheme_and_the_future_of_reversal_curves_are_refused():
+    made = record(bouc_wen())
+    with pytest.raises(ParameterError, match="must be one of blocks, future"):
+        hf.compare(made, ["bouc-wen"], left_out="points")
+    with pytest.raises(ParameterError, match="must be one of blocks, future"):
+        left_out_error(hf.fit(hf.BoucWen(), made), "points")
+    curves = []
+    for start in np.linspace(0.9, -1, 8):
+        u = np.linspace(start, 1.0, 60)
+        curves.append(hf.Record(u=u, y=u + 0.1 * start * (1 - u), name=f"from {start:.2f}"))
+    with pytest.raises(ModelError, match="no order in time"):
+        hf.compare(hf.Dataset(tuple(curves)), left_out="future")
