@@ -545,7 +545,7 @@ def test_interrupt_from_the_keyboard(loop, tmp_path):
     time.sleep(2.5)
     running.send_signal(signal.SIGINT)
     out, err = running.communicate(timeout=60)
-    assert running.returncode == 130
+    assert running.returncode == 130, err
     assert "interrupted" in err
     assert "Traceback" not in err
     assert out == ""

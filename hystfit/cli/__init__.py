@@ -6,11 +6,14 @@ import logging
 import os
 import platform
 import re
+import signal
 import sys
 from collections.abc import Sequence
 
 import platformdirs
 from cyclopts import App, CycloptsError, Parameter
+
+from hystfit.cli.interrupts import INTERRUPTED, interruptible
 
 _HELP = """Fit hysteresis models to measured loops, say what the data determine, and use what was fitted.
 
@@ -70,7 +73,8 @@ def run(arguments: Sequence[str]) -> int:
     from hystfit.errors import HystfitError
 
     try:
-        status = app(list(arguments), exit_on_error=False, print_error=False)
+        with interruptible():
+            status = app(list(arguments), exit_on_error=False, print_error=False)
         return status if isinstance(status, int) else 0
     except CycloptsError as error:
         return _refuse(str(error))
@@ -78,7 +82,7 @@ def run(arguments: Sequence[str]) -> int:
         return _refuse(as_options(str(error)))
     except KeyboardInterrupt:
         print("hystfit: interrupted; nothing was written", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except MemoryError:
         return _refuse("not enough memory: fit a window, or a record of fewer samples")
     except OSError as error:
@@ -130,4 +134,9 @@ def main() -> None:
         from hystfit.config import enable_x64
 
         enable_x64()
-    sys.exit(run(sys.argv[1:]))
+    status = run(sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is written, or nothing
+    if status == INTERRUPTED:
+        sys.stdout.flush()
+        os._exit(status)  # XLA may crash when Python takes down what was interrupted
+    sys.exit(status)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.output import progress, refuse_unwritable, show
 
 if TYPE_CHECKING:
@@ -66,13 +67,13 @@ def sample(
     run = None if out is None else out / "run"
     priors = _priors(prior or [])
     try:
-        with progress("sampling") as say:
+        with progress("sampling") as say, interrupts_alone():
             found = draw(result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=say, **given)
     except KeyboardInterrupt:
         if run is None:
             raise
         print(f"hystfit: interrupted; the same command goes on from {run}", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     text = str(found)
     if out is not None:
         with progress("drawing"):
