@@ -40,6 +40,28 @@ class AbstractHysteresis(eqx.Module):
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """Move the input from u0 to u1 in the time dt: (new state, output at the new sample)."""
 
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """Move the input from u0 over all samples u: (state after the last, output at each). One scan of `step`.
+
+        A model may do better: what does not depend on the state need not be in the scan.
+        """
+        single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
+
+        def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+            state, y = self.step(state[None] if single else state, *sample)
+            return (state[0] if single else state), y
+
+        before = jnp.concatenate([u0[None], u[:-1]])
+        state, y = jax.lax.scan(body, state[0] if single else state, (before, u, dt), unroll=unroll)
+        return (state[None] if single else state), y
+
     @abc.abstractmethod
     def start(self, records: Sequence[Record]) -> AbstractHysteresis:
         """The same model with starting values read off measured records (host side, no gradient)."""
@@ -118,14 +140,5 @@ def run(
     """`simulate` without checks or jit, for use inside other traced code."""
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
-    before = jnp.concatenate([resume.u[None], u[:-1]])
-
-    single = resume.state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
-
-    def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        state, y = model.step(state[None] if single else state, *sample)
-        return (state[0] if single else state), y
-
-    state, y = jax.lax.scan(body, resume.state[0] if single else resume.state, (before, u, dt), unroll=unroll)
-    state = state[None] if single else state
+    state, y = model.sweep(resume.state, resume.u, u, dt, unroll)
     return y, Resume(state, u[-1])

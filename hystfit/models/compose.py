@@ -83,6 +83,20 @@ class Sum(AbstractHysteresis):
         steps = [part.step(own, u0, u1, dt) for part, own in zip(self.parts, _split(state, self.parts), strict=True)]
         return jnp.concatenate([own for own, _ in steps]), sum((y for _, y in steps), jnp.zeros_like(u1))
 
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
+        runs = [
+            part.sweep(own, u0, u, dt, unroll) for part, own in zip(self.parts, _split(state, self.parts), strict=True)
+        ]
+        return jnp.concatenate([own for own, _ in runs]), sum((y for _, y in runs), jnp.zeros_like(u))
+
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
         """What the parts say."""
         return tuple(line for part in self.parts for line in part.advice(u))
@@ -127,14 +141,33 @@ class Series(AbstractHysteresis):
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """One sample through the chain."""
-        count = len(self.parts) - 1
-        before = [u0, *(state[state.shape[0] - count + k] for k in range(count))]
         states, between, signal = [], [], u1
-        for part, own, old in zip(self.parts, _split(state[: state.shape[0] - count], self.parts), before, strict=True):
+        for part, own, old in self._chain(state, u0):
             own, signal = part.step(own, old, signal, dt)
             states.append(own)
             between.append(signal)
         return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """A scan for each part, over all that the part before it puts out."""
+        states, between, signal = [], [], u
+        for part, own, old in self._chain(state, u0):
+            own, signal = part.sweep(own, old, signal, dt, unroll)
+            states.append(own)
+            between.append(signal[-1])
+        return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
+
+    def _chain(self, state: Array, u0: Array) -> list[tuple[AbstractHysteresis, Array, Array]]:
+        """Every part, its state, and the input that it had last."""
+        edge = state.shape[0] - len(self.parts) + 1
+        return list(zip(self.parts, _split(state[:edge], self.parts), [u0, *state[edge:]], strict=True))
 
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
         """What the parts say of the signal that reaches them, as far as it is the input itself."""

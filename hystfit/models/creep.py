@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
@@ -87,6 +88,19 @@ class LogCreep(AbstractFilter):
         state = state - jnp.expm1(-dt / self.tau) * (gamma * self.weights * u1 - state)
         return state, (1 - gamma * self.base) * u1 + jnp.sum(state)
 
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """The relaxations alone are in the scan."""
+        gamma = self._rate(u)
+        state, total = _relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt, unroll)
+        return state, (1 - gamma * self.base) * u + total
+
     def start(self, records: Sequence[Record]) -> LogCreep:
         """A small creep; the span from the range of the signal that reaches it."""
         place = input_range(records)
@@ -143,6 +157,18 @@ class LinearCreep(AbstractHysteresis):
         state = state - jnp.expm1(-dt / self.tau) * (x - state)
         return state, jnp.sum(self.a * state)
 
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """The relaxations alone are in the scan."""
+        x = (u - self.low) / (self.high - self.low)
+        return _relaxed(state, self.tau, 1.0, self.a, x, dt, unroll)
+
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
         place = fitted_input_range(records)
@@ -151,3 +177,17 @@ class LinearCreep(AbstractHysteresis):
         typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
         tau = jnp.asarray(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
         return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
+
+
+def _relaxed(
+    state: Array, tau: Array, gain: Array | float, weight: Array | float, x: Array, dt: Array, unroll: int
+) -> tuple[Array, Float[Array, " T"]]:
+    """Relaxations towards gain x, exact for steps of x: the last state, and their weighted sum at each sample."""
+    part = -jnp.expm1(-dt[:, None] / tau)
+
+    def body(state: Array, sample: tuple[Array, Array]) -> tuple[Array, Array]:
+        part, x = sample
+        state = state + part * (gain * x - state)
+        return state, jnp.sum(weight * state)
+
+    return jax.lax.scan(body, state, (part, x), unroll=unroll)
