@@ -67,7 +67,8 @@ def peer_density(q, center, factor, u, y, scales, wide):
         before = u[k]
         s = -1.0 if dv < 0 else 1.0
         x, g = abs(dv), s * h
-        half = 0.5 * (up if g >= 0 else down) * x
+        below = min(-g / m, x) if g < 0 else 0.0
+        half = 0.5 * (up * x + (down - up) * below)
         new = ((1 - half) * g + m * x) / (1 + half)
         h = s * min(max(new, min(g, highest)), max(g, highest))
         total += (offset + c * u[k] - h - y[k]) ** 2

@@ -68,8 +68,9 @@ def peer(ukf: Any, record: Any) -> Any:
         dv = u1 - u0
         s = -1.0 if dv < 0 else 1.0
         q = s * h
-        half = 0.5 * tau * (1 + rho if q >= 0 else 1 - rho) * abs(dv)
         limit = mu * slope
+        below = min(-q / limit, abs(dv)) if q < 0 else 0.0
+        half = 0.5 * tau * ((1 + rho) * abs(dv) - 2 * rho * below)
         h = s * ((1 - half) * q + limit * abs(dv)) / (1 + half)
         creep += (decay if dt > 0 else 0.0) * (u1 / 100.0 - creep)
         moved.append(np.array([h, creep, *z]))

@@ -114,7 +114,8 @@ def test_nonlinear_filter_equals_filterpy(alpha):
         c, mu, tau, rho, _ = physical(point[1:])
         s, x = (-1.0 if u1 < u0 else 1.0), abs(u1 - u0)
         q = s * point[0]
-        half = 0.5 * tau * (1 + rho * (1 if q >= 0 else -1)) * x
+        falls = min(-q / (mu * c), x) if q < 0 else 0.0
+        half = 0.5 * tau * ((1 + rho) * (x - falls) + (1 - rho) * falls)
         return np.concatenate([[s * ((1 - half) * q + mu * c * x) / (1 + half)], point[1:]])
 
     def read(point, u1):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hystfit.control.bracketed import Root, solve_rising
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import BoucWen
+from hystfit.models.bouc_wen import BoucWen, passed_rates
 from hystfit.models.compose import Series, Sum
 from hystfit.models.creep import LogCreep
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
@@ -86,16 +86,23 @@ class BoucWenStep(AbstractStepInverse):
         s, way = jnp.where(gap < 0, -1.0, 1.0), jnp.abs(gap)
         q, m = s * state[0], bw.mu * bw.c
         up, down = bw.tau * (1 + bw.rho), bw.tau * (1 - bw.rho)
-        kappa = jnp.where(q >= 0, up, down)
-        slope = bw.c - m + kappa * q
-        a, b = 0.5 * bw.c * kappa, slope - 0.5 * kappa * way
-        root = jnp.sqrt(b * b + 4 * a * way)
-        x = jnp.where(b > 0, 2 * way / jnp.where(b > 0, b + root, 1.0), (root - b) / jnp.where(a > 0, 2 * a, 1.0))
+        slope = bw.c - m + jnp.where(q >= 0, up, down) * q
+
+        def root(alpha: Array, beta: Array) -> Array:
+            """x where half the integral of the rates is alpha x + beta."""
+            a, b, d = alpha * bw.c, bw.c * (1 + beta) - m + alpha * (2 * q - way), way * (1 + beta) - 2 * q * beta
+            part = jnp.sqrt(jnp.maximum(b * b + 4 * a * d, 0.0))
+            return jnp.where(b > 0, 2 * d / jnp.where(b > 0, b + part, 1.0), (part - b) / jnp.where(a > 0, 2 * a, 1.0))
+
+        x = root(0.5 * jnp.where(q >= 0, up, down), jnp.zeros_like(q))
+        crosses = (q < 0) & (m * x > -q)
+        x = jnp.where(crosses, root(0.5 * up, 0.5 * (up - down) * q / jnp.where(m > 0, m, 1.0)), x)
         moved = lambda x: s * bw.step(state, u0, u0 + s * x, dt)[0][0]
         bound = jnp.where(up > 0, m / jnp.where(up > 0, up, 1.0), jnp.inf)
         if bw.scheme == "semi-implicit":
             # Where a long step is held at the bound of h, h is known.
-            stuck = ((1 - 0.5 * kappa * x) * q + m * x) / (1 + 0.5 * kappa * x)
+            half = 0.5 * passed_rates(q, x, m, up, down)
+            stuck = ((1 - half) * q + m * x) / (1 + half)
             held = jnp.clip(stuck, jnp.minimum(q, bound), jnp.maximum(q, bound))
             x = jnp.where(held == stuck, x, (way + held - q) / bw.c)
         else:

@@ -28,7 +28,7 @@ class BoucWen(AbstractHysteresis):
     with gain one), so that no two parameters do the same thing; one amplitude alone still determines mu and rho poorly.
 
     `scheme`: "exact" is the closed form of papers' section 3.1 for any step; "semi-implicit" is second order, several times cheaper,
-    bounded and dissipative for any step, and warned about where the sampling is coarse.
+    bounded, dissipative and continuous in its parameters for any step, and warned about where the sampling is coarse.
 
     Raises:
         ModelError: an unknown scheme.
@@ -142,18 +142,15 @@ class AsymmetricBoucWen(AbstractHysteresis):
         q = s * state[0]
         highest = _bound(m, total, (1 + s * self.skew) ** (-1 / self.n))
 
-        def rate(q: Array, side: Array) -> Array:
-            sign = jnp.where(side >= 0, 1.0, -1.0)
-            kappa = self.tau * (1 + sign * self.rho) + s * self.skew * total  # as a multiple of q, not of |q|
-            return kappa * _power(jnp.abs(q) * total / jnp.where(m > 0, m, 1.0), self.n - 1)
-
+        up, down = (self.tau * (1 + sign * self.rho) + s * self.skew * total for sign in (1.0, -1.0))
+        power = lambda q: _power(jnp.abs(q) * total / jnp.where(m > 0, m, 1.0), self.n - 1)
+        slope = lambda q: m - jnp.where(q >= 0, up, down) * power(q) * q
         if self.scheme == "exact":
-            q = _runge_kutta(lambda q: m - rate(q, q) * q, q, x, 8, jnp.maximum(q, highest))
+            q = _runge_kutta(slope, q, x, 8, jnp.maximum(q, highest))
         else:
-            middle = jnp.minimum(
-                q + 0.5 * x * (m - rate(q, q) * q), jnp.maximum(q, highest)
-            )  # the power there keeps the second order
-            q = _semi_implicit(q, x, m, rate(middle, q), highest)
+            middle = jnp.minimum(q + 0.5 * x * slope(q), jnp.maximum(q, highest))
+            passed = power(middle) * passed_rates(q, x, m, up, down)  # the power there keeps the second order
+            q = _semi_implicit(q, x, m, passed, highest)
         h = s * q
         backbone = legendre_series(
             jnp.concatenate([jnp.zeros(2, self.b.dtype), self.b]), (u1 - self.center) / self.half
@@ -180,9 +177,23 @@ def _bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
-def _semi_implicit(q: Array, x: Array, m: Array, kappa: Array, highest: Array) -> Array:
-    """Trapezoidal step at a given rate; what a long step puts beyond the bound, or back, is held between q and the bound."""
-    half = 0.5 * kappa * x
+def passed_rates(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
+    """Integral of kappa over a step, with q rising by m: `down` until it reaches zero, `up` beyond.
+
+    So the step is continuous in its arguments. With a kappa by the sign of q at its start it jumps where q passes zero, and
+    sharp likelihoods are full of small steps.
+    """
+    return up * x + (down - up) / jnp.maximum(m, 1e-300) * _risen(q, x, m)
+
+
+def _risen(q: Array, x: Array, m: Array) -> Array:
+    """By how much q, rising by m on the way x, rises below zero."""
+    return jnp.minimum(jnp.maximum(-q, 0.0), m * x)
+
+
+def _semi_implicit(q: Array, x: Array, m: Array, passed: Array, highest: Array) -> Array:
+    """Trapezoidal step; what a long one puts beyond the bound, or back, is held between q and the bound."""
+    half = 0.5 * passed
     moved = ((1 - half) * q + m * x) / (1 + half)
     return jnp.clip(moved, jnp.minimum(q, highest), jnp.maximum(q, highest))
 
@@ -196,7 +207,7 @@ def _trapezoid(h: Array, dv: Array, m: Array, up: Array, down: Array) -> Array:
     """
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
     q = s * h
-    return s * _semi_implicit(q, x, m, jnp.where(q >= 0, up, down), _bound(m, up))
+    return s * _semi_implicit(q, x, m, passed_rates(q, x, m, up, down), _bound(m, up))
 
 
 @_trapezoid.defjvp
@@ -204,20 +215,21 @@ def _trapezoid_slope(values: tuple[Array, ...], tangents: tuple[Array, ...]) -> 
     h, dv, m, up, down = values
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
     q, new = s * h, _trapezoid(*values)
-    above = q >= 0
-    kappa = jnp.where(above, up, down)
-    half = 0.5 * kappa * x
+    below = _risen(q, x, m) / jnp.maximum(m, 1e-300)
+    half = 0.5 * passed_rates(q, x, m, up, down)
     moved = ((1 - half) * q + m * x) / (1 + half)
     free = s * new == moved
     stays = ~free & (s * new == q)
     pinned = ~free & ~stays  # on the bound m / up
     safe, each = jnp.where(up > 0, up, 1.0), 1 / (1 + half)
-    turn = jnp.where(free, -0.5 * x * (h + new) * each, 0.0)
-    by_h = jnp.where(free, (1 - half) * each, jnp.where(stays, 1.0, 0.0))
-    by_dv = jnp.where(free, (m - 0.5 * kappa * (q + moved)) * each, 0.0)
-    by_m = jnp.where(free, dv * each, jnp.where(pinned, s / safe, 0.0))
-    by_up = jnp.where(above, turn, 0.0) + jnp.where(pinned, -new / safe, 0.0)
-    by_down = jnp.where(above, 0.0, turn)
+    turn = jnp.where(free, -0.5 * s * (q + moved) * each, 0.0)  # by the integral of the rates
+    cross = jnp.where((q < 0) & (-q < m * x), (up - down) / jnp.maximum(m, 1e-300), 0.0)
+    rising = jnp.where(-q >= m * x, down, up)
+    by_h = jnp.where(free, (1 - half) * each + s * turn * cross, jnp.where(stays, 1.0, 0.0))
+    by_dv = jnp.where(free, m * each + s * turn * rising, 0.0)
+    by_m = jnp.where(free, dv * each + turn * cross * below, jnp.where(pinned, s / safe, 0.0))
+    by_up = turn * (x - below) + jnp.where(pinned, -new / safe, 0.0)
+    by_down = turn * below
     h_dot, dv_dot, m_dot, up_dot, down_dot = tangents
     return new, by_h * h_dot + by_dv * dv_dot + by_m * m_dot + by_up * up_dot + by_down * down_dot
 
@@ -310,8 +322,8 @@ def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarr
     state, out = np.zeros(tau.size), np.zeros((u.size, tau.size))
     highest = 1 / (tau * (1 + rho))
     for k, dv in enumerate(np.diff(u), start=1):
-        sign = -1.0 if dv < 0 else 1.0
-        half = 0.5 * tau * (1 + np.where(sign * state >= 0, rho, -rho)) * abs(dv)
+        below = np.clip(np.where(dv < 0, state, -state), 0.0, abs(dv))
+        half = 0.5 * tau * ((1 + rho) * abs(dv) - 2 * rho * below)
         state = np.clip(((1 - half) * state + dv) / (1 + half), -highest, highest)
         out[k] = state
     return out

@@ -23,6 +23,7 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import linearize, log_prior, raw_residual
 from hystfit.fitting.newton import FORWARD, forward, maximize
 from hystfit.fitting.released import refine_released
+from hystfit.models.base import AbstractHysteresis
 from hystfit.noise import Setting
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, LogNormal, choose_priors
@@ -79,6 +80,8 @@ class Target(eqx.Module):
 
     def log_likelihood_lean(self, z: Float[Array, " d"]) -> Float[Array, ""]:
         """The same in one scan that keeps no trajectory: several times the throughput under vmap over many z."""
+        if not self._scans:
+            return self.log_likelihood(z)
         noise = self.noise.tree(z[self.p :])
         setting = self.setting
         x = self.objective.coordinates.physical(z[: self.p])
@@ -92,6 +95,12 @@ class Target(eqx.Module):
             return silent, carry[1] + jnp.where(weight > 0, noise.density(e, logs), 0.0)
 
         return self._gather(x, (noise.init(), jnp.zeros(())), learn)[1]
+
+    @property
+    def _scans(self) -> bool:
+        """Whether the model knows no better way over the samples than one scan, which can then take the noise along."""
+        model = self.objective.coordinates.assemble(jnp.zeros(self.p))
+        return type(model).sweep is AbstractHysteresis.sweep
 
     def squares(self, x: Float[Array, " p"]) -> Float[Array, ""]:
         """Sum of the squared residuals, output units, each times its weight, at physical x; no trajectory is kept."""
@@ -130,7 +139,7 @@ class Target(eqx.Module):
     def slope(self, z: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient: a forward pass through the model, a backward one through the noise."""
         # One pass that only sums pays for few parameters; the derivatives by many would fill the loop.
-        short = self.p <= FORWARD and self.noise.tree(z[self.p :]).by_squares
+        short = self._scans and self.p <= FORWARD and self.noise.tree(z[self.p :]).by_squares
         likelihood, by_x, by_noise = (self._slope_by_squares if short else self._slope_by_residuals)(z)
         by_model = by_x * self.objective.coordinates.slope(z[: self.p])
         prior, by_prior = jax.value_and_grad(self.log_prior)(z)

@@ -31,7 +31,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
                 q += (m - down * q) * @f@_phi(down, x);
         }
     } else {
-        const double half = 0.5 * (q >= 0 ? up : down) * x, highest = m / up;
+        const double below = q < 0 ? fmin(-q / m, x) : 0.0, half = 0.5 * (up * x + (down - up) * below), highest = m / up;
         const double moved = ((1 - half) * q + m * x) / (1 + half);
         q = fmin(fmax(moved, fmin(q, highest)), fmax(q, highest));
     }
