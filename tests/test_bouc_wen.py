@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 
 from hystfit.errors import ModelError
 from hystfit.models import AsymmetricBoucWen, BoucWen, simulate
-from hystfit.models.bouc_wen import _phi, _zero_crossing, unit_hysteresis
+from hystfit.models.bouc_wen import unit_hysteresis
+from hystfit.models.bouc_wen_steps import phi, zero_crossing
 
 FEW = settings(max_examples=40, deadline=None, derandomize=True)
 PIEZO = dict(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, h0=0.3, offset=1.5)
@@ -275,7 +276,7 @@ def test_phi_and_its_derivative_keep_their_digits(k: float) -> None:
     fading = (-kappa * x).exp()
     value = (1 - fading) / kappa
     derivative = (x * fading * kappa - (1 - fading)) / kappa**2
-    found, gradient = jax.value_and_grad(_phi)(jnp.array(k / 2), jnp.array(2.0))
+    found, gradient = jax.value_and_grad(phi)(jnp.array(k / 2), jnp.array(2.0))
     assert float(found) == pytest.approx(float(value), rel=1e-14)
     assert float(gradient) == pytest.approx(float(derivative), rel=1e-11)
 
@@ -286,7 +287,7 @@ def test_the_way_to_zero_and_its_derivative_keep_their_digits(k: float) -> None:
     kappa, part = Decimal(k) / Decimal(2), Decimal(2)
     value = (1 + kappa * part).ln() / kappa
     derivative = (part * kappa / (1 + kappa * part) - (1 + kappa * part).ln()) / kappa**2
-    found, gradient = jax.value_and_grad(_zero_crossing)(jnp.array(k / 2), jnp.array(-1.0), jnp.array(0.5))
+    found, gradient = jax.value_and_grad(zero_crossing)(jnp.array(k / 2), jnp.array(-1.0), jnp.array(0.5))
     assert float(found) == pytest.approx(float(value), rel=1e-14)
     assert float(gradient) == pytest.approx(float(derivative), rel=1e-11)
 

@@ -18,7 +18,8 @@ from hystfit.control.step_inverse import (
 )
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import AsymmetricBoucWen, BoucWen
+from hystfit.models.bouc_wen import BoucWen
+from hystfit.models.bouc_wen_asymmetric import AsymmetricBoucWen
 from hystfit.models.compose import Offset, Series, Sum
 from hystfit.models.creep import LogCreep
 from hystfit.models.duhem import Duhem

@@ -16,7 +16,8 @@ from hystfit.control.running import InverseStep, Limits
 from hystfit.control.step_inverse import SearchStep
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import AsymmetricBoucWen, BoucWen
+from hystfit.models.bouc_wen import BoucWen
+from hystfit.models.bouc_wen_asymmetric import AsymmetricBoucWen
 from hystfit.models.compose import Offset, Series, Sum
 from hystfit.models.creep import LogCreep
 from hystfit.models.duhem import _LONG, _NODES, _WEIGHTS, Duhem

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 from hystfit.control.bracketed import Root, solve_rising
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import BoucWen, passed_rates
+from hystfit.models.bouc_wen import BoucWen
+from hystfit.models.bouc_wen_steps import passed_rates
 from hystfit.models.compose import Series, Sum
 from hystfit.models.creep import LogCreep
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii

@@ -4,8 +4,8 @@ from hystfit.models.base import AbstractFilter as AbstractFilter
 from hystfit.models.base import AbstractHysteresis as AbstractHysteresis
 from hystfit.models.base import Resume as Resume
 from hystfit.models.base import simulate as simulate
-from hystfit.models.bouc_wen import AsymmetricBoucWen as AsymmetricBoucWen
 from hystfit.models.bouc_wen import BoucWen as BoucWen
+from hystfit.models.bouc_wen_asymmetric import AsymmetricBoucWen as AsymmetricBoucWen
 from hystfit.models.bouc_wen_force import BoucWenForce as BoucWenForce
 from hystfit.models.compose import Offset as Offset
 from hystfit.models.compose import Series as Series

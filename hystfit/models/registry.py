@@ -12,7 +12,8 @@ from typing import Any
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import AsymmetricBoucWen, BoucWen
+from hystfit.models.bouc_wen import BoucWen
+from hystfit.models.bouc_wen_asymmetric import AsymmetricBoucWen
 from hystfit.models.bouc_wen_force import BoucWenForce
 from hystfit.models.compose import Offset, Series, Sum
 from hystfit.models.creep import LinearCreep, LogCreep

@@ -1,0 +1,128 @@
+"""One step of Bouc-Wen's law dq/dx = m - kappa q, q = s h, x = |dv|, with kappa = `up` above zero and `down` below."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+
+def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
+    """Where q stops rising, m / up times a factor; no bound where nothing saturates."""
+    return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
+
+
+def passed_rates(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
+    """Integral of kappa over a step, with q rising by m: `down` until it reaches zero, `up` beyond.
+
+    So the step is continuous in its arguments. With a kappa by the sign of q at its start it jumps where q passes zero, and
+    sharp likelihoods are full of small steps.
+    """
+    return up * x + over(down - up, m) * risen(q, x, m)
+
+
+def risen(q: Array, x: Array, m: Array) -> Array:
+    """By how much q, rising by m on the way x, rises below zero."""
+    return jnp.minimum(jnp.maximum(-q, 0.0), m * x)
+
+
+def over(value: Array, m: Array) -> Array:
+    """value / m, and nothing where m vanishes, with finite derivatives."""
+    return jnp.where(m > 0, value / jnp.where(m > 0, m, 1.0), 0.0)
+
+
+def semi_implicit(q: Array, x: Array, m: Array, passed: Array, highest: Array) -> Array:
+    """Trapezoidal step; what a long one puts beyond the bound, or back, is held between q and the bound."""
+    half = 0.5 * passed
+    moved = ((1 - half) * q + m * x) / (1 + half)
+    return jnp.clip(moved, jnp.minimum(q, highest), jnp.maximum(q, highest))
+
+
+@jax.custom_jvp
+def trapezoid(h: Array, dv: Array, m: Array, up: Array, down: Array) -> Array:
+    """h of `BoucWen` after a semi-implicit step.
+
+    Its derivative is written out as one number for each argument: what JAX makes of it is some fifty times slower in a scan
+    on a CPU, where a loop whose body touches more than about 1 kB is not compiled into one piece.
+    """
+    s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
+    q = s * h
+    return s * semi_implicit(q, x, m, passed_rates(q, x, m, up, down), bound(m, up))
+
+
+@trapezoid.defjvp
+def _trapezoid_slope(values: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    h, dv, m, up, down = values
+    s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
+    q, new = s * h, trapezoid(*values)
+    below = over(risen(q, x, m), m)
+    half = 0.5 * passed_rates(q, x, m, up, down)
+    moved = ((1 - half) * q + m * x) / (1 + half)
+    free = s * new == moved
+    stays = ~free & (s * new == q)
+    pinned = ~free & ~stays  # on the bound m / up
+    safe, each = jnp.where(up > 0, up, 1.0), 1 / (1 + half)
+    turn = jnp.where(free, -0.5 * s * (q + moved) * each, 0.0)  # by the integral of the rates
+    cross = jnp.where((q < 0) & (-q < m * x), over(up - down, m), 0.0)
+    rising = jnp.where(-q >= m * x, down, up)
+    by_h = jnp.where(free, (1 - half) * each + s * turn * cross, jnp.where(stays, 1.0, 0.0))
+    by_dv = jnp.where(free, m * each + s * turn * rising, 0.0)
+    by_m = jnp.where(free, dv * each + turn * cross * below, jnp.where(pinned, s / safe, 0.0))
+    by_up = turn * (x - below) + jnp.where(pinned, -new / safe, 0.0)
+    by_down = turn * below
+    h_dot, dv_dot, m_dot, up_dot, down_dot = tangents
+    return new, by_h * h_dot + by_dv * dv_dot + by_m * m_dot + by_up * up_dot + by_down * down_dot
+
+
+_SMALL = 1e-4  # argument below which four terms of a series are exact to rounding, in the derivatives too
+
+
+def phi(kappa: Array, x: Array) -> Array:
+    """(1 - exp(-kappa x)) / kappa, and x where kappa vanishes."""
+    k = kappa * x
+    small = jnp.abs(k) < _SMALL
+    safe = jnp.where(small, 1.0, kappa)
+    return jnp.where(small, x * (1 - k / 2 * (1 - k / 3 * (1 - k / 4))), -jnp.expm1(-safe * x) / safe)
+
+
+def zero_crossing(kappa: Array, q: Array, m: Array) -> Array:
+    """Way x from q < 0 to zero, log(1 + kappa |q| / m) / kappa, and |q| / m where kappa vanishes."""
+    part = -q / jnp.where(m > 0, m, 1.0)
+    k = kappa * part
+    small = k < _SMALL
+    safe = jnp.where(small, 1.0, kappa)
+    series = part * (1 - k * (1 / 2 - k * (1 / 3 - k / 4)))
+    return jnp.where(m > 0, jnp.where(small, series, jnp.log1p(safe * part) / safe), jnp.inf)
+
+
+def exact_step(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
+    """Closed form for n = 1: relax towards m / up above zero; below, rise with rate `down` until zero is crossed."""
+    above = q + (m - up * q) * phi(up, x)
+    below = jnp.where(q < 0, q, -1.0)
+    crossing = zero_crossing(down, below, m)
+    short = below + (m - down * below) * phi(down, x)
+    long = m * phi(up, jnp.where(x > crossing, x - crossing, 0.0))
+    return jnp.where(q >= 0, above, jnp.where(x > crossing, long, short))
+
+
+def power_of(base: Array, exponent: Array) -> Array:
+    """base ** exponent with finite derivatives at base = 0 (a double where: craft of differentiable code, not physics)."""
+    safe = jnp.where(base > 0, base, 1.0)
+    return jnp.where(base > 0, jnp.exp(exponent * jnp.log(safe)), jnp.where(exponent > 0, 0.0, 1.0))
+
+
+def runge_kutta(slope: Callable[[Array], Array], q: Array, x: Array, substeps: int, highest: Array) -> Array:
+    """The classical method of fourth order, each stage held at the bound."""
+    step = x / substeps
+    hold = lambda q: jnp.minimum(q, highest)  # on a step too long for its order the stages stay within the bound
+
+    def once(_: Array, q: Array) -> Array:
+        k1 = slope(q)
+        k2 = slope(hold(q + 0.5 * step * k1))
+        k3 = slope(hold(q + 0.5 * step * k2))
+        k4 = slope(hold(q + step * k3))
+        return hold(q + step * (k1 + 2 * k2 + 2 * k3 + k4) / 6)
+
+    return jax.lax.fori_loop(0, substeps, once, q)
