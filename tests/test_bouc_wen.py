@@ -203,6 +203,14 @@ def states(model: Any, u: Any) -> Any:
     return jnp.concatenate([first, jax.lax.scan(body, first, (u[:-1], u[1:]))[1]])
 
 
+@pytest.mark.parametrize("kind", [BoucWen, AsymmetricBoucWen])
+def test_a_start_may_pass_the_bound_but_not_by_far(kind: Any) -> None:
+    bound = 0.6 * 1.3 / (2.0 * 1.4)
+    begin = lambda h0: kind(**{**UNIT, "h0": h0}).init(jnp.zeros(()))
+    np.testing.assert_allclose(begin(1.2 * bound), [1.2 * bound])
+    np.testing.assert_allclose([begin(-1e6), begin(1e6)], [[-3 * bound], [3 * bound]])
+
+
 @FEW
 @given(INPUT, SIZE, SCHEME, st.floats(-0.99, 0.99))
 def test_h_is_bounded_for_any_step(u: np.ndarray, size: float, scheme: Any, rho: float) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hystfit.control.preisach_inverse import PreisachStep
@@ -174,13 +175,14 @@ def _emit_composition(model: Series | Sum, prefix: str, blocks: list[str]) -> tu
 
 
 def _bouc_wen(model: BoucWen) -> _Part:
-    names = {"C": model.c, "MU": model.mu, "TAU": model.tau, "RHO": model.rho, "H0": model.h0, "OFFSET": model.offset}
+    names = {"C": model.c, "MU": model.mu, "TAU": model.tau, "RHO": model.rho, "OFFSET": model.offset}
+    names["H0"] = model.init(jnp.zeros(()))[0]
     return _Part("bouc_wen.c", 1, {**names, "EXACT": int(model.scheme == "exact")})
 
 
 def _asymmetric_bouc_wen(model: AsymmetricBoucWen) -> _Part:
-    names = ("c", "mu", "tau", "rho", "n", "skew", "h0", "offset", "center", "half")
-    numbers = {name.upper(): getattr(model, name) for name in names}
+    names = ("c", "mu", "tau", "rho", "n", "skew", "offset", "center", "half")
+    numbers = {name.upper(): getattr(model, name) for name in names} | {"H0": model.init(jnp.zeros(()))[0]}
     numbers |= {"B": int(model.b.shape[0]) + 2, "EXACT": int(model.scheme == "exact")}
     return _Part("bouc_wen_asymmetric.c", 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(model.b))})
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen_steps import exact_step, trapezoid
+from hystfit.models.bouc_wen_steps import begun, bound, exact_step, trapezoid
 from hystfit.models.starting import fit_linear, input_range, thinned
 from hystfit.params import param
 
@@ -58,7 +58,8 @@ class BoucWen(AbstractHysteresis):
 
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: h, shape (1,)."""
-        return self.h0[None] + 0.0 * u0
+        highest = bound(self.mu * self.c, self.tau * (1 + self.rho))
+        return begun(self.h0, -highest, highest)[None] + 0.0 * u0
 
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]

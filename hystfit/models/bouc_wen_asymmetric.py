@@ -14,7 +14,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import coarse, grid_start
-from hystfit.models.bouc_wen_steps import bound, passed_rates, power_of, runge_kutta, semi_implicit
+from hystfit.models.bouc_wen_steps import begun, bound, passed_rates, power_of, runge_kutta, semi_implicit
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import input_range
 from hystfit.params import param
@@ -62,7 +62,9 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: h, shape (1,)."""
-        return self.h0[None] + 0.0 * u0
+        m, total = self.mu * self.c, self.tau * (1 + self.rho)
+        lowest, highest = (side * bound(m, total, (1 + side * self.skew) ** (-1 / self.n)) for side in (-1.0, 1.0))
+        return begun(self.h0, lowest, highest)[None] + 0.0 * u0
 
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]

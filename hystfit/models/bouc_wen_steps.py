@@ -14,6 +14,18 @@ def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
+_BEYOND = 3.0  # times the bound up to which a start is believed
+
+
+def begun(h0: Array, lowest: Array, highest: Array) -> Array:
+    """State at the first sample. No input leads beyond the bounds of h.
+
+    Fits of records that begin in saturation scatter about them and are let through; a start far beyond, whose decay then
+    fits some noise, is not.
+    """
+    return jnp.clip(h0, _BEYOND * lowest, _BEYOND * highest)
+
+
 def passed_rates(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
     """Integral of kappa over a step, with q rising by m: `down` until it reaches zero, `up` beyond.
 
