@@ -113,7 +113,7 @@ class Target(eqx.Module):
         def record(k: Any) -> Any:
             model, u = self.objective.coordinates.assemble(x, k), batch.u[k]
             first = model.init(u[0])
-            single = first.shape == (1,)  # carried as a number: see `models.base.run`
+            single = first.shape == (1,)  # carried as a number: see `AbstractHysteresis.sweep`
 
             def sample(carry: tuple[Array, Any], at: tuple[Array, ...]) -> tuple[tuple[Array, Any], None]:
                 (state, known), (before, now, dt, y, weight, gap) = carry, at
