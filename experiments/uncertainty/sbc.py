@@ -17,7 +17,7 @@ FALSE_ALARM = 0.05  # for the whole table: with right set-ups, one table in twen
 
 
 def every_study() -> list[tuple[str, str, str]]:
-    """(pair, noise, method): least squares for every pair, the samplers for two of them."""
+    """(pair, noise, method): each pair with either noise, by least squares and by both samplers."""
     return [(pair.name, noise, method) for method in METHODS for pair in pairs() for noise in NOISES]
 
 

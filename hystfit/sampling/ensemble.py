@@ -23,6 +23,7 @@ from hystfit.sampling.raw import Raw
 
 MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
+_TOGETHER = 8  # walkers at once where trajectories are kept: those of more leave the cache
 _STEADY = 0.05  # and their estimate of it has settled to this, relative
 
 
@@ -99,8 +100,9 @@ class Ensemble:
 
 @eqx.filter_jit
 def _many(target: Target, q: Array) -> Array:
-    """Log posterior at whitened q of shape (walkers, d), for every walker at once."""
-    return jax.vmap(lambda row: target.log_density(target.unwhitened(row), lean=True))(q)
+    """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
+    together = _TOGETHER if target.keeps_trajectories else len(q)
+    return jax.lax.map(lambda row: target.log_density(target.unwhitened(row), lean=True), q, batch_size=together)
 
 
 def walk(target: Target, walkers: int) -> Any:

@@ -24,7 +24,7 @@ from hystfit.fitting.generalized import linearize, log_prior, raw_residual
 from hystfit.fitting.newton import FORWARD, forward, maximize
 from hystfit.fitting.released import refine_released
 from hystfit.models.base import AbstractHysteresis
-from hystfit.noise import Setting
+from hystfit.noise import AbstractNoise, Setting
 from hystfit.params import BOTH, LOWER, UPPER, Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, LogNormal, choose_priors
 from hystfit.problem import Objective, Problem
@@ -80,21 +80,24 @@ class Target(eqx.Module):
 
     def log_likelihood_lean(self, z: Float[Array, " d"]) -> Float[Array, ""]:
         """The same in one scan that keeps no trajectory: several times the throughput under vmap over many z."""
-        if not self._scans:
+        if self.keeps_trajectories:
             return self.log_likelihood(z)
         noise = self.noise.tree(z[self.p :])
-        setting = self.setting
         x = self.objective.coordinates.physical(z[: self.p])
         if noise.by_squares:
-            return noise.of_squares(setting, self.squares(x))
-        if noise.columns(setting) is not None:
-            return self.log_likelihood(z)
+            return noise.of_squares(self.setting, self.squares(x))
 
         def learn(carry: tuple[Array, Array], r: Array, weight: Array, gap: Array) -> tuple[Array, Array]:
             silent, e, logs = noise.step(carry[0], r, gap, weight)
             return silent, carry[1] + jnp.where(weight > 0, noise.density(e, logs), 0.0)
 
         return self._gather(x, (noise.init(), jnp.zeros(())), learn)[1]
+
+    @property
+    def keeps_trajectories(self) -> bool:
+        """Whether even the lean likelihood needs whole trajectories: of the model's parts, or of shapes that the noise adds."""
+        noise = self.noise.tree(jnp.zeros(len(self.noise.kinds)))
+        return not self._scans or type(noise).columns is not AbstractNoise.columns
 
     @property
     def _scans(self) -> bool:
