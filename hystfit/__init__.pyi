@@ -37,7 +37,6 @@ from hystfit.models import Series as Series
 from hystfit.models import Sum as Sum
 from hystfit.models import Viscous as Viscous
 from hystfit.models import simulate as simulate
-from hystfit.params import ParameterSpace as ParameterSpace
 from hystfit.params import param as param
 from hystfit.problem import Problem as Problem
 from hystfit.results import FitResult as FitResult
@@ -45,6 +44,7 @@ from hystfit.sampling.draws import Posterior as Posterior
 from hystfit.sampling.draws import load_posterior as load_posterior
 from hystfit.sampling.sample import sample as sample
 from hystfit.saved import load_fit as load_fit
+from hystfit.space import ParameterSpace as ParameterSpace
 from hystfit.uncertainty.calibration import calibrate as calibrate
 from hystfit.uncertainty.covariances import covariance as covariance
 from hystfit.uncertainty.covariances import standard_errors as standard_errors

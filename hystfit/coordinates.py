@@ -57,6 +57,17 @@ class Coordinates(eqx.Module):
         """x from z."""
         return _physical(z, self.lower, self.upper, self.scale, self.kinds)
 
+    def unconstrained(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
+        """z from x inside traced code; values on a bound are moved a little inside."""
+        kind = jnp.asarray(self.kinds)
+        low = jnp.where(jnp.isfinite(self.lower), self.lower, 0.0)
+        high = jnp.where(jnp.isfinite(self.upper), self.upper, 0.0)
+        edge = 1e-9 * jnp.where(kind == BOTH, high - low, self.scale)
+        above, below = jnp.maximum(x - low, edge), jnp.maximum(high - x, edge)
+        z = jnp.where(kind == LOWER, jnp.log(above / self.scale), x / self.scale)
+        z = jnp.where(kind == UPPER, jnp.log(below / self.scale), z)
+        return jnp.where(kind == BOTH, jnp.log(above) - jnp.log(below), z)
+
     def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """dx/dz, element by element (the maps do not mix parameters)."""
         return jax.jvp(self.physical, (z,), (jnp.ones_like(z),))[1]

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.coordinates import BOTH, LOWER, REAL
 from hystfit.errors import ParameterError
-from hystfit.params import BOTH, LOWER, REAL, ParameterSpace
+from hystfit.space import ParameterSpace
 
 _WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natural size
 _DECADES = (

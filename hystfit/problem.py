@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
+from hystfit.coordinates import Coordinates
 from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
@@ -20,7 +21,7 @@ from hystfit.models.base import AbstractHysteresis, run
 from hystfit.models.free_run import free_run, has_short_cut
 from hystfit.models.preisach import Preisach
 from hystfit.models.starting import input_range, output_range
-from hystfit.params import Coordinates, ParameterSpace
+from hystfit.space import ParameterSpace
 from hystfit.units import Scales
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]

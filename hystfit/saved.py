@@ -15,8 +15,8 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, HystfitError
 from hystfit.metrics import Metrics
 from hystfit.models.storage import from_json, to_json
-from hystfit.params import ParameterSpace
 from hystfit.results import SCHEMA, FitResult, ParameterEstimate
+from hystfit.space import ParameterSpace
 
 
 class writing:

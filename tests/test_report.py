@@ -126,7 +126,7 @@ def test_bounds_and_remarks(result):
 
 def test_a_perfect_fit_is_not_rounded_up(result):
     close = dataclasses.replace(result.train, r2=0.9999999)
-    assert report._metric_rows(dataclasses.replace(result, train=close))[1][5] == "0.999999"
+    assert report.metric_rows(dataclasses.replace(result, train=close))[1][5] == "0.999999"
 
 
 # -- page and files --------------------------------------------------------------------------------------------------------

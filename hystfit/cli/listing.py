@@ -61,7 +61,7 @@ def _parameters_of(model: Any) -> list[dict[str, Any]]:
     """Each field with parameters once: name, unit, bounds, whether it is held, meaning."""
     import math
 
-    from hystfit.params import ParameterSpace
+    from hystfit.space import ParameterSpace
     from hystfit.units import Scales
 
     space = ParameterSpace.of(model)

@@ -216,7 +216,7 @@ def _respond(
 
 
 def _changed(model: Any, values: dict[str, float | None]) -> Any:
-    from hystfit.params import ParameterSpace
+    from hystfit.space import ParameterSpace
 
     missing = [name for name, value in values.items() if value is None]
     if missing:

@@ -124,7 +124,7 @@ class QualityReport:
 
     def text(self) -> str:
         """As a page of text."""
-        from hystfit.data.verdict import page
+        from hystfit.data.findings import page
 
         return page(self)
 
@@ -154,7 +154,8 @@ def check(data: Record | Dataset) -> QualityReport:
     Raises:
         DataError: `data` holds no records.
     """
-    from hystfit.data.verdict import determine, findings
+    from hystfit.data.findings import findings
+    from hystfit.data.verdict import determine
 
     dataset = Dataset.of(data)
     records = tuple(check_record(record) for record in dataset)

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.coordinates import BOTH, REAL
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.preisach import responses
 from hystfit.models.preisach import Preisach
 from hystfit.noise.serial import least_squares_root
-from hystfit.params import BOTH, REAL
 from hystfit.problem import Objective, Problem
 from hystfit.residuals import Leftover
 

@@ -11,10 +11,10 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array
 
+from hystfit.coordinates import Coordinates
 from hystfit.data.record import Dataset, Record
 from hystfit.models.compiled import Compiled, compile_for, respond
 from hystfit.models.density import ParametricPreisach
-from hystfit.params import Coordinates
 from hystfit.problem import Problem
 
 

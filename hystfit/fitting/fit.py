@@ -29,10 +29,10 @@ from hystfit.models.compose import has_rest, with_rest
 from hystfit.models.preisach import Preisach
 from hystfit.models.registry import make_model
 from hystfit.noise import NOISES
-from hystfit.params import ParameterSpace
 from hystfit.problem import Loss, Problem, check_fittable
 from hystfit.residuals import diagnose
 from hystfit.results import FitResult, ParameterEstimate, provenance
+from hystfit.space import ParameterSpace
 
 Method = Literal["auto", "lm", "dogleg", "trf", "lbfgsb", "projected-gradient", "convex", "preisach"]
 ESTIMATORS: dict[str, AbstractEstimator] = {

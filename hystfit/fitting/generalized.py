@@ -17,13 +17,14 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Float
 
+from hystfit.coordinates import Coordinates
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.newton import Optimum, descend, maximize
 from hystfit.metrics import autocorrelation_time
 from hystfit.noise import AbstractNoise, Setting, White, starting_noise
-from hystfit.params import Coordinates, ParameterSpace
 from hystfit.priors import AbstractPrior, default_priors
 from hystfit.problem import Objective, Problem
+from hystfit.space import ParameterSpace
 
 _ROUNDS = 4
 _STARTS = (0.2, 1.0, 5.0)  # correlation times tried, in that of the residuals
@@ -155,7 +156,7 @@ def _fit_noise(criterion: Callable[[Array], tuple[Array, Array]], starts: np.nda
 @eqx.filter_jit
 def _fit_model(whitened: Whitened, x: Array, moving: Array) -> tuple[Array, Array, Array]:
     c = whitened.objective.coordinates
-    z = unconstrained(c, x)
+    z = c.unconstrained(x)
 
     def normal(z: Array) -> tuple[Array, Array, Array]:
         slope = c.slope(z)
@@ -186,19 +187,6 @@ def _fit_jointly(
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     return maximize(value, z)
-
-
-def unconstrained(c: Coordinates, x: Float[Array, " p"]) -> Float[Array, " p"]:
-    """z from x inside traced code; values on a bound are moved a little inside."""
-    from hystfit.params import BOTH, LOWER, UPPER
-
-    kind = jnp.asarray(c.kinds)
-    low, high = jnp.where(jnp.isfinite(c.lower), c.lower, 0.0), jnp.where(jnp.isfinite(c.upper), c.upper, 0.0)
-    edge = 1e-9 * jnp.where(kind == BOTH, high - low, c.scale)
-    above, below = jnp.maximum(x - low, edge), jnp.maximum(high - x, edge)
-    z = jnp.where(kind == LOWER, jnp.log(above / c.scale), x / c.scale)
-    z = jnp.where(kind == UPPER, jnp.log(below / c.scale), z)
-    return jnp.where(kind == BOTH, jnp.log(above) - jnp.log(below), z)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -278,7 +266,7 @@ def _refine_jointly(
     moving: Array,
 ) -> NoiseFit:
     objective, p = problem.objective, x.shape[0]
-    start = jnp.concatenate([unconstrained(objective.coordinates, x), jnp.asarray(z)])
+    start = jnp.concatenate([objective.coordinates.unconstrained(x), jnp.asarray(z)])
     found = _fit_jointly(objective, space.coordinates, priors, setting, start, x, moving)
     x = jnp.where(moving, objective.coordinates.physical(found.z[:p]), x)
     noise = space.tree(found.z[p:])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
-from hystfit.params import BOTH
+from hystfit.coordinates import BOTH
 from hystfit.problem import Problem
 
 _SPREAD = 1.5  # in z: a factor of about 4 either way for a positive parameter

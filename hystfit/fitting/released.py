@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
+from hystfit.coordinates import BOTH
 from hystfit.fitting.covariance import near_bound
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import NoiseFit, refine
-from hystfit.params import BOTH
 from hystfit.problem import Problem
 
 _INSIDE = 0.05  # in the parameter's scale, or in the width between two bounds

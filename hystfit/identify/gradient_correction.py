@@ -23,7 +23,7 @@ from hystfit.identify.bias import noise_bias
 from hystfit.identify.linear import LinearIdentifier, check_enough, rows_of, starting_theta
 from hystfit.identify.regressors import DuhemRegressor, Rows
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params import _as_array
+from hystfit.params import as_array
 
 _SLACK = 1e-12  # relative, of the condition on time-varying weights
 _EXCESS = 0.02  # part of the response's RMS by which the equation error may exceed that of the batch solution
@@ -60,9 +60,9 @@ class GradientCorrection(LinearIdentifier):
     regressor: DuhemRegressor
     theta0: Float[Array, " p"]
     weights: Float[Array, "*K p"]
-    mu: Float[Array, ""] = eqx.field(default=1.0, converter=_as_array)
-    floor: Float[Array, ""] = eqx.field(default=1.0, converter=_as_array)
-    step: Float[Array, ""] | None = eqx.field(default=None, converter=_as_array)
+    mu: Float[Array, ""] = eqx.field(default=1.0, converter=as_array)
+    floor: Float[Array, ""] = eqx.field(default=1.0, converter=as_array)
+    step: Float[Array, ""] | None = eqx.field(default=None, converter=as_array)
 
     @classmethod
     def of(

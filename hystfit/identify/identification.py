@@ -11,9 +11,9 @@ import numpy as np
 from hystfit.data.record import Dataset
 from hystfit.metrics import Metrics
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.params import ParameterSpace
 from hystfit.problem import scales_of
 from hystfit.results import ParameterEstimate
+from hystfit.space import ParameterSpace
 
 if TYPE_CHECKING:
     from hystfit.identify.base import AbstractIdentifier, Info, Sample

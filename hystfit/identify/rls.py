@@ -17,7 +17,7 @@ from hystfit.identify.bias import noise_bias
 from hystfit.identify.linear import LinearIdentifier, check_enough, rows_of, starting_theta
 from hystfit.identify.regressors import DuhemRegressor
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params import _as_array
+from hystfit.params import as_array
 
 _WINDUP = 1e3  # growth of the mean variance over the prior at which forgetting pauses
 
@@ -56,8 +56,8 @@ class Rls(LinearIdentifier):
 
     regressor: DuhemRegressor
     theta0: Float[Array, " p"]
-    forgetting: Float[Array, ""] = eqx.field(default=1.0, converter=_as_array)
-    prior: Float[Array, ""] = eqx.field(default=1e8, converter=_as_array)
+    forgetting: Float[Array, ""] = eqx.field(default=1.0, converter=as_array)
+    prior: Float[Array, ""] = eqx.field(default=1e8, converter=as_array)
     form: str = eqx.field(static=True, default="square-root")
 
     @classmethod

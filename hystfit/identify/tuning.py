@@ -12,11 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.coordinates import REAL
 from hystfit.data.noise import noise_rms
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.params import REAL, ParameterSpace
+from hystfit.space import ParameterSpace
 
 _QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range: a smooth record says less than nothing
 

@@ -10,19 +10,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.models.base import AbstractHysteresis, run
-from hystfit.params import Coordinates
+from hystfit.models.base import AbstractHysteresis
 from hystfit.results import FitResult
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.predictive import predictive_draws
+from hystfit.sampling.predictive import predictive_draws, simulate_draws
 from hystfit.sampling.raw import Evidence
 
 SCHEMA = "hystfit.sample/1"
@@ -316,19 +312,3 @@ def _xarray() -> Any:
     except ImportError as error:
         raise MissingExtraError("h5netcdf", "bayes", "a posterior file (netCDF)") from error
     return xarray
-
-
-@eqx.filter_jit
-def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, own: int) -> Array:
-    return jax.lax.map(lambda row: run(coordinates.assemble(row, own), u, dt)[0], x)
-
-
-def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
-    """Outputs over a record's input for rows of free parameters x, shape (count, p): (count, T)."""
-    from hystfit.fitting.again import problem_of
-
-    problem, _ = problem_of(result)
-    names = [r.name for r in result.data]
-    own = names.index(record.name) if record.name in names else 0
-    arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
-    return np.asarray(_simulate_all(problem.space.coordinates, *arrays, own))

@@ -18,8 +18,9 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.sampling.posterior import Setup, Target
+from hystfit.sampling.posterior import Setup
 from hystfit.sampling.raw import Raw
+from hystfit.sampling.target import Target
 
 MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times

@@ -19,8 +19,9 @@ from scipy.special import logsumexp
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.sampling.chunks import stored
-from hystfit.sampling.posterior import Setup, Target
+from hystfit.sampling.posterior import Setup
 from hystfit.sampling.raw import Evidence, Raw
+from hystfit.sampling.target import Target
 
 _CHUNK = 10  # deletions of a batch in one compiled call, and between two writes to disk
 _PATHS = 200  # simulated shrinkages of the prior volume, for the error of the evidence

@@ -19,8 +19,9 @@ from jaxtyping import Array
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
-from hystfit.sampling.posterior import Setup, Target
+from hystfit.sampling.posterior import Setup
 from hystfit.sampling.raw import Raw
+from hystfit.sampling.target import Target
 
 _CHUNK = 50  # draws in one compiled call, and between two writes to disk
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up

@@ -10,15 +10,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.coordinates import Coordinates
 from hystfit.data.batch import Batch
 from hystfit.data.record import Record
+from hystfit.fitting.again import problem_of
 from hystfit.fitting.generalized import raw_residual
+from hystfit.models.base import run
 from hystfit.noise import LoopDiscrepancy, Setting, make_noise
-from hystfit.params import Coordinates, ParameterSpace
 from hystfit.problem import Objective
+from hystfit.results import FitResult
+from hystfit.space import ParameterSpace
 
 if TYPE_CHECKING:
     from hystfit.sampling.draws import Posterior
+
+
+@eqx.filter_jit
+def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, own: int) -> Array:
+    return jax.lax.map(lambda row: run(coordinates.assemble(row, own), u, dt)[0], x)
+
+
+def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
+    """Outputs over a record's input for rows of free parameters x, shape (count, p): (count, T)."""
+    problem, _ = problem_of(result)
+    names = [r.name for r in result.data]
+    own = names.index(record.name) if record.name in names else 0
+    arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
+    return np.asarray(_simulate_all(problem.space.coordinates, *arrays, own))
 
 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:
@@ -27,8 +45,6 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     What repeats with input and direction is drawn given the residuals of the fitted records, which determine it: it belongs to the
     prediction. Slow noise has forgotten them, and is drawn from its stationary distribution, as is independent noise.
     """
-    from hystfit.sampling.draws import simulate_draws
-
     names, p = posterior.names, len(posterior.result.free_names)
     flat = posterior.draws.reshape(-1, len(names))
     rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
@@ -54,7 +70,6 @@ def _repeating(
     posterior: Posterior, record: Record, rows: np.ndarray, seed: int
 ) -> tuple[Float[np.ndarray, "count T"], Float[np.ndarray, "count T"]]:
     """A repeating error for each draw over a record's input, and the variance that its shapes cannot make there."""
-    from hystfit.fitting.again import problem_of
     from hystfit.sampling.posterior import trimmed
 
     problem, _ = problem_of(posterior.result)

@@ -24,7 +24,8 @@ from hystfit.sampling.draws import Posterior
 from hystfit.sampling.ensemble import Ensemble
 from hystfit.sampling.nested import Nested
 from hystfit.sampling.nuts import Nuts
-from hystfit.sampling.posterior import Setup, Target, prepare
+from hystfit.sampling.posterior import Setup, prepare
+from hystfit.sampling.target import Target
 
 SAMPLERS = {"nuts": Nuts, "emcee": Ensemble, "nested": Nested}
 

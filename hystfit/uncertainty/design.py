@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
+from hystfit.coordinates import REAL, Coordinates
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import describe
 from hystfit.models.base import run, simulate
-from hystfit.params import REAL, Coordinates
 from hystfit.results import FitResult
 
 SCHEMA = "hystfit.design/1"

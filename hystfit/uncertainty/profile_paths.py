@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.fitting.generalized import Whitened, unconstrained
+from hystfit.fitting.generalized import Whitened
 from hystfit.fitting.newton import descend
 
 _STEPS = 24  # points on each side at most
@@ -23,7 +23,7 @@ def follow_all(
 ) -> tuple[Float[Array, "sides n"], Float[Array, "sides n"], Array, Float[Array, "sides p"]]:
     """Paths to both sides of each parameter: (z, statistic, whether each point counts, the optimum), sides first down then up."""
     c = whitened.objective.coordinates
-    start = unconstrained(c, x)
+    start = c.unconstrained(x)
 
     def normal(z: Array) -> tuple[Array, Array, Array]:
         slope = c.slope(z)

@@ -17,12 +17,13 @@ from hystfit.data.record import Dataset
 from hystfit.fitting.newton import maximize
 from hystfit.models.base import AbstractHysteresis
 from hystfit.noise import AbstractNoise, Setting, make_noise
-from hystfit.params import ParameterSpace
 from hystfit.priors import AbstractPrior, priors_around
 from hystfit.problem import Problem
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Tuning, advance
-from hystfit.sampling.posterior import Target, trimmed
+from hystfit.sampling.posterior import trimmed
+from hystfit.sampling.target import Target
+from hystfit.space import ParameterSpace
 
 Method = Literal["laplace", "nuts", "emcee"]
 CHUNK = 10  # replicates in one compiled call and one file
