@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 import scipy.stats
 
 import hystfit as hf
@@ -21,7 +22,7 @@ from hystfit import priors
 from hystfit.errors import DataError, ParameterError
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.draws import load_posterior
-from hystfit.sampling.ensemble import Ensemble
+from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.posterior import prepare
 from hystfit.sampling.sample import sample
 
@@ -277,6 +278,31 @@ def test_an_emcee_run_resumed_is_the_unbroken_one(fitted, tmp_path):
     Ensemble(walkers=16, draws=100, check=50).run(setup, 3, tmp_path, quiet)
     again = Ensemble(walkers=16, draws=200, check=50).run(setup, 3, tmp_path, quiet)
     np.testing.assert_array_equal(again.z, whole.z)
+
+
+def test_autocorrelation_time_of_a_long_chain_is_found_on_few_of_its_steps():
+    keep = 399 / 401  # an autoregressive chain with an autocorrelation time of (1 + keep) / (1 - keep) = 400 steps
+    rng = np.random.default_rng(0)
+    push = np.sqrt(1 - keep**2) * rng.normal(size=(40_000, 32, 1))
+    push[0] = rng.normal(size=(32, 1))
+    chain = scipy.signal.lfilter([1.0], [1.0, -keep], push, axis=0)
+    whole, thinned = longest_time(chain), longest_time(chain, 380.0)
+    assert thinned == pytest.approx(400, rel=0.1)
+    assert thinned == pytest.approx(whole, rel=0.02)
+    assert longest_time(chain, 15.0) == whole  # short times take every step
+    chain[:, 3] = 0.5
+    assert longest_time(chain) == np.inf  # a walker that never moved
+
+
+def test_emcee_looks_less_often_at_longer_chains(fitted):
+    looks = []
+    Ensemble(walkers=16, draws=1600, check=10).run(
+        prepare(fitted, noise="iid"), 3, None, lambda words, part: looks.append(part)
+    )
+    reached = 1600 * np.array(looks)
+    assert reached[0] == 10
+    assert np.all(np.diff(reached) <= np.maximum(10, reached[:-1] / 20) + 1e-9)
+    assert len(reached) < 25 + 20 * np.log(1600 / 200) + 10  # ten steps up to 200, then a twentieth of the chain
 
 
 @pytest.mark.usefixtures("as_users_run")

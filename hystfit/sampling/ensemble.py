@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.sampling.posterior import Setup
@@ -26,6 +26,7 @@ MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
 _TOGETHER = 8  # walkers at once where trajectories are kept: those of more leave the cache
 _STEADY = 0.05  # and their estimate of it has settled to this, relative
+_FINE = 20.0  # samples of an autocorrelation time that are enough to estimate it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Ensemble:
     Attributes:
         walkers: even, more than twice the number of parameters.
         draws: steps at most; it stops sooner when the autocorrelation time is known and chains hold 50 of it.
-        check: steps between two looks at the autocorrelation time, and writes to disk.
+        check: steps between two looks at the autocorrelation time, and writes to disk; a twentieth of the chain once that is more.
     """
 
     walkers: int = 64
@@ -54,8 +55,6 @@ class Ensemble:
         Raises:
             ParameterError: too few walkers or too many parameters.
         """
-        import emcee
-
         target, d = setup.target, setup.target.center.shape[0]
         if self.walkers < 2 * d + 2:
             raise ParameterError(f"{d} parameters need at least {2 * d + 2} walkers, got {self.walkers}")
@@ -68,7 +67,7 @@ class Ensemble:
         chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, seed)
         tau, settled = np.inf, False
         while len(chain) < self.draws and not settled:
-            count = min(self.check, self.draws - len(chain))
+            count = min(max(self.check, len(chain) // 20), self.draws - len(chain))
             sampler.reset()
             state: Any = sampler.run_mcmc(state, count, skip_initial_state_check=True)
             chain = np.concatenate([chain, np.asarray(sampler.get_chain())])
@@ -76,7 +75,7 @@ class Ensemble:
             accepted = accepted + sampler.backend.accepted
             if file is not None:
                 _write(file, chain, logs, accepted, state.random_state)
-            before, tau = tau, float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+            before, tau = tau, longest_time(chain, tau)
             settled = bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
             report(
                 f"{len(chain)} steps of {self.walkers} walkers, about {len(chain) * self.walkers / tau:.0f} effective draws so far",
@@ -97,6 +96,20 @@ class Ensemble:
                 f"the chains hold {len(chain) / tau:.0f} autocorrelation times (want {_LONG:.0f}): more steps are needed"
             )
         return Raw(z, np.swapaxes(logs[burn:], 0, 1), {"acceptance": np.array(rate)}, tuple(notes))
+
+
+def longest_time(chain: Float[np.ndarray, "steps walkers d"], before: float = np.inf) -> float:
+    """Longest integrated autocorrelation time of a chain [steps], given an earlier estimate of it.
+
+    Steps much closer to each other than that say nothing new and are passed over: a look at a long chain is to cost less than
+    the steps since the last one. Infinite while a walker has yet to move.
+    """
+    import emcee
+
+    every = max(1, int(before / _FINE)) if np.isfinite(before) else 1
+    with np.errstate(invalid="ignore"):
+        found = every * float(np.max(emcee.autocorr.integrated_time(chain[::every], tol=0, quiet=True)))
+    return found if np.isfinite(found) else np.inf
 
 
 @eqx.filter_jit
