@@ -69,17 +69,19 @@ class _Trace:
         self.axis = (np.arange(len(record)) if record.t is None else record.t - record.t[0] * (start > 0)) + start
         self.residual = predicted - record.y
         self.labels = {
-            "u": _label(record.u_name, record.u_unit),
-            "y": _label(record.y_name, record.y_unit),
-            "residual": _label("model - measured", record.y_unit),
+            "u": label(record.u_name, record.u_unit),
+            "y": label(record.y_name, record.y_unit),
+            "residual": label("model - measured", record.y_unit),
             "axis": "sample" if record.t is None else f"time [{record.t_unit}]",
         }
 
 
-def _label(name: str, unit: str) -> str:
-    """Name and unit, where the name does not end in the unit already."""
+def label(name: str, unit: str) -> str:
+    """Name and unit of an axis; a name that ends in its unit is shortened, and unknown units have brackets of their own."""
     if not unit:
         return name
+    if unit.startswith("["):
+        return f"{name} {unit}"
     base = re.sub(rf"[\s_]*[\[(]?{re.escape(unit)}[\])]?$", "", name) or name
     return f"{base} [{unit}]"
 
@@ -193,6 +195,7 @@ def _autocorrelation(traces: list[_Trace], ax: Axes) -> None:
         ax.vlines(at, 0, shown[at], color=MODEL, lw=1.5)
     else:
         ax.plot(at, shown[at], color=MODEL, lw=1.0)
+    ax.locator_params(axis="x", integer=True)
     ax.set(xlabel="lag [samples]", ylabel="autocorrelation of residuals", ylim=(min(-0.2, 1.1 * shown.min()), 1.05))
     ax.legend(frameon=False)
 

@@ -21,6 +21,8 @@ _WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its nat
 _DECADES = (
     3.0  # standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way
 )
+_DRAWS = 2000  # of a prior, to see where it lies
+_NUMBERS = ("mean", "sd", "median", "spread", "lower", "upper")
 _LOG_ROOT = float(0.5 * np.log(2 * np.pi))
 
 
@@ -214,7 +216,8 @@ def choose_priors(
     A name without a record, such as "offset", stands for that parameter in every record.
 
     Raises:
-        ParameterError: a prior for no free parameter, or something that is no prior, or one without a proper width.
+        ParameterError: a prior for no free parameter, or something that is no prior, one without a proper width, or one that lies
+            outside the parameter's bounds.
     """
     chosen = default_priors(space, x)
     for name, prior in (own or {}).items():
@@ -223,14 +226,32 @@ def choose_priors(
             raise ParameterError(
                 f"a prior for {name!r}, which is no free parameter; those are: {', '.join(space.names)}"
             )
-        if not isinstance(prior, AbstractPrior):
-            raise ParameterError(f"the prior of {name!r} must be one of hystfit.priors, got {type(prior).__name__}")
-        widths = [getattr(prior, f) for f in ("sd", "spread", "median") if hasattr(prior, f)]
-        if isinstance(prior, Uniform):
-            widths = [prior.upper - prior.lower]
-        if not all(np.isfinite(float(w)) and float(w) > 0 for w in widths):
-            raise ParameterError(
-                f"the prior of {name!r} ({prior}) is flat or has no width: posterior draws need a proper one"
-            )
+        _check(name, prior)
+        bounds = {space.infos[space.names.index(hit)].bounds for hit in hits}
+        for low, high in bounds:
+            drawn = np.asarray(prior.sample(jax.random.key(0), (_DRAWS,)))
+            if not np.any((drawn >= low) & (drawn <= high)):
+                raise ParameterError(
+                    f"the prior of {name!r} ({prior}) lies outside the parameter's bounds, {low:g} to {high:g}"
+                )
         chosen.update(dict.fromkeys(hits, prior))
     return tuple(chosen[name] for name in space.names)
+
+
+def _check(name: str, prior: Any) -> None:
+    """Refuse what is no prior, or not a proper one."""
+    if not isinstance(prior, AbstractPrior):
+        raise ParameterError(f"the prior of {name!r} must be one of hystfit.priors, got {type(prior).__name__}")
+    values = {f: float(getattr(prior, f)) for f in _NUMBERS if hasattr(prior, f)}
+    if bad := [f"{f} = {value}" for f, value in values.items() if np.isnan(value)]:
+        raise ParameterError(f"the prior of {name!r}: {', '.join(bad)} is no number")
+    if "upper" in values and values["upper"] < values["lower"]:
+        raise ParameterError(
+            f"the prior of {name!r} ({prior}): its lower limit must come first, and be below the upper one"
+        )
+    widths = [values[f] for f in ("sd", "spread", "median") if f in values and not isinstance(prior, LogitNormal)]
+    widths += [values["upper"] - values["lower"]] if "upper" in values else []
+    if not all(np.isfinite(width) and width > 0 for width in widths) or not np.isfinite(values.get("mean", 0.0)):
+        raise ParameterError(
+            f"the prior of {name!r} ({prior}) is flat or has no width: posterior draws need a proper one"
+        )

@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import tempfile
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +138,7 @@ def load_records(path: Path) -> Dataset:
                 labels["notes"] = tuple(labels["notes"])
                 t = stored[f"t{k}"] if f"t{k}" in stored else None
                 records.append(Record(u=stored[f"u{k}"], y=stored[f"y{k}"], t=t, weight=stored[f"weight{k}"], **labels))
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(f"{path} does not hold records as hystfit saves them: {error}") from error
     return Dataset(tuple(records), name=described["name"])
 

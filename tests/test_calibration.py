@@ -34,6 +34,14 @@ def test_uniform_ranks_pass_at_the_stated_rate_and_others_fail():
     assert made(shifted).status == "miscalibrated"
 
 
+def test_a_handful_of_replicates_is_no_verdict():
+    rng = np.random.default_rng(0)
+    few = made(rng.integers(0, RANKS + 1, (5, 2)))
+    assert few.status == "too-few"
+    assert "200 or more" in str(few)
+    assert made(np.zeros((15, 2), int)).status == "miscalibrated"  # some set-ups are wrong beyond doubt
+
+
 def test_coverage_counts_central_intervals_and_its_band_is_binomial():
     ranks = np.arange(RANKS + 1)[:, None]
     study = made(ranks)
@@ -59,7 +67,8 @@ def honest(tmp_path_factory):
 def test_a_study_without_one_replicate_says_why_and_gives_no_number():
     nothing = np.zeros((0, 1))
     failed = Calibration(("c",), nothing.astype(int), 99, nothing, ((0, "no fit"),), "laplace", "ou", "ou", "duhem")
-    assert "0 replicates, 1 failed: miscalibrated" in str(failed)
+    assert "0 replicates, 1 failed: failed" in str(failed)
+    assert failed.advice in str(failed)
     assert "replicate 0 failed: no fit" in repr(failed)
     assert "%" not in str(failed)
 

@@ -459,6 +459,7 @@ def test_messages_speak_the_shell():
         as_options("gaps='split' makes a record; give by= or output=")
         == "--gaps split makes a record; give --by or --output"
     )
+    assert as_options("time=False reads without time") == "--time none reads without time"
     assert as_options("use left_out='blocks'; scheduler= needs") == "use --left-out blocks; --scheduler needs"
 
 

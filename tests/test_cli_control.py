@@ -27,7 +27,9 @@ def test_invert_writes_an_input_that_the_model_follows(
     (tmp_path / "reference.csv").write_text("\n".join(lines) + "\n")
     command = ["invert", str(fitted), str(tmp_path / "reference.csv"), "--output", "wanted_um", "--time", "t_s"]
     assert run([*command, "--out", str(tmp_path / "out")]) == 0
-    rows = [line.split(",") for line in (tmp_path / "out" / "inverse.csv").read_text().splitlines()[1:]]
+    head, *lines_found = (tmp_path / "out" / "inverse.csv").read_text().splitlines()
+    assert head == "t_s,reference_um,u_V,y_um,status"
+    rows = [line.split(",") for line in lines_found]
     u = np.array([float(row[2]) for row in rows])
     y = np.asarray(hf.simulate(load_fit(fitted).model, u)[0])
     np.testing.assert_allclose(y, wanted, atol=1e-9)

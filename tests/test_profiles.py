@@ -1,5 +1,8 @@
 """Profiles against refits and closed forms, other covariances against plain sums, designs against simulation."""
 
+import dataclasses
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -143,6 +146,43 @@ def test_no_rule_gives_an_error_to_what_is_not_determined(faint):
     name = faint.free_names[open_[0]]
     assert set(found.to_dict()["parameters"][name]["stderr"].values()) == {None}
     assert any(name in note for note in found.notes)
+
+
+def test_a_record_of_one_block_gives_the_bootstrap_nothing_to_redraw():
+    loops = [dataclasses.replace(loop(a, T=200, seed=k), name=str(k)) for k, a in enumerate((0.4, 0.7, 1.0))]
+    found = hf.standard_errors(hf.fit(TRUTH, loops, starts=1, noise="iid"), block=120)
+    assert set(found.errors) == {"fit", "iid", "sandwich"}
+    assert np.all(found.errors["sandwich"][:4] > 0)
+    assert "no bootstrap: a record holds fewer than two blocks of 120 samples" in str(found)
+
+
+def test_a_design_gives_no_error_to_what_the_fit_leaves_open(faint):
+    made = design(faint, samples=300, method="families")
+    open_ = [name for name in faint.free_names if faint[name].stderr is None]
+    assert open_
+    assert all(made.present[name] is None for name in open_)
+    assert all(made.present[name] > 0 for name in set(faint.free_names) - set(open_))
+    assert any("beforehand" in note for note in made.notes)
+    assert made.status == "ok"  # a faint loop is what a design is for
+    assert faint.status == "poor"
+    assert any("not usable (poor)" in note for note in made.notes)
+
+
+def test_a_design_for_data_without_a_loop_is_not_usable():
+    u = np.linspace(0, 1, 200)
+    flat = hf.fit(TRUTH, hf.Record(u=u, y=u + 0.01 * np.random.default_rng(0).normal(size=200)), starts=1)
+    assert design(flat, samples=300, method="families").status == flat.status == "no-loop"
+
+
+def test_a_profile_that_ends_elsewhere_than_the_fit_says_so(fitted):
+    moved = dataclasses.replace(fitted, models=tuple(eqx.tree_at(lambda m: m.c, m, 1.2 * m.c) for m in fitted.models))
+    assert not any("elsewhere" in note for note in profile(fitted, ["c"]).notes)
+    rows = [dataclasses.replace(p, value=1.2 * p.value) if p.name == "c" else p for p in moved.parameters]
+    told = profile(dataclasses.replace(moved, parameters=tuple(rows)), ["c"])
+    assert any(
+        "best elsewhere than the fit: c 0.9" in note or "best elsewhere than the fit: c 1.0" in note
+        for note in told.notes
+    )
 
 
 def test_records_too_short_for_blocks_say_so_and_fits_under_a_noise_model_are_refused(fitted):

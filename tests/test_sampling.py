@@ -280,6 +280,26 @@ def test_an_emcee_run_resumed_is_the_unbroken_one(fitted, tmp_path):
     np.testing.assert_array_equal(again.z, whole.z)
 
 
+def test_a_finished_emcee_run_asked_again_is_what_it_was(fitted, tmp_path):
+    settings = {"noise": "iid", "walkers": 16, "check": 50, "folder": tmp_path / "run", "seed": 3}
+    first = sample(fitted, "emcee", draws=20_000, **settings)
+    again = sample(fitted, "emcee", draws=200, **settings)
+    assert first.status == again.status == "ok"
+    np.testing.assert_array_equal(again.draws, first.draws)
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"no archive"])
+def test_a_damaged_chunk_of_nuts_is_made_anew(fitted, tmp_path, damage):
+    settings = {"noise": "iid", "chains": 1, "draws": 100, "warmup": 50, "folder": tmp_path / "run"}
+    first = sample(fitted, **settings)
+    for name in ("nuts-0-00001.npz", "nuts-0-warm.npz"):
+        (tmp_path / "run" / name).write_bytes(damage)
+    np.testing.assert_array_equal(sample(fitted, **settings).draws, first.draws)
+    (tmp_path / "run" / "run.json").write_text("{")
+    with pytest.raises(DataError, match="damaged: remove"):
+        sample(fitted, **settings)
+
+
 def test_autocorrelation_time_of_a_long_chain_is_found_on_few_of_its_steps():
     keep = 399 / 401  # an autoregressive chain with an autocorrelation time of (1 + keep) / (1 - keep) = 400 steps
     rng = np.random.default_rng(0)
@@ -311,7 +331,7 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
         sample(fitted, "gibbs")
     with pytest.raises(ParameterError, match="settings of nuts"):
         sample(fitted, "nuts", walkers=3)
-    with pytest.raises(ParameterError, match="warmup >= 50"):
+    with pytest.raises(ParameterError, match="warmup must be a whole number of at least 50, got 1"):
         sample(fitted, "nuts", warmup=1)
     with pytest.raises(ParameterError, match="at least 12 walkers"):
         sample(fitted, "emcee", noise="iid", walkers=8)
@@ -321,6 +341,47 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
         sample(fitted, priors={"tau": priors.Uniform(0.0, np.inf)})
     with pytest.raises(ParameterError, match="outside the prior of tau"):
         sample(fitted, noise="iid", priors={"tau": priors.Uniform(5.0, 6.0)})
+    with pytest.raises(ParameterError, match=r"outside the parameter's bounds, 0 to 1"):
+        sample(fitted, noise="iid", priors={"mu": priors.Normal(3.0, 0.01)})
+    with pytest.raises(ParameterError, match="mean = nan is no number"):
+        sample(fitted, priors={"tau": priors.Normal(np.nan, 1.0)})
+    with pytest.raises(ParameterError, match="lower limit must come first"):
+        sample(fitted, priors={"tau": priors.Uniform(2.0, 1.0)})
+    with pytest.raises(ParameterError, match=r"those are: .*noise_white"):
+        sample(fitted, noise="iid", priors={"nu": priors.Normal(0, 1)})
+    with pytest.raises(ParameterError, match="draws must be a whole number"):
+        sample(fitted, draws=10.5)
+    with pytest.raises(ParameterError, match="settings of emcee are walkers, draws, check; got live"):
+        sample(fitted, "emcee", live=50)
+
+
+def test_a_prior_that_contradicts_the_data_is_told_and_one_that_they_narrow_is_not(fitted):
+    told = sample(fitted, noise="iid", chains=1, draws=100, priors={"tau": priors.Normal(1.2, 0.01)})
+    assert any(note.startswith("tau lies where its prior") for note in told.notes)
+    plain = sample(fitted, noise="iid", chains=1, draws=100)
+    assert not any("prior" in note for note in plain.notes), plain.notes
+
+
+def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):
+    poor = dataclasses.replace(fitted, status="poor")
+    told = sample(poor, noise="iid", chains=4, draws=400, warmup=200)
+    assert told.convergence.verdict(told.names)[0]
+    assert told.status == "poor-fit"
+    assert not told.usable
+    assert "not usable (poor)" in told.notes[0]
+
+
+@pytest.mark.parametrize("noise", ["iid", "discrepancy"])
+def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
+    # Residuals at their limit are a constant, and what repeats with input and direction explains a constant.
+    setup = prepare(fitted, noise=noise)
+    target = setup.target
+    far = target.center.at[setup.names.index("offset")].set(1e5)
+    if noise == "discrepancy":
+        far = far.at[setup.names.index("noise_loop")].set(np.log(1e5))
+    for likelihood in (target.log_likelihood, target.log_likelihood_lean):
+        assert float(eqx.filter_jit(likelihood)(far)) < -1e8
+    assert float(eqx.filter_jit(target.slope)(far)[0]) == -np.inf or noise == "iid"
 
 
 def test_a_parameter_that_the_data_do_not_move_is_named(fitted):

@@ -90,15 +90,18 @@ def run(arguments: Sequence[str]) -> int:
 
 
 _ARGUMENT = re.compile(
-    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|warmup|level|low|high|replicates|spread|left_out|scheduler)=(?:'([^']*)')?"
+    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|warmup|level|low|high|replicates|spread|left_out|scheduler)=(?:'([^']*)'|(False)\b)?"
 )
 
 
 def as_options(message: str) -> str:
-    """A message of the library in the words of the shell: gaps='split' is --gaps split."""
-    return _ARGUMENT.sub(
-        lambda found: f"--{found[1].replace('_', '-')}" + (f" {found[2]}" if found[2] else ""), message
-    )
+    """A message of the library in the words of the shell: gaps='split' is --gaps split, and time=False --time none."""
+
+    def option(found: re.Match[str]) -> str:
+        value = "none" if found[3] else found[2]
+        return f"--{found[1].replace('_', '-')}" + (f" {value}" if value else "")
+
+    return _ARGUMENT.sub(option, message)
 
 
 def _refuse(message: str) -> int:

@@ -65,22 +65,27 @@ def invert(
         "reading": list(data.notes),
         "counts": found.counts(),
         "input": {"lowest": float(found.u.min()), "highest": float(found.u.max())},
+        "units": {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None},
         "bands": None if bands is None else _banded(bands),
         "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
         "provenance": provenance(Dataset.of(data), None),
     }
     counts = ", ".join(f"{count} {name}" for name, count in found.counts().items() if count)
-    words = [f"{result.name} inverted over {data.name}: {counts}; input {found.u.min():.4g} to {found.u.max():.4g}"]
+    units = result.data.units
+    span = f"{found.u.min():.4g} to {found.u.max():.4g} {units['u']}".rstrip()
+    words = [f"{result.name} inverted over {data.name}: {counts}; input {span}"]
     words += [f"  - {note}" for note in found.notes()]
     words += [f"  - {note}" for note in data.notes if "left out" in note]
     if bands is not None:
         told = content["bands"]
+        u_unit, y_unit = (f" {unit}" if unit else "" for unit in (units["u"], units["y"]))
         words.append(
-            f"  - over {told['draws']} draws of the posterior: input within {told['input_width']:.3g} of each other "
-            f"(90 %, widest), rms tracking error {told['rms_error']['median']:.3g}, 95 % of them below {told['rms_error']['upper']:.3g}"
+            f"  - over {told['draws']} draws of the posterior: input within {told['input_width']:.3g}{u_unit} of each other "
+            f"(90 %, widest), rms tracking error {told['rms_error']['median']:.3g}{y_unit}, 95 % of them below "
+            f"{told['rms_error']['upper']:.3g}{y_unit}"
         )
     if out is not None:
-        _write_inverse(out, data, found, content, bands)
+        _write_inverse(out, data, found, content, bands, units)
         words.append(f"Written to {out}: inverse.csv, result.json")
     show("\n".join(words), content, json)
     return 0 if found.ok else 1
@@ -143,7 +148,12 @@ def _wanted(reference: str, reading: Reading) -> Record:
 
 
 def _write_inverse(
-    out: Path, data: Record, found: Inverse, content: dict[str, Any], bands: InverseBands | None
+    out: Path,
+    data: Record,
+    found: Inverse,
+    content: dict[str, Any],
+    bands: InverseBands | None,
+    units: dict[str, str],
 ) -> None:
     import csv
 
@@ -155,8 +165,10 @@ def _write_inverse(
         with (scratch / "inverse.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             edges = [] if bands is None else [edge for of in ("u", "error") for edge in bands.band(of)[::2]]
-            more = [] if bands is None else ["u_lower", "u_upper", "error_lower", "error_upper"]
-            writer.writerow([*(["t"] if timed else []), "reference", "u", "y", "status", *more])
+            u, y = (f"_{units[role]}" if units[role] else "" for role in ("u", "y"))
+            t = [f"t_{data.t_unit}" if data.t_unit else "t"] if timed else []
+            more = [] if bands is None else [f"u_lower{u}", f"u_upper{u}", f"error_lower{y}", f"error_upper{y}"]
+            writer.writerow([*t, f"reference{y}", f"u{u}", f"y{y}", "status", *more])
             for k, status in enumerate(found.status):
                 numbers = [data.y[k], found.u[k], found.y[k]]
                 when = [repr(float(data.t[k]))] if data.t is not None else []

@@ -37,7 +37,7 @@ def sample(
     out: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Draw from the posterior of a saved fit. Exit status 1: the chains have not converged.
+    """Draw from the posterior of a saved fit. Exit status 1: the chains have not converged, or the fit is not usable.
 
     With --out the run is kept while it goes: the same command again goes on after an interrupt or a kill, and
     with more --draws it goes on from where it ended.
@@ -47,12 +47,12 @@ def sample(
         sampler: nuts, emcee for up to ten parameters, or nested for several modes and the evidence.
         noise: noise model; auto decides by the residuals and says why.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        draws: draws of each chain, or steps of the ensemble at most.
-        chains: of nuts; runs of nested.
-        warmup: steps of nuts that adapt it.
-        target_accept: acceptance to which nuts tunes its steps; higher takes smaller ones.
-        walkers: of emcee, even.
-        live: points of nested.
+        draws: draws of each chain of nuts (1000) or run of nested (2000), or steps of the ensemble at most (5000).
+        chains: of nuts (4); runs of nested (2).
+        warmup: steps of nuts that adapt it (300).
+        target_accept: acceptance to which nuts tunes its steps (0.65); higher takes smaller ones.
+        walkers: of emcee, even (64).
+        live: points of nested (400).
         seed: of the draws.
         out: folder for result.json, posterior.nc, the fit and pictures; the running chains are in its folder run.
         json: print result.json alone.
@@ -176,7 +176,7 @@ def calibrate(
     out: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Calibrate the set-up of a saved fit by simulation: do its error bars hold? Exit status 1: they do not.
+    """Calibrate the set-up of a saved fit by simulation: do its error bars hold? Exit status 1: they do not, or too few replicates tell.
 
     Args:
         fitdir: what `hystfit fit --out` wrote: its model, input and residuals set the scene.
@@ -191,6 +191,7 @@ def calibrate(
         out: folder for result.json, calibration.png and the chunks from which the same command goes on.
         json: print result.json alone.
     """
+    from hystfit.results import provenance
     from hystfit.saved import load_fit
     from hystfit.uncertainty.calibration import calibrate as study
 
@@ -213,7 +214,8 @@ def calibrate(
             scheduler=scheduler,
             progress=say,
         )
-    content = found.to_dict() | {"provenance": {**result.provenance, "seed": seed}}
+    origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
+    content = found.to_dict() | origin | {"provenance": provenance(result.data, seed)}
     _write(out, content, {"calibration.png": found.plot})
     show(_told(found, out, "calibration.png"), content, json)
     return 0 if found.status == "ok" else 1
@@ -242,6 +244,8 @@ def design(
 ) -> int:
     """Propose the next excitation: the input within the actuator's limits that shrinks the errors most.
 
+    Exit status 1: the fit saw no loop.
+
     Args:
         fitdir: what `hystfit fit --out` wrote.
         low: limit of the actuator; the fitted range where not given.
@@ -261,13 +265,14 @@ def design(
     with progress("designing"):
         found = propose(result, low=low, high=high, samples=samples, aim=aim, method=method, seed=seed)
     record = result.data[0]
-    head = f"{record.u_name}_{record.u_unit}".rstrip("_")
+    own = f"_{record.u_unit}"
+    head = record.u_name if not record.u_unit or record.u_name.endswith(own) else record.u_name + own
     step = found.dt
     rows = [head if step is None else f"t_{record.t_unit},{head}"]
     rows += [f"{v:.9g}" if step is None else f"{k * step:.9g},{v:.9g}" for k, v in enumerate(found.best.u)]
     _write(out, found.to_dict(), {}, {"input.csv": "\n".join(rows) + "\n"})
     show(_told(found, out, "input.csv"), found.to_dict(), json)
-    return 0
+    return 0 if found.usable else 1
 
 
 def _told(found: Any, out: Path | None, files: str) -> str:

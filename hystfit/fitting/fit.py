@@ -44,6 +44,7 @@ ESTIMATORS: dict[str, AbstractEstimator] = {
     "convex": Convex(),
     "preisach": PreisachWeights(),
 }
+_ROUNDING = 1e-8  # residuals below this part of the output's size are rounding
 _MANY = 4  # weights on a bound from which the convex solve is the default
 
 
@@ -114,7 +115,7 @@ def fit(
         errors, described = uncertainty(problem, estimate, honest=noise == "auto"), {"name": noise}
         if noise == "auto" and errors.left.correlated and errors.left.noise is not None:
             described["parameters"] = errors.left.noise.noise.parameters
-    chosen = [*chosen, *_warnings(errors, noise)]
+    chosen = [*chosen, *_warnings(errors, noise, problem.scales.y)]
     result = conclude(problem, estimate, errors, name, seed, watch, extra=chosen, test=test)
     result.provenance["noise"] = described
     return result
@@ -143,8 +144,10 @@ def _with_noise(problem: Problem, estimate: Estimate, noise: str) -> tuple[Estim
     return changed, uncertainty(problem, changed, root=refined.root), described
 
 
-def _warnings(errors: Uncertainty, noise: str) -> list[str]:
-    """What the residuals say against errors of this kind."""
+def _warnings(errors: Uncertainty, noise: str, size: float) -> list[str]:
+    """What the residuals say against errors of this kind; `size` of the output."""
+    if errors.sigma < _ROUNDING * size:
+        return ["the residuals are of the size of rounding: they are no measure of any error"]
     reasons = diagnose(errors.left).objections(noise)
     return reasons if noise == "auto" else [f"noise={noise!r} was asked for, but {reason}" for reason in reasons]
 

@@ -27,6 +27,7 @@ from hystfit.problem import Objective, Problem
 from hystfit.space import ParameterSpace
 
 _ROUNDS = 4
+_LIMIT = 1e3  # times the output's size: residuals beyond are those of a simulation that breaks
 _STARTS = (0.2, 1.0, 5.0)  # correlation times tried, in that of the residuals
 
 
@@ -83,8 +84,17 @@ class Whitened(eqx.Module):
 def raw_residual(objective: Objective, x: Float[Array, " p"]) -> Float[Array, "R T"]:
     """Prediction less measurement, output units, 0 where a sample does not count and limited where the simulation breaks."""
     r = objective.predict_physical(x) - objective.batch.y
-    limit = 1e3 * objective.size
+    limit = _LIMIT * objective.size
     return jnp.where(objective.batch.weight > 0, jnp.where(jnp.isfinite(r), jnp.clip(r, -limit, limit), limit), 0.0)
+
+
+def log_likelihood(noise: AbstractNoise, setting: Setting, objective: Objective, r: Float[Array, "R T"]) -> Array:
+    """Log density of residuals of `raw_residual`; minus infinity where one was limited.
+
+    A constant, as limited residuals are, is what a repeating error explains best of all.
+    """
+    limited = jnp.any(jnp.abs(r) >= _LIMIT * objective.size)
+    return jnp.where(limited, -jnp.inf, noise.log_density(setting, r))
 
 
 def linearize(objective: Objective, x: Float[Array, " p"]) -> tuple[Float[Array, "R T"], Float[Array, "R T p"]]:
@@ -183,7 +193,8 @@ def _fit_jointly(
     def value(z: Array) -> Array:
         own = jnp.where(moving, objective.coordinates.physical(z[:p]), x)
         noise = coordinates.tree(z[p:])
-        total = noise.log_density(setting, raw_residual(objective, own)) + log_prior(coordinates, priors, z[p:])
+        likelihood = log_likelihood(noise, setting, objective, raw_residual(objective, own))
+        total = likelihood + log_prior(coordinates, priors, z[p:])
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     return maximize(value, z)

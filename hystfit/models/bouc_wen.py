@@ -93,8 +93,8 @@ def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
     if scheme == "exact" or largest <= COARSE:
         return ()
     return (
-        f"the input moves by up to {largest:.2g} of the hysteresis' length in one sample: use scheme='exact' "
-        f"(semi-implicit is trusted to {COARSE})",
+        f"the input moves by up to {largest:.2g} of the hysteresis' length in one sample, and the cheap step is trusted "
+        f"to {COARSE}: sample faster, or in Python take the model's scheme='exact'",
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,13 +11,17 @@ import numpy as np
 
 
 def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays from a file of a folder, or made and written there whole or not at all."""
+    """Arrays from a file of a folder, or made and written there whole or not at all; a damaged file is made anew."""
     if folder is None:
         return make()
     file = folder / name
-    if file.exists():
-        with np.load(file) as kept:
+    try:
+        with file.open("rb") as handle, np.load(handle) as kept:
             return {k: kept[k] for k in kept.files}
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        pass  # what made it makes the same again
     arrays = make()
     scratch = folder / f".{name}"
     with scratch.open("wb") as handle:

@@ -24,6 +24,7 @@ from hystfit.sampling.raw import Evidence
 SCHEMA = "hystfit.sample/1"
 ADVICE = {
     "ok": "usable",
+    "poor-fit": "the draws have converged, on a model that does not describe these data: choose another one (hystfit compare)",
     "not-converged": "the chains have not converged: draw more, or fix what the data do not determine",
 }
 
@@ -40,7 +41,7 @@ class Posterior:
         log_density: log posterior in unconstrained coordinates, shape (chains, draws).
         stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
         convergence: R-hat and effective sizes.
-        status: "ok" or "not-converged".
+        status: "ok", "not-converged", or "poor-fit" (draws of a model that does not describe the data).
         notes: what was chosen, what went wrong.
         priors: in words, by parameter.
         seconds: wall time of sampling.
@@ -66,7 +67,7 @@ class Posterior:
 
     @property
     def usable(self) -> bool:
-        """Whether the chains have converged."""
+        """Whether the chains have converged, on a model that describes the data."""
         return self.status == "ok"
 
     def __getitem__(self, name: str) -> np.ndarray:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.sampling.posterior import Setup
-from hystfit.sampling.raw import Raw
+from hystfit.sampling.raw import Raw, check_counts
 from hystfit.sampling.target import Target
 
 MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
@@ -44,10 +44,9 @@ class Ensemble:
     check: int = 250
 
     def __post_init__(self) -> None:
-        if self.draws < 50 or self.check < 10 or self.walkers % 2:
-            raise ParameterError(
-                f"emcee needs draws >= 50, check >= 10 and an even number of walkers, got {dataclasses.asdict(self)}"
-            )
+        check_counts(self, {"walkers": 2, "draws": 50, "check": 10})
+        if self.walkers % 2:
+            raise ParameterError(f"walkers must be even, got {self.walkers}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
         """Draw, or go on from the file that a folder holds.
@@ -65,7 +64,7 @@ class Ensemble:
         sampler = walk(target, self.walkers)
         file = None if folder is None else folder / "emcee.h5"
         chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, seed)
-        tau, settled = np.inf, False
+        tau, settled = _look(chain, longest_time(chain[: -len(chain) // 20])) if len(chain) else (np.inf, False)
         while len(chain) < self.draws and not settled:
             count = min(max(self.check, len(chain) // 20), self.draws - len(chain))
             sampler.reset()
@@ -75,8 +74,7 @@ class Ensemble:
             accepted = accepted + sampler.backend.accepted
             if file is not None:
                 _write(file, chain, logs, accepted, state.random_state)
-            before, tau = tau, longest_time(chain, tau)
-            settled = bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
+            tau, settled = _look(chain, tau)
             report(
                 f"{len(chain)} steps of {self.walkers} walkers, about {len(chain) * self.walkers / tau:.0f} effective draws so far",
                 len(chain) / self.draws,
@@ -110,6 +108,12 @@ def longest_time(chain: Float[np.ndarray, "steps walkers d"], before: float = np
     with np.errstate(invalid="ignore"):
         found = every * float(np.max(emcee.autocorr.integrated_time(chain[::every], tol=0, quiet=True)))
     return found if np.isfinite(found) else np.inf
+
+
+def _look(chain: np.ndarray, before: float) -> tuple[float, bool]:
+    """The autocorrelation time now, and whether the chain is long enough for it."""
+    tau = longest_time(chain, before)
+    return tau, bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
 
 
 @eqx.filter_jit
@@ -190,7 +194,7 @@ def _resume(file: Path | None, walkers: int, d: int) -> tuple[Any, ...] | None:
         chain, logs = np.asarray(backend.get_chain()), np.asarray(backend.get_log_prob())
         accepted, random_state = np.array(backend.accepted), tuple(backend.random_state or ())
     except (OSError, KeyError, AttributeError) as error:
-        raise DataError(f"{str(file)!r} is no emcee run that can go on: {error}; remove it to start anew") from error
+        raise DataError(f"{str(file)!r} is no emcee run that can go on (damaged?): remove it to start anew") from error
     if chain.shape[1:] != (walkers, d):
         raise DataError(
             f"{str(file)!r} holds {chain.shape[1:]} walkers and parameters, not {(walkers, d)}: remove it to start anew"

@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.sampling.chunks import stored
 from hystfit.sampling.posterior import Setup
-from hystfit.sampling.raw import Evidence, Raw
+from hystfit.sampling.raw import Evidence, Raw, check_counts
 from hystfit.sampling.target import Target
 
 _CHUNK = 10  # deletions of a batch in one compiled call, and between two writes to disk
@@ -48,11 +48,9 @@ class Nested:
     chains: int = 2
 
     def __post_init__(self) -> None:
-        enough = min(self.live, self.draws) >= 50 and self.chains >= 1 and (self.moves is None or self.moves >= 1)
-        if not enough or not 0 < self.rest < 1:
-            raise ParameterError(
-                f"nested sampling needs live >= 50, draws >= 50, chains >= 1, moves >= 1 and 0 < rest < 1, got {dataclasses.asdict(self)}"
-            )
+        check_counts(self, {"live": 50, "draws": 50, "chains": 1} | ({} if self.moves is None else {"moves": 1}))
+        if not 0 < self.rest < 1:
+            raise ParameterError(f"rest must lie between 0 and 1, got {self.rest!r}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
         """Draw, or go on from the chunks that a folder holds.

@@ -20,7 +20,7 @@ from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.posterior import Setup
-from hystfit.sampling.raw import Raw
+from hystfit.sampling.raw import Raw, check_counts
 from hystfit.sampling.target import Target
 
 _CHUNK = 50  # draws in one compiled call, and between two writes to disk
@@ -46,10 +46,9 @@ class Nuts:
     max_depth: int = 8
 
     def __post_init__(self) -> None:
-        if self.chains < 1 or self.draws < 4 or self.warmup < 50 or not 0 < self.target_accept < 1:
-            raise ParameterError(
-                f"NUTS needs chains >= 1, draws >= 4, warmup >= 50 and 0 < target_accept < 1, got {dataclasses.asdict(self)}"
-            )
+        check_counts(self, {"chains": 1, "draws": 4, "warmup": 50, "max_depth": 1})
+        if not 0 < self.target_accept < 1:
+            raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
         """Draw, chains side by side on the processor's cores, or go on from the chunks that a folder holds."""
@@ -89,7 +88,9 @@ class Nuts:
         z, density = joined.pop("z"), joined.pop("log_density")
         count = int(joined["diverging"].sum())
         notes = (
-            (f"{count} divergent transitions: parts of the posterior may be missing; raise target_accept",)
+            (
+                f"{count} divergent transitions: parts of the posterior may be missing; raise target_accept (--target-accept)",
+            )
             if count
             else ()
         )

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import rankdata
 
 from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.plot import label
 
 if TYPE_CHECKING:
     from hystfit.sampling.draws import Posterior
 
+_SHOWN = 8  # chains in one picture at most
+_BINS = 20
 _KINDS = ("corner", "trace", "rank", "bands")
 
 
@@ -28,7 +32,7 @@ def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
 
 
 def _labels(posterior: Posterior) -> list[str]:
-    return [f"{n} [{u}]" if u else n for n, u in zip(posterior.names, posterior.units, strict=True)]
+    return [label(name, unit) for name, unit in zip(posterior.names, posterior.units, strict=True)]
 
 
 def _corner(posterior: Posterior) -> Any:
@@ -38,8 +42,8 @@ def _corner(posterior: Posterior) -> Any:
         raise MissingExtraError("corner", "bayes", "a corner plot") from error
     flat = posterior.draws.reshape(-1, len(posterior.names))
     moving = np.ptp(flat, axis=0) > 0
-    labels = [label for label, on in zip(_labels(posterior), moving, strict=True) if on]
-    return corner.corner(
+    labels = [words for words, on in zip(_labels(posterior), moving, strict=True) if on]
+    figure = corner.corner(
         flat[:, moving],
         labels=labels,
         quantiles=[0.025, 0.5, 0.975],
@@ -47,10 +51,24 @@ def _corner(posterior: Posterior) -> Any:
         range=[0.998] * len(labels),
         bins=25,
         smooth=1.0,
-        show_titles=True,
-        title_fmt=".4g",
-        title_kwargs={"fontsize": 8},
     )
+    panels = np.array(figure.axes).reshape(len(labels), len(labels))
+    for ax, column in zip(np.diag(panels), flat[:, moving].T, strict=True):
+        ax.set_title(_title(column), fontsize=10)
+    figure.suptitle(
+        "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %", fontsize=11
+    )
+    return figure
+
+
+def _title(draws: np.ndarray) -> str:
+    """Median and standard deviation, two digits of the latter."""
+    middle, sd = float(np.median(draws)), float(np.std(draws))
+    decimals = 1 - math.floor(math.log10(sd))
+    if not -4 < decimals < 8:
+        return f"{middle:.4g} +- {sd:.2g}"
+    decimals = max(decimals, 0)
+    return f"{middle:.{decimals}f} +- {sd:.{decimals}f}"
 
 
 def _panels(posterior: Posterior) -> Any:
@@ -62,24 +80,34 @@ def _panels(posterior: Posterior) -> Any:
 
 def _trace(posterior: Posterior) -> Any:
     figure, axes = _panels(posterior)
-    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
-        for chain in posterior.draws[:8, :, k]:
+    for k, (ax, words) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+        for chain in posterior.draws[:_SHOWN, :, k]:
             ax.plot(chain, lw=0.4)
-        ax.set_ylabel(label)
+        ax.set_ylabel(words.replace(" [", "\n["), fontsize=8)
+    axes[0, 0].set_title(_shown(posterior), fontsize=9)
     axes[-1, 0].set_xlabel("draw")
     return figure
 
 
 def _rank(posterior: Posterior) -> Any:
     figure, axes = _panels(posterior)
-    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+    for k, (ax, words) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
         draws = posterior.draws[:, :, k]
         ranks = rankdata(draws).reshape(draws.shape)
-        for chain in ranks[:8]:
-            ax.hist(chain, bins=20, range=(0, draws.size), histtype="step")
-        ax.set_ylabel(label)
+        for chain in ranks[:_SHOWN]:
+            ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step")
+        ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
+        ax.set_ylabel(words.replace(" [", "\n["), fontsize=8)
+    axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected of chains that agree", fontsize=9)
     axes[-1, 0].set_xlabel("rank over all chains")
     return figure
+
+
+def _shown(posterior: Posterior) -> str:
+    """Which chains a picture shows."""
+    count = len(posterior.draws)
+    what = "walkers" if posterior.sampler == "emcee" else "chains"
+    return f"{count} {what}" if count <= _SHOWN else f"the first {_SHOWN} of {count} {what}"
 
 
 def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
@@ -98,9 +126,10 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     for edges, color in (((low, high), "#d55e00"), ((inner[0], inner[2]), "#0072b2")):
         for edge in edges:
             rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
-    label = lambda name, unit: f"{name} [{unit}]" if unit else name
     loop.set_ylabel(label(record.y_name, record.y_unit))
     rest.set(xlabel=label(record.u_name, record.u_unit), ylabel=label("less the median", record.y_unit))
+    if len(posterior.result.data) > 1:
+        loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
     rest.set_title(f"{level:.0%} bands: of the model's curve (blue), of a measurement (orange)", fontsize=9)
     loop.legend(frameon=False)
     return figure

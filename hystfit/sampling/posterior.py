@@ -112,10 +112,9 @@ def prepare(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
     mode = find_mode(start)
-    center, factor, value, flat = whiten_by_curvature(mode)
+    center, factor, value = whiten_by_curvature(mode)
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
-    notes += [f"the data say next to nothing about {names[k]}: its posterior is its prior" for k in flat]
     target = eqx.tree_at(lambda t: (t.center, t.factor), start, (jnp.asarray(center), jnp.asarray(factor)))
     return Setup(problem, name, space, target, value, names, units, tuple(notes))
 
@@ -144,6 +143,10 @@ def choose_priors_for(
         ParameterError: see `hystfit.priors.choose_priors`.
     """
     own = dict(own or {})
+    known = [*model.names, *noise.names]
+    for name in own:
+        if name not in known and name not in {each.split("@")[0] for each in known}:
+            raise ParameterError(f"a prior for {name!r}, which is no free parameter; those are: {', '.join(known)}")
     theirs = {name: own.pop(name) for name in list(own) if name in noise.names}
     return choose_priors(model, own, x[: len(model)]) + choose_priors(noise, theirs, x[len(model) :])
 
@@ -174,13 +177,9 @@ def find_mode(target: Target) -> Any:
     return _mode(target)
 
 
-def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float, list[int]]:
-    """(center, factor, log posterior, coordinates without information) from an `Optimum`: factor factor' = inverse curvature."""
+def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
+    """(center, factor, log posterior) from an `Optimum`: factor factor' = inverse curvature, bounded where there is next to none."""
     curvature = -np.asarray(mode.hessian)
     curvature = np.where(np.isfinite(curvature), curvature, 0.0)
     size, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    safe = np.maximum(size, _WIDEST**-2)
-    factor = axes / np.sqrt(safe)
-    loose = axes[:, size < _WIDEST**-2]
-    flat = [int(np.argmax(np.abs(column))) for column in loose.T]
-    return np.asarray(mode.z), factor, float(mode.value), sorted(set(flat))
+    return np.asarray(mode.z), axes / np.sqrt(np.maximum(size, _WIDEST**-2)), float(mode.value)

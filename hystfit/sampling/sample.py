@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import time
@@ -26,6 +27,8 @@ from hystfit.sampling.nested import Nested
 from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.posterior import Setup, prepare
 from hystfit.sampling.target import Target
+
+_AS_WIDE = 0.5  # width of a posterior over that of its prior above which the data say little
 
 SAMPLERS = {"nuts": Nuts, "emcee": Ensemble, "nested": Nested}
 
@@ -64,10 +67,10 @@ def sample(
     seed = int(seed)
     if sampler not in SAMPLERS:
         raise ParameterError(f"sampler must be one of {', '.join(SAMPLERS)}, got {sampler!r}")
-    try:
-        chosen = SAMPLERS[sampler](**settings)
-    except TypeError as error:
-        raise ParameterError(f"settings of {sampler}: {error}") from error
+    known = [field.name for field in dataclasses.fields(SAMPLERS[sampler])]
+    if unknown := [name for name in settings if name not in known]:
+        raise ParameterError(f"settings of {sampler} are {', '.join(known)}; got {', '.join(unknown)}")
+    chosen = SAMPLERS[sampler](**settings)
     setup = prepare(result, noise=noise, priors=priors)
     place = None if folder is None else _claim(Path(folder), setup, result, sampler, seed, settings)
     started = time.perf_counter()
@@ -77,9 +80,11 @@ def sample(
     convergence = Convergence.of(_independent(draws) if sampler == "emcee" else draws)
     good, why = convergence.verdict(setup.names)
     moved = np.isfinite(draws).all()
-    notes = (*setup.notes, *raw.notes, *why, *_prior_bound(setup, draws))
+    notes = (*_of_the_fit(result), *setup.notes, *raw.notes, *why, *_beside_priors(setup, draws))
     unsettled = any("more steps are needed" in note for note in raw.notes)
     status = "ok" if good and moved and not unsettled else "not-converged"
+    if status == "ok" and result.status in ("poor", "no-loop"):
+        status = "poor-fit"
     return Posterior(
         result=result,
         sampler=sampler,
@@ -117,15 +122,29 @@ def _physical(target: Target, z: Array) -> Array:
     return jax.vmap(target.physical)(z)
 
 
-def _prior_bound(setup: Setup, draws: np.ndarray) -> list[str]:
-    """Parameters about which the draws say no more than the prior."""
+def _beside_priors(setup: Setup, draws: np.ndarray) -> list[str]:
+    """Parameters about which the draws say hardly more than the prior, or that they put where the prior expects nothing."""
     key, notes = jax.random.key(0), []
     for k, (name, prior) in enumerate(zip(setup.names, setup.target.priors, strict=True)):
-        wide = np.asarray(prior.sample(jax.random.fold_in(key, k), (2000,)))
+        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (2000,)))
+        middle = np.median(draws[:, :, k])
+        if not np.any(expected < middle) or not np.any(expected > middle):
+            notes.append(
+                f"{name} lies where its prior ({prior}) expects next to nothing: data and prior contradict each other"
+            )
+            continue
         spread = lambda v: float(np.subtract(*np.quantile(v, [0.75, 0.25])))
-        if spread(draws[:, :, k]) > 0.5 * spread(wide):
-            notes.append(f"{name} is hardly determined: its posterior is as wide as its prior ({prior})")
+        ratio = spread(draws[:, :, k]) / spread(expected)
+        if ratio > _AS_WIDE:
+            notes.append(f"{name} is hardly determined: its posterior is {ratio:.0%} as wide as its prior ({prior})")
     return notes
+
+
+def _of_the_fit(result: FitResult) -> list[str]:
+    """What speaks against drawing from this fit at all."""
+    if result.usable:
+        return []
+    return [f"the fit from which the draws start is not usable ({result.status}): {result.advice}"]
 
 
 def _claim(folder: Path, setup: Setup, result: FitResult, sampler: str, seed: int, settings: Mapping[str, Any]) -> Path:
@@ -150,7 +169,7 @@ def _claim(folder: Path, setup: Setup, result: FitResult, sampler: str, seed: in
     try:
         folder.mkdir(parents=True, exist_ok=True)
         label = folder / "run.json"
-        if label.exists() and json.loads(label.read_text(encoding="utf-8")).get("digest") != digest:
+        if label.exists() and _digest(label) != digest:
             raise DataError(
                 f"{str(folder)!r} holds another run (other data, model, priors, sampler, seed or settings): choose another folder"
             )
@@ -160,3 +179,15 @@ def _claim(folder: Path, setup: Setup, result: FitResult, sampler: str, seed: in
     except OSError as error:
         raise DataError(f"cannot keep the run in {str(folder)!r}: {error.strerror or error}") from error
     return folder
+
+
+def _digest(label: Path) -> str:
+    """Of the run that a folder holds.
+
+    Raises:
+        DataError: the file is damaged.
+    """
+    try:
+        return str(json.loads(label.read_text(encoding="utf-8"))["digest"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{str(label)!r} is damaged: remove its folder to start anew") from error

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hystfit.coordinates import Coordinates
-from hystfit.fitting.generalized import linearize, log_prior, raw_residual
+from hystfit.fitting.generalized import linearize, log_likelihood, log_prior, raw_residual
 from hystfit.fitting.newton import FORWARD, forward
 from hystfit.models.base import AbstractHysteresis
 from hystfit.noise import AbstractNoise, Setting
@@ -62,7 +62,7 @@ class Target(eqx.Module):
     def log_likelihood(self, z: Float[Array, " d"]) -> Float[Array, ""]:
         """Log density of the data that count."""
         r = raw_residual(self.objective, self.objective.coordinates.physical(z[: self.p]))
-        return self.noise.tree(z[self.p :]).log_density(self.setting, r)
+        return log_likelihood(self.noise.tree(z[self.p :]), self.setting, self.objective, r)
 
     def log_likelihood_lean(self, z: Float[Array, " d"]) -> Float[Array, ""]:
         """The same in one scan that keeps no trajectory: several times the throughput under vmap over many z."""
@@ -146,7 +146,7 @@ class Target(eqx.Module):
     def _slope_by_residuals(self, z: Array) -> tuple[Array, Array, Array]:
         """The same for any noise."""
         r, J = linearize(self.objective, self.objective.coordinates.physical(z[: self.p]))
-        density = lambda own, r: self.noise.tree(own).log_density(self.setting, r)
+        density = lambda own, r: log_likelihood(self.noise.tree(own), self.setting, self.objective, r)
         value, (by_noise, by_residual) = jax.value_and_grad(density, argnums=(0, 1))(z[self.p :], r)
         return value, jnp.einsum("rt,rtp->p", by_residual, J), by_noise
 

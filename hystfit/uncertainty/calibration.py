@@ -28,6 +28,7 @@ from hystfit.uncertainty.chunks import collect
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, valued_noise
 
 SCHEMA = "hystfit.calibrate/1"
+_FEWEST = 20  # replicates below which nothing can be miscalibrated
 _IDEAL = 40_000  # sets of uniform ranks against which those of a study are held
 
 
@@ -82,8 +83,22 @@ class Calibration:
 
     @property
     def status(self) -> str:
-        """ "ok" or "miscalibrated"."""
-        return "ok" if self.passes() else "miscalibrated"
+        """ "ok", "miscalibrated", "too-few" (replicates for any verdict) or "failed" (every replicate did)."""
+        if not len(self.ranks):
+            return "failed"
+        if not self.passes():
+            return "miscalibrated"
+        return "ok" if len(self.ranks) >= _FEWEST else "too-few"
+
+    @property
+    def advice(self) -> str:
+        """What to do about the status, in one sentence."""
+        return {
+            "ok": "the error bars of this set-up hold, as far as this number of replicates tells",
+            "miscalibrated": "the error bars of this set-up do not hold: another noise model, or another input (hystfit design)",
+            "too-few": f"fewer than {_FEWEST} replicates tell nothing: 200 or more are a verdict",
+            "failed": "no replicate could be fitted: the reasons are listed; hold parameters that the data do not determine",
+        }[self.status]
 
     def __repr__(self) -> str:
         return str(self)
@@ -99,6 +114,8 @@ class Calibration:
             rows = zip(self.names, self.p_values(), self.coverage(), strict=True)
             lines += [f"{name:12} {p:8.4f} {c:8.1%}" for name, p, c in rows]
         lines += [f"replicate {k} failed: {why}" for k, why in self.failures[:10]]
+        if self.status != "ok":
+            lines.append(self.advice)
         return "\n".join(lines + list(self.broken))
 
     def to_dict(self) -> dict[str, Any]:
@@ -113,6 +130,7 @@ class Calibration:
         return {
             "schema": SCHEMA,
             **own,
+            "advice": self.advice,
             "replicates": len(self.ranks),
             "failures": [list(f) for f in self.failures],
             "broken": list(self.broken),
@@ -129,11 +147,14 @@ class Calibration:
         bands = np.array([self.coverage_band(level) for level in levels])
         for k, name in enumerate(self.names):
             axes[0, k].hist(self.ranks[:, k], bins=16, range=(0, self.of + 1), color="#0072b2")
+            axes[0, k].axhline(len(self.ranks) / 16, color="#a6a6a6", lw=0.8)
             axes[0, k].set_title(name, fontsize=9)
+            axes[0, k].set_xlabel("rank of the truth")
             axes[1, k].fill_between(levels, *bands.T, color="#bbbbbb", lw=0)
             axes[1, k].plot(levels, [self.coverage(level)[k] for level in levels], color="#d55e00")
-            axes[1, k].set_xlabel("nominal")
-        axes[1, 0].set_ylabel("covered")
+            axes[1, k].set_xlabel("level of the interval")
+        axes[0, 0].set_ylabel("replicates (line: expected)")
+        axes[1, 0].set_ylabel("covered (gray: 99 % by chance)")
         return figure
 
 

@@ -75,7 +75,13 @@ class StandardErrors:
 
     def __repr__(self) -> str:
         show = lambda value: f"{value:.2g}" if np.isfinite(value) else "-"
-        head = ["parameter", "value", "fit", "independent", *([] if self.block is None else ["sandwich", "bootstrap"])]
+        head = [
+            "parameter",
+            "value",
+            "fit",
+            "independent",
+            *(rule for rule in self.errors if rule not in ("fit", "iid")),
+        ]
         rows = [head]
         for k, name in enumerate(self.result.free_names):
             found = self.result[name]
@@ -136,14 +142,15 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
     errors, notes, span = {"fit": own}, [], None
     found = covariance(result, "iid", block=block)
     errors["iid"] = np.where(np.isfinite(own), found.stderr, np.nan)
-    try:
-        others = [covariance(result, kind, block=block, seed=seed) for kind in ("sandwich", "bootstrap")]
-    except ParameterError as error:
-        notes.append(f"no sandwich and no bootstrap: {error}")
-    else:
-        span = others[0].block
-        errors |= {other.kind: np.where(np.isfinite(own), other.stderr, np.nan) for other in others}
-        notes.append(f"sandwich and bootstrap take blocks of {span} samples, and see no error that repeats every loop")
+    for kind in ("sandwich", "bootstrap"):
+        try:
+            other = covariance(result, kind, block=block, seed=seed)
+        except ParameterError as error:
+            notes.append(f"no {kind}: {error}")
+            continue
+        span = other.block
+        errors[kind] = np.where(np.isfinite(own), other.stderr, np.nan)
+        notes.append(f"the {kind} takes blocks of {span} samples, and sees no error that repeats every loop")
     open_ = [name for name, error in zip(result.free_names, own, strict=True) if not np.isfinite(error)]
     if open_:
         notes.append(f"no rule gives an error to what the data do not determine: {', '.join(open_)}")
@@ -176,7 +183,8 @@ def covariance(
         seed: of the bootstrap.
 
     Raises:
-        ParameterError: an unknown kind, a block that leaves fewer than four of them, or a fit under a noise model.
+        ParameterError: an unknown kind, a block that leaves fewer than four of them (or two of a record, to redraw), or a fit under a
+            noise model.
     """
     require_x64()
     noise = result.provenance.get("noise", {}).get("name", "auto")
@@ -198,6 +206,10 @@ def covariance(
     if kind != "iid" and total < 4 * span:
         raise ParameterError(
             f"{total} samples hold fewer than four blocks of {span}: measure longer, or choose a smaller block"
+        )
+    if kind == "bootstrap" and any(len(row) < 2 * span for row, _ in rows):
+        raise ParameterError(
+            f"a record holds fewer than two blocks of {span} samples, so that there is nothing to redraw in it: choose a smaller block"
         )
     size = np.sqrt(sum(np.sum(slope**2, axis=0) for _, slope in rows))
     size[size == 0] = 1.0

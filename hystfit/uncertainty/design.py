@@ -25,6 +25,7 @@ SCHEMA = "hystfit.design/1"
 _TURNS = 14  # turning levels of the optimised input
 _LOOSE = 0.5  # relative error above which a combination counts as open
 _PRIOR = 3.0  # standard deviation in relative size that each parameter has before any measurement
+_UNKNOWN = 0.5  # part of that prior above which an error is the prior's, not the data's
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,13 +35,14 @@ class Candidate:
     Attributes:
         name: of its family.
         u: input, shape (T,).
-        stderr: predicted standard errors, physical units, by parameter, together with the present data.
+        stderr: predicted standard errors, physical units, by parameter, together with the present data; None where that leaves a
+            parameter open.
         score: what was minimised (mean log error of the parameters aimed at).
     """
 
     name: str
     u: np.ndarray
-    stderr: dict[str, float]
+    stderr: dict[str, float | None]
     score: float
 
 
@@ -51,7 +53,7 @@ class Design:
     Attributes:
         result: the fit.
         candidates: best first.
-        present: predicted errors with the present data alone.
+        present: predicted errors with the present data alone; None for parameters that these leave open.
         aim: parameters whose errors count.
         closes: undetermined combinations, in words, that the best input determines.
         dt: sampling interval; None where the records have no time.
@@ -60,11 +62,21 @@ class Design:
 
     result: FitResult
     candidates: tuple[Candidate, ...]
-    present: dict[str, float]
+    present: dict[str, float | None]
     aim: tuple[str, ...]
     closes: tuple[str, ...]
     dt: float | None
     notes: tuple[str, ...]
+
+    @property
+    def status(self) -> str:
+        """ "ok", or "no-loop" where the fit saw none: what such a model promises means nothing."""
+        return "no-loop" if self.result.status == "no-loop" else "ok"
+
+    @property
+    def usable(self) -> bool:
+        """Whether the status is "ok"."""
+        return self.status == "ok"
 
     @property
     def best(self) -> Candidate:
@@ -84,15 +96,22 @@ class Design:
 
     def __str__(self) -> str:
         names = list(self.present)
-        width = max(len(c.name) for c in self.candidates)
+        width = max(len("present"), *(len(c.name) for c in self.candidates))
         lines = [
             f"{self.result.name}: next input for {', '.join(self.aim)}",
             "predicted standard errors, present data and the new input:",
         ]
-        head = "  ".join(f"{name:>10}" for name in names)
-        lines.append(f"{'':{width}}  {head}")
+        units = [self.result[name].unit for name in names]
+        columns = [max(10, len(name), len(unit) + 2) for name, unit in zip(names, units, strict=True)]
+        line = lambda first, cells: (
+            f"{first:{width}}  " + "  ".join(f"{cell:>{column}}" for cell, column in zip(cells, columns, strict=True))
+        )
+        lines.append(line("", names).rstrip())
+        if any(units):
+            lines.append(line("", [f"[{unit}]" if unit else "" for unit in units]).rstrip())
         rows = [("present", self.present)] + [(c.name, c.stderr) for c in self.candidates]
-        lines += [f"{name:{width}}  " + "  ".join(f"{errors[n]:10.3g}" for n in names) for name, errors in rows]
+        number = lambda error: "-" if error is None else f"{error:.3g}"
+        lines += [line(name, [number(errors[n]) for n in names]) for name, errors in rows]
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
     def to_dict(self) -> dict[str, Any]:
@@ -101,7 +120,7 @@ class Design:
         return {
             "schema": SCHEMA,
             "model": self.result.name,
-            "status": "ok",
+            "status": self.status,
             "aim": list(self.aim),
             "notes": list(self.notes),
             "present": self.present,
@@ -163,20 +182,31 @@ def design(
     inputs = _families(low, high, samples, seed)
     if method == "gradient":
         inputs["optimised turning points"] = _optimize(setting, now, counted, low, high, samples, steps, seed)
-    errors = lambda matrix: np.sqrt(np.diag(np.linalg.inv(np.asarray(matrix)))) * size
+
+    def errors(matrix: Array) -> dict[str, float | None]:
+        relative = np.sqrt(np.diag(np.linalg.inv(np.asarray(matrix))))
+        found = np.where(relative < _UNKNOWN * _PRIOR, relative * size, np.nan)
+        return {name: float(e) if np.isfinite(e) else None for name, e in zip(names, found, strict=True)}
+
     candidates = []
     for name, u in inputs.items():
         matrix = now + _information(*setting, jnp.asarray(u))
-        stderr = dict(zip(names, errors(matrix).tolist(), strict=True))
-        candidates.append(Candidate(name, np.asarray(u), stderr, float(_score(matrix, counted))))
+        candidates.append(Candidate(name, np.asarray(u), errors(matrix), float(_score(matrix, counted))))
     candidates.sort(key=lambda one: one.score)
     closes = _closed(
         np.asarray(now), np.asarray(now + _information(*setting, jnp.asarray(candidates[0].u))), list(names)
     )
-    present = dict(zip(names, errors(now).tolist(), strict=True))
-    notes = [
+    present = {name: None if result[name].stderr is None else error for name, error in errors(now).items()}
+    notes = []
+    if not result.usable:
+        notes.append(f"the fit is not usable ({result.status}): {result.advice}")
+    notes += [
         f"the input {candidates[0].name!r} determines {words}, which the present data leave open" for words in closes
     ]
+    if None in present.values():
+        notes.append(
+            f"each parameter is taken to be known to {_PRIOR:.0%} of its size beforehand; - where the data add nothing to that"
+        )
     notes.append("the design is local: it holds near the fitted values")
     dt = None if all(record.t is None for record in result.data) else typical
     return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, tuple(notes))

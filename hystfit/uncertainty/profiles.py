@@ -24,6 +24,7 @@ from hystfit.fitting.covariance import error_ratios, near_bound
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import Whitened, linearize, refine
 from hystfit.noise import Setting, White
+from hystfit.plot import label
 from hystfit.problem import Objective
 from hystfit.results import FitResult
 from hystfit.sampling.posterior import trimmed
@@ -132,9 +133,12 @@ class Profiles:
             ax.axis("off")
         for ax, p in zip(axes.ravel(), self.profiles.values(), strict=False):
             ax.plot(p.x, p.statistic, ".-", color="#0072b2")
-            ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8)
+            ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8, label=f"{self.level:.0%}")
             ax.locator_params(axis="x", nbins=4)
-            ax.set(xlabel=f"{p.name} [{p.unit}]" if p.unit else p.name, ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
+            ax.set(xlabel=label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
+        for row in axes:
+            row[0].set_ylabel("twice the loss of log likelihood", fontsize=8)
+        axes[0, 0].legend(fontsize=8, frameon=False)
         return figure
 
 
@@ -192,7 +196,22 @@ def profile(
         for name, side in zip(problem.space.names, sides, strict=True)
         if side
     ]
+    notes += _elsewhere(result, profiles)
     return Profiles(result, profiles, level, described, tuple(notes))
+
+
+def _elsewhere(result: FitResult, profiles: dict[str, Profile]) -> list[str]:
+    """Where the likelihood is best more than an error away from what was fitted: a ridge held the fit back, or it lies in a valley."""
+    moved = []
+    for name, p in profiles.items():
+        fitted = result[name]
+        apart = abs(p.value - fitted.value)
+        if apart > (0.01 * abs(fitted.value) if fitted.stderr is None else fitted.stderr):
+            moved.append(f"{name} {p.value:.4g} (fitted {fitted.value:.4g})")
+    if not moved:
+        return []
+    shown = ", ".join(moved[:6]) + (f" and {len(moved) - 6} more" if len(moved) > 6 else "")
+    return [f"the likelihood, which knows of no ridge, is best elsewhere than the fit: {shown}"]
 
 
 def _whitened(
@@ -213,7 +232,7 @@ def _whitened(
     used = np.asarray(batch.weight) > 0
     wider = error_ratios(problem, x) if noise == "auto" else np.ones(x.size)
     sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))
-    words = f"independent, widened by {wider.min():.3g} to {wider.max():.3g}" if wider.max() > 1 else "independent"
+    words = f"independent, errors times {wider.min():.3g} to {wider.max():.3g}" if np.any(wider != 1) else "independent"
     return words, x, Whitened(objective, White(noise_white=jnp.asarray(sd)), setting), wider
 
 
