@@ -251,7 +251,7 @@ def test_thinning_keeps_ends_and_extremes(seed, size, most):
 
 
 def test_labels_drop_a_unit_said_twice():
-    assert plot._label("u_V", "V") == "u [V]"
-    assert plot._label("H [Oe]", "Oe") == "H [Oe]"
-    assert plot._label("V", "V") == "V [V]"
-    assert plot._label("force", "") == "force"
+    assert plot.label("u_V", "V") == "u [V]"
+    assert plot.label("H [Oe]", "Oe") == "H [Oe]"
+    assert plot.label("V", "V") == "V [V]"
+    assert plot.label("force", "") == "force"

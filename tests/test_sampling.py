@@ -167,9 +167,11 @@ def test_chains_apart_and_chains_too_short_are_told():
     good, notes = Convergence.of(apart).verdict(("c",))
     assert not good
     assert "R-hat of c" in notes[0]
+    assert "more draws alone hardly help" in notes[0]
     good, notes = Convergence.of(rng.normal(size=(2, 40, 1))).verdict(("c",))
     assert not good
     assert "effective draws" in notes[-1]
+    assert "times as many" in notes[-1]
 
 
 def test_a_short_run_is_not_called_converged(fitted):

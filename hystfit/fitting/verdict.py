@@ -118,6 +118,15 @@ def notes_of(
     if errors.correlation_time > 1.0 or errors.ratio != 1.0:
         notes.append(
             f"residuals are correlated over {errors.correlation_time:.3g} samples; standard errors are "
-            f"{errors.ratio:.2g} times those for independent residuals"
+            f"{errors.ratio:.2g} times those for independent residuals{_slow(errors)}"
         )
     return notes
+
+
+def _slow(errors: Uncertainty) -> str:
+    """The slow noise behind errors that a short correlation time alone would not explain."""
+    noise = errors.left.noise
+    if not errors.left.correlated or noise is None:
+        return ""
+    time = noise.noise.parameters["noise_time"]
+    return f" (slow noise among them lasts {time:.3g} samples)" if time > 2 * errors.correlation_time else ""

@@ -74,11 +74,15 @@ def facts(result: FitResult) -> dict[str, list[str]]:
     made = result.provenance
     versions = ", ".join(f"{name} {version}" for name, version in made.get("versions", {}).items())
     origin = [f"{made.get('date', '-')}, seed {made.get('seed', '-')}, Python {made.get('python', '-')}", versions]
-    for record in made.get("records", [])[:5]:
+    files: dict[str, list[str]] = {}
+    for record in made.get("records", []):
         digest = record.get("file_sha256") or record.get("data_sha256")
-        origin.append(f"{record.get('source') or record.get('name')}, SHA-256 {digest}")
-    if len(made.get("records", [])) > 5:
-        origin.append(f"and {len(made['records']) - 5} more records (result.json has their checksums)")
+        files.setdefault(digest, []).append(record.get("source") or record.get("name"))
+    for digest, names in list(files.items())[:5]:
+        shared = f" and {len(names) - 1} more records" if len(names) > 1 else ""
+        origin.append(f"{names[0]}{shared}, SHA-256 {digest}")
+    if len(files) > 5:
+        origin.append(f"and {len(files) - 5} more files (result.json has their checksums)")
     return {"Residuals": spread, "Fit": how, "Data": _shortened(data), "Provenance": origin}
 
 

@@ -9,6 +9,8 @@ from scipy.stats import norm, rankdata
 
 GOOD_RHAT = 1.01
 GOOD_ESS = 400
+_APART = 1.1  # R-hat above which chains are not merely short
+_MORE = 20.0  # times as many draws, above which the number of draws is not the trouble
 
 
 def split(draws: np.ndarray) -> np.ndarray:
@@ -95,14 +97,19 @@ class Convergence:
         notes = []
         worst = int(np.argmax(np.where(np.isfinite(self.rhat), self.rhat, np.inf)))
         if not self.rhat[worst] <= GOOD_RHAT:
+            advice = "draw more"
+            if self.rhat[worst] > _APART:
+                advice = (
+                    "they lie apart, and more draws alone hardly help: fit a model that describes the data, hold or give a prior to what "
+                    "they leave open, or look for modes with sampler='nested'"
+                )
             notes.append(
-                f"the chains have not mixed: R-hat of {names[worst]} is {self.rhat[worst]:.3f} (want {GOOD_RHAT}): draw more"
+                f"the chains have not mixed: R-hat of {names[worst]} is {self.rhat[worst]:.3f} (want {GOOD_RHAT}): {advice}"
             )
         both = np.fmin(np.nan_to_num(self.bulk), np.nan_to_num(self.tail))
         least = int(np.argmin(both))
         if both[least] < GOOD_ESS:
-            notes.append(
-                f"too few effective draws: {both[least]:.0f} for {names[least]} (want {GOOD_ESS}): draw about "
-                f"{GOOD_ESS / max(both[least], 1):.1f} times as many"
-            )
+            times = GOOD_ESS / max(both[least], 1)
+            more = f": draw about {times:.1f} times as many" if times < _MORE else ""
+            notes.append(f"too few effective draws: {both[least]:.0f} for {names[least]} (want {GOOD_ESS}){more}")
         return not notes, notes
