@@ -115,6 +115,10 @@ def notes_of(
         )
     else:
         notes += [f"not determined by these data: {words}" for words in errors.directions]
+    if estimate.penalty is not None and np.any(estimate.penalty > 0):
+        notes.append(
+            "standard errors take the regularization of the weights for knowledge about them: the data alone give larger ones"
+        )
     if errors.correlation_time > 1.0 or errors.ratio != 1.0:
         notes.append(
             f"residuals are correlated over {errors.correlation_time:.3g} samples; standard errors are "
