@@ -1,6 +1,6 @@
 """Effective draws a second against emcee over a numba likelihood, in one process: `python benchmarks/sampling.py [--quick]`.
 
-Six-parameter Bouc-Wen (c, mu, tau, rho, offset and the noise's standard deviation), independent Gaussian noise, one discretisation,
+Six-parameter Bouc-Wen (c, mu, tau, rho, offset and the noise's standard deviation), independent Gaussian noise, one discretization,
 one posterior: the peer's density is compared with hystfit's before anything is timed. All take turns, a slice each round, so that other
 programs disturb all alike; rates are effective draws a step, over all rounds, by the median time of a step. Compilation, the fit and
 burn-in are left out on all sides; what the warm-up of NUTS costs is said beside. Effective draws are counted by one
@@ -53,7 +53,7 @@ def record(samples: int, slow: bool = False) -> hf.Record:
 
 @numba.njit(fastmath=True)
 def peer_density(q, center, factor, u, y, scales, wide):
-    """Log posterior of one walker up to a constant: the library's parametrisation, priors and semi-implicit step in a plain loop."""
+    """Log posterior of one walker up to a constant: the library's parametrization, priors and semi-implicit step in a plain loop."""
     z = center + factor @ q
     logistic = 1.0 / (1.0 + np.exp(-z))
     c, mu, tau = scales[0] * np.exp(z[0]), logistic[1], scales[2] * np.exp(z[2])

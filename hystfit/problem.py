@@ -74,7 +74,7 @@ class Objective(eqx.Module):
 
 
 def _bend(r: Array, bend: Array, loss: Loss) -> Array:
-    """sign(r) sqrt(rho(r^2)) for the loss rho: any least-squares solver then minimises the robust cost."""
+    """sign(r) sqrt(rho(r^2)) for the loss rho: any least-squares solver then minimizes the robust cost."""
     if loss == "linear":
         return r
     square = (r / bend) ** 2

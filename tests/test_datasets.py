@@ -61,7 +61,7 @@ def test_every_entry_has_a_full_revision_checksum_licence_and_citation():
     assert datasets.names() == (*datasets.BUNDLED, *published.MEASURED)
 
 
-def test_a_file_in_the_folder_is_read_and_labelled(small, tmp_path, monkeypatch):
+def test_a_file_in_the_folder_is_read_and_labeled(small, tmp_path, monkeypatch):
     record = datasets.load("small/one", folder=put(tmp_path, small))
     assert isinstance(record, Record)
     np.testing.assert_array_equal(record.u, [0, 1, 2, 1, 0, 1, 2])

@@ -76,7 +76,7 @@ def test_numbers_of_the_loop_are_those_of_a_plain_loop(posterior):
     with pytest.raises(ParameterError, match="no creep"):
         posterior.derived(["creep_percent_per_decade"])
     with pytest.raises(ParameterError, match="no quantity"):
-        posterior.derived(["loop_colour"])
+        posterior.derived(["loop_color"])
 
 
 def test_creep_in_a_decade_is_that_of_the_closed_form():

@@ -412,7 +412,7 @@ class TestProperties:
 
 
 class TestDensities:
-    @pytest.mark.parametrize("kind", ["gaussian", "lorentzian", "factorised"])
+    @pytest.mark.parametrize("kind", ["gaussian", "lorentzian", "factorized"])
     def test_parameters_come_back(self, kind):
         t = np.linspace(0, 8, 600)
         u = np.sin(2 * np.pi * t) * np.exp(-0.2 * t)
@@ -421,7 +421,7 @@ class TestDensities:
             levels=np.linspace(u.min(), u.max(), 31), center=0.5 * (u.min() + u.max()), initial="negative",
         )  # fmt: skip
         record = Record(u, output(true.preisach(), u))
-        fix = ("spread",) if kind == "factorised" else ()
+        fix = ("spread",) if kind == "factorized" else ()
         found, info = fit_density(
             ParametricPreisach(density=kind, levels=np.linspace(-1, 1, 31), initial="negative"), record, fix=fix
         )

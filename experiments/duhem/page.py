@@ -135,7 +135,7 @@ def _histories(plt: Any, out: Path) -> None:
             axis.set_xlabel("sample k")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
-    figure.suptitle("decaying sine, N = 2001; grey lines: the input turns")
+    figure.suptitle("decaying sine, N = 2001; gray lines: the input turns")
     _save(plt, figure, out / "histories.png")
 
 

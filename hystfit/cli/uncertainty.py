@@ -252,7 +252,7 @@ def design(
         high: limit of the actuator.
         samples: length of the input, at the fit's sampling interval.
         aim: parameter whose error counts; repeatable; all where not given.
-        method: families compares signals, gradient optimises turning points too.
+        method: families compares signals, gradient optimizes turning points too.
         seed: of random signals.
         out: folder for result.json and input.csv.
         json: print result.json alone.

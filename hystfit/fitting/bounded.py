@@ -25,7 +25,7 @@ def _jaxopt() -> Any:
 
 
 class BoundedDescent(AbstractEstimator):
-    """Minimises the logarithm of the cost in physical coordinates, in units of each parameter's size at the start, within the bounds.
+    """Minimizes the logarithm of the cost in physical coordinates, in units of each parameter's size at the start, within the bounds.
 
     Attributes:
         method: "lbfgsb", or "projected-gradient" for many weights.

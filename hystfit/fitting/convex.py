@@ -1,4 +1,4 @@
-"""Models that are linear in their weights: bounded, regularised least squares with the strength chosen on data left out."""
+"""Models that are linear in their weights: bounded, regularized least squares with the strength chosen on data left out."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LinearSystem:
         columns: shape (n, p), weighted.
         target: measured output less the response with all weights zero, weighted, shape (n,).
         free: parameters without a lower bound, shape (p,), bool; the others are >= 0.
-        ridged: parameters that the regularisation holds back (all but the offsets of records), shape (p,), bool.
+        ridged: parameters that the regularization holds back (all but the offsets of records), shape (p,), bool.
         block: of each sample, which left-out block it belongs to, shape (n,).
     """
 
@@ -113,7 +113,7 @@ def _block_of(used: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def solve_normal(matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> np.ndarray:
-    """Minimise w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
+    """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
 
     Free unknowns are eliminated (Schur complement), the others solved by non-negative least squares on a square root.
     """

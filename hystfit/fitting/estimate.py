@@ -22,8 +22,8 @@ class Estimate:
         message: what the solver said, and what to try if it failed.
         evaluations: steps of the solver, over all starts.
         costs: cost that each start reached, shape (starts,); not finite where one failed.
-        penalty: what regularisation adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
-            without regularisation.
+        penalty: what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
+            without regularization.
         notes: what was chosen on the way, one sentence each.
     """
 

@@ -78,7 +78,7 @@ def fit(
         seed: of the starting points.
         loss: robust losses bend at 1 % of the output's range.
         noise: "auto" keeps the least-squares estimate; where its residuals are correlated, its errors are those under slow
-            (Ornstein-Uhlenbeck) and independent noise learnt from them. "iid" takes residuals as independent. "ou" (slow and
+            (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" takes residuals as independent. "ou" (slow and
             independent noise), "ar1", "student-t" and "discrepancy" (model error that repeats every loop) refine the fit by that noise
             model's likelihood: "ou" is the sharper estimate under slow noise, and errors under a repeating misfit need "discrepancy"
             (the notes say when).

@@ -1,7 +1,7 @@
-"""Generalised least squares: a fit refined with the likelihood of a noise model, whose own parameters come from the residuals.
+"""Generalized least squares: a fit refined with the likelihood of a noise model, whose own parameters come from the residuals.
 
-For Gaussian noise the hyperparameters maximise the restricted likelihood of the linearised model (with their weak default priors), and the
-model's parameters the likelihood given them, in turns. For Student's t both maximise their joint likelihood.
+For Gaussian noise the hyperparameters maximize the restricted likelihood of the linearized model (with their weak default priors), and the
+model's parameters the likelihood given them, in turns. For Student's t both maximize their joint likelihood.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ class NoiseFit:
         space: its parameters.
         values: those values, shape (q,).
         root: square root R of the information matrix R'R of x, shape (p, p).
-        converged: both optimisations met their tolerances.
+        converged: both optimizations met their tolerances.
     """
 
     x: np.ndarray

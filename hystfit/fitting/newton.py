@@ -20,7 +20,7 @@ _PART = 0.5  # of a standard deviation: differences of gradients that far apart 
 
 
 class Optimum(NamedTuple):
-    """Where an optimiser stopped.
+    """Where an optimizer stopped.
 
     Attributes:
         z: coordinates, shape (d,).

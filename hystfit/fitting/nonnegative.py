@@ -16,7 +16,7 @@ _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
 def solve_nonnegative(
     A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimise w'Aw / 2 - b'w with w >= 0 where `bounded`.
+    """Minimize w'Aw / 2 - b'w with w >= 0 where `bounded`.
 
     Args:
         A: positive definite, shape (p, p).

@@ -1,4 +1,4 @@
-"""Gradient correction: weighted, normalised steps along one row at a time (Zhou and Wang 2013, eq. (8) of the repaired text).
+"""Gradient correction: weighted, normalized steps along one row at a time (Zhou and Wang 2013, eq. (8) of the repaired text).
 
 theta <- theta + c Lambda phi (target - phi . theta). For constant Lambda and no noise the weighted error
 V = (theta - truth)^T Lambda^-1 (theta - truth) falls by c e^2 (2 - c phi^T Lambda phi) at every step, e the row's error: hence
@@ -44,7 +44,7 @@ class GradientState(NamedTuple):
 
 
 class GradientCorrection(LinearIdentifier):
-    """Weighted normalised gradient steps; costs 2 p multiplications a sample, and converges slowly.
+    """Weighted normalized gradient steps; costs 2 p multiplications a sample, and converges slowly.
 
     Attributes:
         regressor: the scaled Duhem equation.
@@ -52,7 +52,7 @@ class GradientCorrection(LinearIdentifier):
         weights: Lambda, shape (p,), or (K, p) for weights that vary with the row (the last stays).
         mu: part of the stable step, in (0, 2): c = mu / (floor + phi^T Lambda phi).
         floor: epsilon. Without it noise is amplified without bound at turning points, where phi vanishes.
-        step: constant c instead, capped at the normalised step where it would break its bound; None for mu and floor.
+        step: constant c instead, capped at the normalized step where it would break its bound; None for mu and floor.
     """
 
     method: ClassVar[str] = "gradient-correction"
@@ -78,7 +78,7 @@ class GradientCorrection(LinearIdentifier):
     ) -> GradientCorrection:
         """Scaled to records, with the orders and scheme of a model; settings as the attributes.
 
-        `weights` None equalises the columns: one over their mean squares in the records. From zero the steps would need many
+        `weights` None equalizes the columns: one over their mean squares in the records. From zero the steps would need many
         passes: the default start is what `Duhem.start` reads off the records.
 
         Raises:
@@ -140,7 +140,7 @@ class GradientCorrection(LinearIdentifier):
         if self.step is not None or float(self.floor) > 0:
             return []
         return [
-            "floor = 0: the normalised step divides by phi^T Lambda phi, which vanishes at turning points, so that any noise is "
+            "floor = 0: the normalized step divides by phi^T Lambda phi, which vanishes at turning points, so that any noise is "
             "amplified without bound; set floor=1"
         ]
 

@@ -37,7 +37,7 @@ class RlsState(NamedTuple):
 
 
 class Rls(LinearIdentifier):
-    """Recursive least squares on one-step equations, which minimises sum of lambda^(K-k) (target - phi . theta)^2 + prior.
+    """Recursive least squares on one-step equations, which minimizes sum of lambda^(K-k) (target - phi . theta)^2 + prior.
 
     Attributes:
         regressor: the scaled Duhem equation.

@@ -1,4 +1,4 @@
-"""Bouc-Wen hysteresis in its normalised piezo form, y = c v - h (Minase et al. 2010, eq. (1); Low and Guo's output)."""
+"""Bouc-Wen hysteresis in its normalized piezo form, y = c v - h (Minase et al. 2010, eq. (1); Low and Guo's output)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is
 
 
 class BoucWen(AbstractHysteresis):
-    """Normalised Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
+    """Normalized Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
 
-    delta = rho tau with |rho| < 1 keeps the loop dissipative, |h| <= mu c / (tau + delta). The form is normalised (h enters
+    delta = rho tau with |rho| < 1 keeps the loop dissipative, |h| <= mu c / (tau + delta). The form is normalized (h enters
     with gain one), so that no two parameters do the same thing; one amplitude alone still determines mu and rho poorly.
 
     `scheme`: "exact" is the closed form of papers' section 3.1 for any step; "semi-implicit" is second order, several times cheaper,

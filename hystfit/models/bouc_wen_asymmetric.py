@@ -1,4 +1,4 @@
-"""Generalised Bouc-Wen hysteresis for asymmetric loops: exponent, skew and a bent backbone."""
+"""Generalized Bouc-Wen hysteresis for asymmetric loops: exponent, skew and a bent backbone."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from hystfit.params import param
 
 
 class AsymmetricBoucWen(AbstractHysteresis):
-    """Generalised Bouc-Wen for asymmetric loops and any exponent n:
+    """Generalized Bouc-Wen for asymmetric loops and any exponent n:
 
         dh/dv = mu c - (s tau sgn h + delta + a sgn h) |h| (|h| / H)^(n - 1),    H = mu c / (tau + delta),
         y = offset + c v + sum over k >= 2 of b_k P_k(x) - h,    x = (v - center) / half
 
     H is the bound of |h| for every n when a = 0, so that tau and delta keep their unit 1/u; n shapes the knee alone. a = skew
     (tau + delta) sets different saturation above and below zero, and the Legendre polynomials P_k bend the backbone (after
-    the generalised forms of Song and Der Kiureghian 2006 and Zhu and Wang 2012). A skew moves the bounds of h to
+    the generalized forms of Song and Der Kiureghian 2006 and Zhu and Wang 2012). A skew moves the bounds of h to
     H (1 + skew)^(-1/n) above and -H (1 - skew)^(-1/n) below. "exact" integrates with eight Runge-Kutta substeps a sample.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Bouc-Wen as a force against a displacement, in the normalised form of Ikhouane and Rodellar (2007)."""
+"""Bouc-Wen as a force against a displacement, in the normalized form of Ikhouane and Rodellar (2007)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BoucWenForce(AbstractHysteresis):
         dw/du = rho (1 - (sigma sgn(w du) + 1 - sigma) |w|^n),    |w| <= 1
 
     1 / rho is the yield displacement, kappa_w the yield force, kappa_x the slope after yielding, n the sharpness of the knee and sigma the
-    shape of the unloading branch (>= 1/2 dissipates). Normalised, so that no two parameters do the same thing; linear in
+    shape of the unloading branch (>= 1/2 dissipates). Normalized, so that no two parameters do the same thing; linear in
     kappa_x, kappa_w and offset. kappa_w < 0 makes a loop that lags. Four semi-implicit substeps a sample, clipped to |w| <= 1.
 
     Raises:

@@ -21,7 +21,7 @@ from hystfit.models.preisach import Preisach
 from hystfit.models.starting import input_range, output_range
 from hystfit.params import param
 
-Density = Literal["gaussian", "lorentzian", "factorised"]
+Density = Literal["gaussian", "lorentzian", "factorized"]
 
 
 class ParametricPreisach(AbstractHysteresis):
@@ -29,7 +29,7 @@ class ParametricPreisach(AbstractHysteresis):
 
         gaussian     exp(-((h - coercivity) / width)^2 / 2 - ((m - shift) / spread)^2 / 2), a bivariate normal in (h, m)
         lorentzian   1 / ((1 + ((h - coercivity) / width)^2) (1 + ((m - shift) / spread)^2))
-        factorised   f(alpha - shift) f(shift - beta), f(x) = 1 / (1 + ((x - coercivity) / width)^2): what a major loop determines
+        factorized   f(alpha - shift) f(shift - beta), f(x) = 1 / (1 + ((x - coercivity) / width)^2): what a major loop determines
         y = offset + saturation (sum of masses g) / (sum of masses) + slope (u - center)
 
     The density is taken at the middle of each cell. `preisach()` gives the model with weights, and with it the compiled form.
@@ -67,7 +67,7 @@ class ParametricPreisach(AbstractHysteresis):
     def shape(self, alpha: Float[Array, "..."], beta: Float[Array, "..."]) -> Float[Array, "..."]:
         """Density at thresholds, its peak 1."""
         h, m = 0.5 * (alpha - beta), 0.5 * (alpha + beta)
-        if self.density == "factorised":
+        if self.density == "factorized":
             f = lambda x: 1.0 / (1.0 + ((x - self.coercivity) / self.width) ** 2)
             return f(alpha - self.shift) * f(self.shift - beta)
         a, b = ((h - self.coercivity) / self.width) ** 2, ((m - self.shift) / self.spread) ** 2

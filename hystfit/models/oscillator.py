@@ -23,7 +23,7 @@ class BoucWenOscillator(AbstractHysteresis):
 
         m y'' + d y' + a k y + (1 - a) k z = u,    z' = y' - (beta sgn(y' z) + gamma) |z|^n (1 / zy)^n y',   beta + gamma = 1
 
-    in the normalised form: z tends to +-zy, the yield displacement, and gamma = 1 - beta, so that no parameter is redundant.
+    in the normalized form: z tends to +-zy, the yield displacement, and gamma = 1 - beta, so that no parameter is redundant.
     Runge-Kutta of fourth order with `substeps` a sample; the force is linear between samples.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Polynomials in a normalised variable: Legendre series keep high orders well conditioned."""
+"""Polynomials in a normalized variable: Legendre series keep high orders well conditioned."""
 
 from __future__ import annotations
 

@@ -45,9 +45,9 @@ class Entry:
 
 MODELS: dict[str, Entry] = {
     "duhem": Entry(Duhem, "core", "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters"),
-    "bouc-wen": Entry(BoucWen, "core", "normalised Bouc-Wen y = c v - h; symmetric loops, 5 parameters"),
+    "bouc-wen": Entry(BoucWen, "core", "normalized Bouc-Wen y = c v - h; symmetric loops, 5 parameters"),
     "bouc-wen-asymmetric": Entry(
-        AsymmetricBoucWen, "core", "generalised Bouc-Wen: exponent, skew, bent backbone; 9 parameters"
+        AsymmetricBoucWen, "core", "generalized Bouc-Wen: exponent, skew, bent backbone; 9 parameters"
     ),
     "bouc-wen-force": Entry(
         BoucWenForce,

@@ -36,7 +36,7 @@ class AbstractNoise(eqx.Module):
     def step(
         self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
-        """One sample: (state, innovation scaled to variance one, log of its variance). Nothing is learnt where weight = 0."""
+        """One sample: (state, innovation scaled to variance one, log of its variance). Nothing is learned where weight = 0."""
 
     def density(self, e: Float[Array, "..."], log_variance: Float[Array, "..."]) -> Float[Array, "..."]:
         """Log density of a residual from its scaled innovation and the log of the variance."""
@@ -54,7 +54,7 @@ class AbstractNoise(eqx.Module):
 
     @abc.abstractmethod
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
-        """A realisation."""
+        """A realization."""
 
     def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Float[Array, ""]:
         """Log density of the residuals that count."""

@@ -112,7 +112,7 @@ def _solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[np.n
 
 @dataclasses.dataclass(frozen=True)
 class SlowNoiseFit:
-    """Slow and independent noise learnt from residuals.
+    """Slow and independent noise learned from residuals.
 
     Attributes:
         noise: the most probable one.
@@ -189,7 +189,7 @@ class Contrasts:
 
 
 def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
-    """The noise that maximises the restricted likelihood, and those about it."""
+    """The noise that maximizes the restricted likelihood, and those about it."""
     samples, n = contrasts.samples, contrasts.residual.size
     low, high = np.log([_LEAST, _SHORTEST]), np.log([_MOST, 4.0 * n])
     inside = lambda at: np.exp(np.clip(at, low, high))

@@ -1,4 +1,4 @@
-"""Convergence of chains: rank-normalised split R-hat, bulk and tail effective sample sizes (Vehtari et al. 2021, Bayesian Analysis 16)."""
+"""Convergence of chains: rank-normalized split R-hat, bulk and tail effective sample sizes (Vehtari et al. 2021, Bayesian Analysis 16)."""
 
 from __future__ import annotations
 

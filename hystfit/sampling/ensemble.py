@@ -1,4 +1,4 @@
-"""The ensemble sampler emcee with differential-evolution moves over a vectorised likelihood, resumable after a kill.
+"""The ensemble sampler emcee with differential-evolution moves over a vectorized likelihood, resumable after a kill.
 
 The snooker move is never used: in emcee 3.1.6 it samples a distribution that is too narrow (upstream pull request 531).
 """

@@ -170,7 +170,7 @@ def covariance(
     draws: int = 1000,
     seed: int = 0,
 ) -> Covariance:
-    """Covariance of a least-squares fit from its linearised scores J_t r_t.
+    """Covariance of a least-squares fit from its linearized scores J_t r_t.
 
     "sandwich" sums their autocovariances under a Bartlett window (Newey and West 1987); "bootstrap" redraws blocks of them (Kuensch
     1989). Both need many blocks to be right, and neither sees an error that repeats every loop.

@@ -22,7 +22,7 @@ from hystfit.models.base import run, simulate
 from hystfit.results import FitResult
 
 SCHEMA = "hystfit.design/1"
-_TURNS = 14  # turning levels of the optimised input
+_TURNS = 14  # turning levels of the optimized input
 _LOOSE = 0.5  # relative error above which a combination counts as open
 _PRIOR = 3.0  # standard deviation in relative size that each parameter has before any measurement
 _UNKNOWN = 0.5  # part of that prior above which an error is the prior's, not the data's
@@ -37,7 +37,7 @@ class Candidate:
         u: input, shape (T,).
         stderr: predicted standard errors, physical units, by parameter, together with the present data; None where that leaves a
             parameter open.
-        score: what was minimised (mean log error of the parameters aimed at).
+        score: what was minimized (mean log error of the parameters aimed at).
     """
 
     name: str
@@ -145,7 +145,7 @@ def design(
     """Propose the next excitation.
 
     Families of signals (one and more amplitudes, decaying, reversal curves, random reversals) and, with "gradient", turning levels
-    moved by the derivative of the simulation are compared by the errors that the linearised model predicts, with the present data's
+    moved by the derivative of the simulation are compared by the errors that the linearized model predicts, with the present data's
     information added and a wide prior. The design is right near the fitted values only: measure, fit again, design again.
 
     Args:
@@ -153,7 +153,7 @@ def design(
         low, high: limits of the actuator; the input range of the fit by default.
         samples: length of the proposed input, at the records' sampling interval.
         aim: parameters whose errors count; all free ones by default.
-        method: "families" compares signals, "gradient" also optimises one.
+        method: "families" compares signals, "gradient" also optimizes one.
         steps: of the gradient method.
         seed: of random signals.
 
@@ -181,7 +181,7 @@ def design(
     counted = jnp.asarray([name in chosen for name in names])
     inputs = _families(low, high, samples, seed)
     if method == "gradient":
-        inputs["optimised turning points"] = _optimize(setting, now, counted, low, high, samples, steps, seed)
+        inputs["optimized turning points"] = _optimize(setting, now, counted, low, high, samples, steps, seed)
 
     def errors(matrix: Array) -> dict[str, float | None]:
         relative = np.sqrt(np.diag(np.linalg.inv(np.asarray(matrix))))

@@ -1,4 +1,4 @@
-/* Generalised Bouc-Wen: dh/dv = mu c - (s tau sgn h + delta + a sgn h) |h| (|h| / H)^(n - 1), and a bent backbone. */
+/* Generalized Bouc-Wen: dh/dv = mu c - (s tau sgn h + delta + a sgn h) |h| (|h| / H)^(n - 1), and a bent backbone. */
 static double @f@_kappa(double side, double s)
 {
     return @M@_TAU * (1 + (side >= 0 ? @M@_RHO : -@M@_RHO)) + s * @M@_SKEW * @M@_TAU * (1 + @M@_RHO);
