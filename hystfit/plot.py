@@ -12,6 +12,7 @@ import numpy as np
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError
 from hystfit.metrics import autocorrelation
+from hystfit.units import axis_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,21 +70,11 @@ class _Trace:
         self.axis = (np.arange(len(record)) if record.t is None else record.t - record.t[0] * (start > 0)) + start
         self.residual = predicted - record.y
         self.labels = {
-            "u": label(record.u_name, record.u_unit),
-            "y": label(record.y_name, record.y_unit),
-            "residual": label("model - measured", record.y_unit),
+            "u": axis_label(record.u_name, record.u_unit),
+            "y": axis_label(record.y_name, record.y_unit),
+            "residual": axis_label("model - measured", record.y_unit),
             "axis": "sample" if record.t is None else f"time [{record.t_unit}]",
         }
-
-
-def label(name: str, unit: str) -> str:
-    """Name and unit of an axis; a name that ends in its unit is shortened, and unknown units have brackets of their own."""
-    if not unit:
-        return name
-    if unit.startswith("["):
-        return f"{name} {unit}"
-    base = re.sub(rf"[\s_]*[\[(]?{re.escape(unit)}[\])]?$", "", name) or name
-    return f"{base} [{unit}]"
 
 
 def _traces(result: FitResult, data: Any, refit_offset: bool) -> list[_Trace]:

@@ -73,3 +73,13 @@ class Scales:
         if not over and not under:
             return ""
         return "*".join(over or ["1"]) + "".join(f"/{text}" for text in under)
+
+
+def axis_label(name: str, unit: str) -> str:
+    """Name and unit of an axis; a name that ends in its unit is shortened, and unknown units have brackets of their own."""
+    if not unit:
+        return name
+    if unit.startswith("["):
+        return f"{name} {unit}"
+    base = re.sub(rf"[\s_]*[\[(]?{re.escape(unit)}[\])]?$", "", name) or name
+    return f"{base} [{unit}]"

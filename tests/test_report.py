@@ -18,6 +18,7 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.fit import fit, with_test
 from hystfit.models import BoucWen, simulate
 from hystfit.results import FitResult, ParameterEstimate
+from hystfit.units import axis_label
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +252,8 @@ def test_thinning_keeps_ends_and_extremes(seed, size, most):
 
 
 def test_labels_drop_a_unit_said_twice():
-    assert plot.label("u_V", "V") == "u [V]"
-    assert plot.label("H [Oe]", "Oe") == "H [Oe]"
-    assert plot.label("V", "V") == "V [V]"
-    assert plot.label("force", "") == "force"
+    assert axis_label("u_V", "V") == "u [V]"
+    assert axis_label("H [Oe]", "Oe") == "H [Oe]"
+    assert axis_label("V", "V") == "V [V]"
+    assert axis_label("force", "") == "force"
+    assert axis_label("kappa_w", "[y]") == "kappa_w [y]"

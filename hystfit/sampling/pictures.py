@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from hystfit.errors import MissingExtraError, ParameterError
-from hystfit.plot import label
+from hystfit.units import axis_label
 
 if TYPE_CHECKING:
     from hystfit.sampling.draws import Posterior
@@ -32,7 +32,7 @@ def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
 
 
 def _labels(posterior: Posterior) -> list[str]:
-    return [label(name, unit) for name, unit in zip(posterior.names, posterior.units, strict=True)]
+    return [axis_label(name, unit) for name, unit in zip(posterior.names, posterior.units, strict=True)]
 
 
 def _corner(posterior: Posterior) -> Any:
@@ -126,8 +126,8 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     for edges, color in (((low, high), "#d55e00"), ((inner[0], inner[2]), "#0072b2")):
         for edge in edges:
             rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
-    loop.set_ylabel(label(record.y_name, record.y_unit))
-    rest.set(xlabel=label(record.u_name, record.u_unit), ylabel=label("less the median", record.y_unit))
+    loop.set_ylabel(axis_label(record.y_name, record.y_unit))
+    rest.set(xlabel=axis_label(record.u_name, record.u_unit), ylabel=axis_label("less the median", record.y_unit))
     if len(posterior.result.data) > 1:
         loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
     rest.set_title(f"{level:.0%} bands: of the model's curve (blue), of a measurement (orange)", fontsize=9)

@@ -24,11 +24,11 @@ from hystfit.fitting.covariance import error_ratios, near_bound
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import Whitened, linearize, refine
 from hystfit.noise import Setting, White
-from hystfit.plot import label
 from hystfit.problem import Objective
 from hystfit.results import FitResult
 from hystfit.sampling.posterior import trimmed
 from hystfit.uncertainty.profile_paths import crossing, follow_all
+from hystfit.units import axis_label
 
 SCHEMA = "hystfit.profile/1"
 
@@ -135,7 +135,7 @@ class Profiles:
             ax.plot(p.x, p.statistic, ".-", color="#0072b2")
             ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8, label=f"{self.level:.0%}")
             ax.locator_params(axis="x", nbins=4)
-            ax.set(xlabel=label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
+            ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:
             row[0].set_ylabel("twice the loss of log likelihood", fontsize=8)
         axes[0, 0].legend(fontsize=8, frameon=False)
