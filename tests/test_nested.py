@@ -88,7 +88,7 @@ def test_the_evidence_is_saved_and_said(run, tmp_path):
 
 @pytest.mark.parametrize("wrong", [dict(live=20), dict(moves=0), dict(rest=0.0), dict(chains=0), dict(walkers=10)])
 def test_settings_that_cannot_be_used_are_refused(two_modes, wrong):
-    with pytest.raises(ParameterError, match="nested"):
+    with pytest.raises(ParameterError, match=next(iter(wrong))):
         sample(two_modes, "nested", **wrong)
 
 
