@@ -24,7 +24,7 @@ from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.draws import load_posterior
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.posterior import prepare
-from hystfit.sampling.sample import sample
+from hystfit.sampling.sample import beside_priors, sample
 
 
 def loop(T: int = 500, seed: int = 0, sigma: float = 0.01) -> tuple[hf.Record, hf.BoucWen]:
@@ -217,7 +217,7 @@ KILLED = """
 import sys
 from tests.test_sampling import ENDLESS, loop
 import hystfit as hf
-from hystfit.sampling.sample import sample
+from hystfit.sampling.sample import beside_priors, sample
 hf.enable_x64()
 record, model = loop()
 result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
@@ -362,6 +362,21 @@ def test_a_prior_that_contradicts_the_data_is_told_and_one_that_they_narrow_is_n
     assert any(note.startswith("tau lies where its prior") for note in told.notes)
     plain = sample(fitted, noise="iid", chains=1, draws=100)
     assert not any("prior" in note for note in plain.notes), plain.notes
+
+
+def test_width_beside_a_prior_over_a_logarithm_is_that_of_the_logarithm(fitted):
+    setup = prepare(fitted, noise="iid")
+    at = setup.names.index("noise_white")
+    prior = setup.target.priors[at]
+    rng = np.random.default_rng(0)
+    draws = np.tile(np.asarray(setup.target.physical(setup.target.center)), (2, 500, 1))
+    draws *= 1 + 1e-3 * rng.normal(size=draws.shape)
+    for spread, told in ((0.1, False), (float(prior.spread), True)):
+        draws[:, :, at] = (
+            30 * float(prior.median) * np.exp(spread * rng.normal(size=(2, 500)))
+        )  # narrow, though far out
+        notes = beside_priors(setup, draws)
+        assert any("noise_white is hardly determined" in note for note in notes) == told, notes
 
 
 def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):

@@ -14,11 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
 from hystfit.errors import DataError, ParameterError
-from hystfit.priors import AbstractPrior
+from hystfit.priors import AbstractPrior, LogNormal
 from hystfit.results import FitResult
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.draws import Posterior
@@ -80,7 +80,7 @@ def sample(
     convergence = Convergence.of(_independent(draws) if sampler == "emcee" else draws)
     good, why = convergence.verdict(setup.names)
     moved = np.isfinite(draws).all()
-    notes = (*_of_the_fit(result), *setup.notes, *raw.notes, *why, *_beside_priors(setup, draws))
+    notes = (*_of_the_fit(result), *setup.notes, *raw.notes, *why, *beside_priors(setup, draws))
     unsettled = any("more steps are needed" in note for note in raw.notes)
     status = "ok" if good and moved and not unsettled else "not-converged"
     if status == "ok" and result.status in ("poor", "no-loop"):
@@ -122,7 +122,7 @@ def _physical(target: Target, z: Array) -> Array:
     return jax.vmap(target.physical)(z)
 
 
-def _beside_priors(setup: Setup, draws: np.ndarray) -> list[str]:
+def beside_priors(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[str]:
     """Parameters about which the draws say hardly more than the prior, or that they put where the prior expects nothing."""
     key, notes = jax.random.key(0), []
     for k, (name, prior) in enumerate(zip(setup.names, setup.target.priors, strict=True)):
@@ -133,11 +133,17 @@ def _beside_priors(setup: Setup, draws: np.ndarray) -> list[str]:
                 f"{name} lies where its prior ({prior}) expects next to nothing: data and prior contradict each other"
             )
             continue
-        spread = lambda v: float(np.subtract(*np.quantile(v, [0.75, 0.25])))
-        ratio = spread(draws[:, :, k]) / spread(expected)
+        ratio = _spread(prior, draws[:, :, k]) / _spread(prior, expected)
         if ratio > _AS_WIDE:
             notes.append(f"{name} is hardly determined: its posterior is {ratio:.0%} as wide as its prior ({prior})")
     return notes
+
+
+def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
+    """Distance between the quartiles, of the logarithm where the prior is one over the logarithm."""
+    if isinstance(prior, LogNormal):
+        x = np.log(np.maximum(prior.side * (x - float(prior.edge)), 1e-300))
+    return float(np.subtract(*np.quantile(x, [0.75, 0.25])))
 
 
 def _of_the_fit(result: FitResult) -> list[str]:

@@ -153,8 +153,8 @@ class Calibration:
             axes[1, k].fill_between(levels, *bands.T, color="#bbbbbb", lw=0)
             axes[1, k].plot(levels, [self.coverage(level)[k] for level in levels], color="#d55e00")
             axes[1, k].set_xlabel("level of the interval")
-        axes[0, 0].set_ylabel("replicates (line: expected)")
-        axes[1, 0].set_ylabel("covered (gray: 99 % by chance)")
+        axes[0, 0].set_ylabel("replicates\n(line: expected)", fontsize=8)
+        axes[1, 0].set_ylabel("covered\n(gray: 99 % by chance)", fontsize=8)
         return figure
 
 
