@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +22,7 @@ _DECADES = (
     3.0  # standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way
 )
 _DRAWS = 2000  # of a prior, to see where it lies
-_NUMBERS = ("mean", "sd", "median", "spread", "lower", "upper")
+_NUMBERS = ("mean", "sd", "median", "spread", "edge", "lower", "upper")
 _LOG_ROOT = float(0.5 * np.log(2 * np.pi))
 
 
@@ -209,11 +209,15 @@ def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[s
 
 
 def choose_priors(
-    space: ParameterSpace, own: Mapping[str, AbstractPrior] | None, x: np.ndarray | None = None
+    space: ParameterSpace,
+    own: Mapping[str, AbstractPrior] | None,
+    x: np.ndarray | None = None,
+    others: Sequence[str] = (),
 ) -> tuple[AbstractPrior, ...]:
     """Default priors with the user's own in their places, in the order of the space.
 
-    A name without a record, such as "offset", stands for that parameter in every record.
+    A name without a record, such as "offset", stands for that parameter in every record. `others` are names of another space, for
+    the message on one that is in neither.
 
     Raises:
         ParameterError: a prior for no free parameter, or something that is no prior, one without a proper width, or one that lies
@@ -224,7 +228,7 @@ def choose_priors(
         hits = [known for known in space.names if known == name or known.split("@")[0] == name]
         if not hits:
             raise ParameterError(
-                f"a prior for {name!r}, which is no free parameter; those are: {', '.join(space.names)}"
+                f"a prior for {name!r}, which is no free parameter; those are: {', '.join([*space.names, *others])}"
             )
         _check(name, prior)
         bounds = {space.infos[space.names.index(hit)].bounds for hit in hits}
@@ -249,7 +253,8 @@ def _check(name: str, prior: Any) -> None:
         raise ParameterError(
             f"the prior of {name!r} ({prior}): its lower limit must come first, and be below the upper one"
         )
-    widths = [values[f] for f in ("sd", "spread", "median") if f in values and not isinstance(prior, LogitNormal)]
+    positive = ("sd", "spread") if isinstance(prior, LogitNormal) else ("sd", "spread", "median")
+    widths = [values[f] for f in positive if f in values]
     widths += [values["upper"] - values["lower"]] if "upper" in values else []
     if not all(np.isfinite(width) and width > 0 for width in widths) or not np.isfinite(values.get("mean", 0.0)):
         raise ParameterError(

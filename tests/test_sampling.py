@@ -347,6 +347,11 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
         sample(fitted, noise="iid", priors={"mu": priors.Normal(3.0, 0.01)})
     with pytest.raises(ParameterError, match="mean = nan is no number"):
         sample(fitted, priors={"tau": priors.Normal(np.nan, 1.0)})
+    for wrong in (priors.LogitNormal(0.0, 1.0, 0.5, 0.0), priors.LogitNormal(0.0, 1.0, 0.5, np.inf)):
+        with pytest.raises(ParameterError, match="flat or has no width"):
+            sample(fitted, noise="iid", priors={"mu": wrong})
+    with pytest.raises(ParameterError, match="edge = nan is no number"):
+        sample(fitted, priors={"tau": priors.LogNormal(1.0, 1.0, np.nan)})
     with pytest.raises(ParameterError, match="lower limit must come first"):
         sample(fitted, priors={"tau": priors.Uniform(2.0, 1.0)})
     with pytest.raises(ParameterError, match=r"those are: .*noise_white"):

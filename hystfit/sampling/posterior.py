@@ -143,12 +143,8 @@ def choose_priors_for(
         ParameterError: see `hystfit.priors.choose_priors`.
     """
     own = dict(own or {})
-    known = [*model.names, *noise.names]
-    for name in own:
-        if name not in known and name not in {each.split("@")[0] for each in known}:
-            raise ParameterError(f"a prior for {name!r}, which is no free parameter; those are: {', '.join(known)}")
     theirs = {name: own.pop(name) for name in list(own) if name in noise.names}
-    return choose_priors(model, own, x[: len(model)]) + choose_priors(noise, theirs, x[len(model) :])
+    return choose_priors(model, own, x[: len(model)], noise.names) + choose_priors(noise, theirs, x[len(model) :])
 
 
 def trimmed(batch: Batch) -> Batch:

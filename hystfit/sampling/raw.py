@@ -1,13 +1,10 @@
-"""What samplers and `sample` give each other."""
+"""What samplers give to `sample`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-
-from hystfit.errors import ParameterError
 
 
 class Evidence(NamedTuple):
@@ -26,15 +23,3 @@ class Raw(NamedTuple):
     stats: dict[str, np.ndarray]
     notes: tuple[str, ...]
     evidence: Evidence | None = None
-
-
-def check_counts(settings: Any, least: Mapping[str, int]) -> None:
-    """Refuse settings of a sampler that are no whole numbers, or below the least that makes sense.
-
-    Raises:
-        ParameterError: says which, and what it must be.
-    """
-    for name, lowest in least.items():
-        value = getattr(settings, name)
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < lowest:
-            raise ParameterError(f"{name} must be a whole number of at least {lowest}, got {value!r}")
