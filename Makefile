@@ -37,7 +37,7 @@ types: setup
 	$(BIN)/basedpyright
 
 tests: setup  ## the tests, without the slow ones (QUICK= for all)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -q $(if $(QUICK),-m "not slow")
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 1 -q $(if $(QUICK),-m "not slow")
 
 notebooks: setup  ## run every notebook, two at a time (QUICK= for the full form)
 	@ls notebooks/[0-9]*.py | xargs -n 1 basename -s .py | xargs -P 2 -I NAME $(BIN)/python notebooks/run.py $(QUICK) NAME

@@ -1,7 +1,9 @@
 """Calibration on cases whose answer is known: a right set-up passes, a wrong one fails, runs resume, failures are kept."""
 
 import re
+import threading
 import tomllib
+from contextlib import contextmanager
 from pathlib import Path
 
 import distributed
@@ -10,6 +12,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.uncertainty import chunks
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
@@ -148,16 +151,50 @@ def test_settings_that_mean_nothing_are_refused():
         calibrate(TRUTH, DATA, replicates=0)
 
 
+@contextmanager
+def dask(workers: int):
+    with distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as cluster:
+        yield cluster
+
+
 def test_dask_workers_make_the_same_chunks(honest, tmp_path):
     study, again = honest[1], tmp_path / "dask"
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        address, settings = cluster.scheduler_address, {"noise": "iid", "replicates": 20, "fix": ["rho"]}
-        found = calibrate(TRUTH, DATA, scheduler=address, folder=again, **settings)
-        np.testing.assert_array_equal(found.ranks, study.ranks[:20])
-        assert len(list(again.glob("chunk-*.npz"))) == 2
-        cluster.scale(0)
-        with pytest.raises(DataError, match="has no workers"):
-            calibrate(TRUTH, DATA, scheduler=address, **settings)
+    with dask(1) as cluster:
+        found = calibrate(
+            TRUTH, DATA, noise="iid", replicates=20, fix=["rho"], folder=again, scheduler=cluster.scheduler_address
+        )
+    np.testing.assert_array_equal(found.ranks, study.ranks[:20])
+    assert len(list(again.glob("chunk-*.npz"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("workers", "leave", "message"),
+    [
+        (0, None, "has no workers that run"),
+        (1, lambda cluster: cluster.scale(0), "has no workers that run"),
+        (1, lambda cluster: cluster.close(), "was lost"),
+    ],
+    ids=["never-any", "left", "scheduler-lost"],
+)
+def test_dask_workers_that_are_not_there_end_a_study_and_keep_its_chunks(
+    monkeypatch, tmp_path, workers, leave, message
+):
+    # Tasks that no worker takes wait for ever.
+    monkeypatch.setattr(chunks, "_PATIENCE", 2.0)
+    with dask(workers) as cluster:
+        told = lambda line: threading.Thread(target=leave, args=[cluster]).start() if line.startswith("1 of") else None
+        with pytest.raises(DataError, match=message):
+            calibrate(
+                TRUTH,
+                DATA,
+                noise="iid",
+                replicates=2000,
+                fix=["rho"],
+                scheduler=cluster.scheduler_address,
+                folder=tmp_path,
+                progress=told,
+            )
+    assert len(list(tmp_path.glob("chunk-*.npz"))) >= workers
 
 
 @pytest.mark.parametrize("nobody", ["tcp://127.0.0.1:1", "127.0.0.1", "http://127.0.0.1:80", "nonsense"])

@@ -10,7 +10,10 @@ import pytest
 
 from hystfit.cli.interrupts import interruptible, interrupts_alone
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows raises no signal again")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="Windows raises no signal again"),
+    pytest.mark.timeout(method="thread"),  # the alarm is what is tested
+]
 
 
 def interrupt():
@@ -81,3 +84,15 @@ def test_handlers_are_those_of_before():
         busy(5.0)
     assert ([signal.getsignal(name) for name in names], sys.unraisablehook) == before
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_an_alarm_of_the_caller_is_left_alone():
+    rung = []
+    before = signal.signal(signal.SIGALRM, lambda *_: rung.append(True))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with interruptible():
+            busy(0.5)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert rung == [True]

@@ -18,7 +18,7 @@ _heard = False
 def interruptible() -> Iterator[None]:
     """Raise KeyboardInterrupt from what runs within, soon after an interrupt, whatever became of its first exception.
 
-    Outside the main thread, where no signal can be caught, nothing is changed.
+    Outside the main thread, where no signal can be caught, nothing is changed; without an interrupt, the caller's alarm is its own.
     """
     global _heard
     _heard = False
@@ -27,14 +27,14 @@ def interruptible() -> Iterator[None]:
     except ValueError:  # not the main thread
         yield
         return
-    alarm = signal.signal(signal.SIGALRM, _stop_again) if hasattr(signal, "SIGALRM") else None
+    alarm = signal.getsignal(signal.SIGALRM) if hasattr(signal, "SIGALRM") else None
     swallowed, sys.unraisablehook = sys.unraisablehook, _silent
     try:
         with interrupts_alone():
             yield
     finally:
         sys.unraisablehook = swallowed
-        if alarm is not None:
+        if _heard and alarm is not None:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, alarm)
         signal.signal(signal.SIGINT, before)
@@ -55,6 +55,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     global _heard
     _heard = True
     if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, _stop_again)
         signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
     raise KeyboardInterrupt
 

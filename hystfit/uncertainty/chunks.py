@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import hashlib
 import json
 import multiprocessing
 import os
 import socket
+import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hystfit.errors import DataError, HystfitError, MissingExtraError
 from hystfit.uncertainty.replicates import CHUNK, Study, broken_chunk, run_chunk
 
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
 Chunk = dict[str, np.ndarray]
 Outcome = tuple[int, Chunk | Exception]
-_PATIENCE = 10.0  # seconds that a scheduler and its workers are waited for
+# Seconds that a scheduler is waited for, and a worker that runs: one that was killed is started anew in less.
+_PATIENCE = 30.0
+_GO_ON = "the same call goes on from the chunks that its folder holds, where it was given one"
 
 
 def collect(
@@ -92,7 +101,7 @@ def _computed(study: Study, numbers: Sequence[int], workers: int, scheduler: str
 
 def _by_dask(study: Study, numbers: Sequence[int], scheduler: str) -> Iterator[Outcome]:
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
     except ImportError as error:
         raise MissingExtraError("distributed", "batch", "scheduler=") from error
     try:
@@ -101,15 +110,31 @@ def _by_dask(study: Study, numbers: Sequence[int], scheduler: str) -> Iterator[O
     except (OSError, ValueError) as error:
         raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
     with client:
-        try:
-            client.wait_for_workers(1, timeout=_PATIENCE)
-        except TimeoutError as error:
-            raise DataError(
-                f"the Dask scheduler at {scheduler!r} has no workers: start some (dask worker ADDRESS)"
-            ) from error
         tasks = {client.submit(run_chunk, study, k, pure=False): k for k in numbers}
-        for task in as_completed(list(tasks)):
-            yield tasks[task], _outcome(task.result)
+        for task in _finished(client, set(tasks), scheduler):
+            yield tasks[task], _outcome(partial(task.result, _PATIENCE))  # its worker may have left with it
+
+
+def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Future]:
+    """Tasks as they end. A scheduler keeps what no worker takes for ever: where none runs for long, that is an error."""
+    from distributed import wait
+
+    alone = time.monotonic()
+    while waiting:
+        ended = set()
+        try:
+            with contextlib.suppress(TimeoutError):
+                ended, waiting = wait(waiting, 1.0, "FIRST_COMPLETED")  # type: ignore[misc]  # it is no coroutine
+            known = client.scheduler_info(n_workers=-1)["workers"].values()
+        except (OSError, concurrent.futures.CancelledError) as error:
+            raise DataError(f"the Dask scheduler at {address!r} was lost; {_GO_ON}") from error
+        yield from ended
+        if any(worker["status"] == "running" for worker in known):
+            alone = time.monotonic()
+        elif time.monotonic() - alone > _PATIENCE:
+            raise DataError(
+                f"the Dask scheduler at {address!r} has no workers that run: start some (dask worker ADDRESS); {_GO_ON}"
+            )
 
 
 def _knock(scheduler: str) -> None:
