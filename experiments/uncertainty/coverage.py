@@ -22,7 +22,7 @@ FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
 SAMPLERS = ("nuts", "emcee")
 SAMPLED = ("white", "AR(1)", "repeating + white")
-REPLICATES, RIGHT, SOME, SAMPLED_REPLICATES = 100, 60, 25, 3
+REPLICATES, RIGHT, SOME = 100, 60, 25
 Row = dict[
     str, Any
 ]  # estimates and standard errors of the four parameters, whether 95 % intervals cover, whether it warned
@@ -199,11 +199,11 @@ def run(results: Results, file: Path | None) -> dict[str, str]:
 
 
 def samplers(results: Results, store: Store) -> str:
-    """NUTS and emcee beside least squares on the first replicates."""
+    """NUTS and emcee beside least squares on the same replicates."""
     lines: list[list[object]] = []
     for kind in SAMPLED:
         for method in (*SAMPLERS, "ou", "discrepancy", "default"):
-            found = summary([store.get(kind, method, seed) for seed in range(SAMPLED_REPLICATES)])
+            found = summary([store.get(kind, method, seed) for seed in range(SOME)])
             lines.append([kind, method, 100 * found.covered, found.width])
             if method in SAMPLERS:
                 results.add(f"coverage: {kind}, {method}", found.covered)

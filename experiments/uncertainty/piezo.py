@@ -17,7 +17,7 @@ MODEL = "lag+bouc-wen-asymmetric+log-creep"  # README.md says how it was chosen
 FIX = {"rho": 0.5, "n": 1.0}  # the fit says that the data leave rho open; with n free they leave a long bent valley
 NOISES = ("auto", "iid", "ar1")
 REST = 0.0  # V
-SETTINGS = {"walkers": 64, "draws": 80_000}  # it stops when the chains hold 50 autocorrelation times
+SETTINGS = {"walkers": 64, "draws": 120_000}  # it stops when the chains hold 50 autocorrelation times
 
 
 def records() -> hf.Record | None:

@@ -72,7 +72,7 @@ def coverages(results: Results) -> dict[str, str]:
         "coverage": "Coverage of 95 % intervals, % (least of the four parameters in brackets)",
         "width": "Median standard error over the spread of the estimates",
         "none": "Parameters without an error bar, and replicates that were warned of repeating error, %",
-        "samplers": f"Samplers on the first {coverage.SAMPLED_REPLICATES} replicates",
+        "samplers": f"Samplers on the first {coverage.SOME} replicates",
     }
     return {title: tables[name] for name, title in titles.items() if name in tables}
 
