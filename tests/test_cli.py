@@ -289,6 +289,8 @@ def test_models_and_datasets_list_what_there_is(folder, capsys):
     assert run(["models", "bouc-wen", "--json"]) == 0
     rows = {row["name"]: row for row in strict(capsys.readouterr().out)["parameters"]}
     assert (rows["mu"]["lower"], rows["mu"]["upper"], rows["h0"]["fixed"]) == (0.0, 1.0, True)
+    assert run(["models", "lag"]) == 0
+    assert "lag:rest=level" in capsys.readouterr().out
     assert run(["datasets"]) == 0
     assert "stage-sine" in capsys.readouterr().out
     assert run(["datasets", "stage-step", "--out", str(folder / "step.csv")]) == 0

@@ -333,3 +333,43 @@ def test_name_of_a_model_makes_it_again(name):
     )
     assert registry.model_name(registry.make_model(expression)) == expression
     assert name in expression.split("+")
+
+
+def test_settings_follow_a_name():
+    made = registry.make_model("lag:rest=first+prandtl-ishlinskii-generalized:plays=8:degree=2+creep")
+    assert isinstance(made, Series)
+    plays = next(part for part in made.parts[1].parts if hasattr(part, "w"))
+    assert (plays.w.shape, plays.b.shape, made.parts[0].rest) == ((3, 8), (2,), "first")
+    assert registry.make_model("bouc-wen: scheme = exact").scheme == "exact"
+    assert registry.make_model("duhem:f=5:g=0").f.shape == (6,)
+    assert not registry.make_model("preisach:n=12:reversible=no").slopes.size
+
+
+@pytest.mark.parametrize("name", registry.MODELS)
+def test_settings_shown_are_those_of_the_plain_name(name):
+    entry = registry.MODELS[name]
+    plain, said = (
+        entry.make(),
+        entry.make(**registry._chosen(name, entry.shown())) if entry.settings() else entry.make(),
+    )
+    assert eqx.tree_equal(plain, said)
+
+
+@pytest.mark.usefixtures("as_users_run")
+@pytest.mark.parametrize(
+    ("expression", "message"),
+    [
+        ("bouc-wen:schem=exact", "got 'schem=exact', where it has scheme=semi-implicit"),
+        ("bouc-wen:", "NAME=VALUE"),
+        ("bouc-wen:scheme=exact:scheme=exact", "each once"),
+        ("offset:value=3+bouc-wen", "no settings"),
+        ("bouc-wen:scheme=implicit", "semi-implicit or exact"),
+        ("preisach:n=many", "n is a whole number, got 'many'"),
+        ("preisach:reversible=2", "reversible is yes or no"),
+        ("preisach:n=0", "at least one"),
+        ("duhem:f=-1", "0 or more"),
+    ],
+)
+def test_settings_that_a_model_does_not_have_are_refused(expression, message):
+    with pytest.raises(ModelError, match=message):
+        registry.make_model(expression)

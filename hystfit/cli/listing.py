@@ -41,19 +41,29 @@ def models(name: str | None = None, /, *, json: Json = False) -> int:
                 [heading] + [f"  {key:<32}{entry.doc}" for key, entry in MODELS.items() if entry.place == place] + [""]
             )
         lines.append(
-            "Example: hystfit fit LOOP --model lag+prandtl-ishlinskii-generalized+creep; or my_model.py:MyModel"
+            "Example: hystfit fit LOOP --model lag+prandtl-ishlinskii-generalized:plays=8+creep; or my_model.py:MyModel\n"
+            "Settings follow a name (preisach:n=60:reversible=no); hystfit models NAME lists them"
         )
-        listed = {key: {"place": entry.place, "about": entry.doc} for key, entry in MODELS.items()}
+        listed = {
+            key: {"place": entry.place, "about": entry.doc, "settings": entry.settings()}
+            for key, entry in MODELS.items()
+        }
         show("\n".join(lines), {"schema": "hystfit.models/1", "models": listed}, json)
         return 0
-    rows = _parameters_of(make_model(name))
+    entry = MODELS.get(name)
+    rows = _parameters_of(entry.make() if entry else make_model(name))
     lines = [f"{name}: {len(rows)} parameters"]
     for row in rows:
         bounds = f"{'-inf' if row['lower'] is None else row['lower']:>6} to {'inf' if row['upper'] is None else row['upper']:<6}"
         lines.append(
             f"  {row['name']:<16}{row['unit']:<12}{bounds:<18}{'held  ' if row['fixed'] else ''}{row['about']}"
         )
-    show("\n".join(lines), {"schema": "hystfit.models/1", "model": name, "parameters": rows}, json)
+    settings = entry.settings() if entry else {}
+    if entry and settings:
+        lines.append(f"settings (the model is {name}:{entry.shown()} where nothing is said)")
+    show(
+        "\n".join(lines), {"schema": "hystfit.models/1", "model": name, "parameters": rows, "settings": settings}, json
+    )
     return 0
 
 

@@ -180,12 +180,17 @@ def candidates(data: Dataset) -> tuple[str, ...]:
     return ("bouc-wen", *loops, "duhem", "preisach", SEARCH)
 
 
+def _levels_open(name: str, model: Preisach) -> bool:
+    """Whether the number of levels is to be found: not where the name has settings, or the curves give the levels."""
+    return ":" not in name and model.spacing != "reversal-curves"
+
+
 def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, FitResult | None]:
     started = time.perf_counter()
     try:
         if name == SEARCH:
             result, score, note = best_structure(data, seed)
-        elif isinstance(model := make_model(name), Preisach) and model.spacing != "reversal-curves":
+        elif isinstance(model := make_model(name), Preisach) and _levels_open(name, model):
             result, score, note = best_levels(model, data, seed)
         else:
             result, score, note = fit(model, data, seed=seed), None, ""

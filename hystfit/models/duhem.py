@@ -18,6 +18,8 @@ from hystfit.models.polynomial import derivative_matrix, legendre_series, legend
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params import param
 
+Scheme = Literal["midpoint", "explicit", "exact"]
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LONG = 8.0  # alpha |dv| up to which the quadrature is exact to rounding
 
@@ -52,16 +54,22 @@ class Duhem(AbstractHysteresis):
     half: Float[Array, ""] = param(
         1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range of f and g"
     )
-    scheme: Literal["midpoint", "explicit", "exact"] = eqx.field(static=True, default="midpoint")
+    scheme: Scheme = eqx.field(static=True, default="midpoint")
 
     def __check_init__(self) -> None:
         if self.scheme not in ("midpoint", "explicit", "exact"):
             raise ModelError(f"scheme must be midpoint, explicit or exact, got {self.scheme!r}")
 
     @classmethod
-    def of_order(cls, f: int = 3, g: int = 2, **fields: object) -> Duhem:
-        """A model with polynomials of these orders."""
-        return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], **fields)
+    def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint", **fields: object) -> Duhem:
+        """A model with polynomials of these orders.
+
+        Raises:
+            ModelError: a negative order, or an unknown scheme.
+        """
+        if f < 0 or g < 0:
+            raise ModelError(f"orders of polynomials are 0 or more, got {f} and {g}")
+        return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], scheme=scheme, **fields)
 
     @classmethod
     def from_powers(

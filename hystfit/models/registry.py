@@ -1,12 +1,14 @@
-"""Models by name: "bouc-wen", "lag+generalized-prandtl-ishlinskii+creep", or "my_model.py:MyModel"."""
+"""Models by name: "bouc-wen", "lag+prandtl-ishlinskii:plays=8+creep", or "my_model.py:MyModel"."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import importlib.util
+import inspect
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +33,30 @@ class Entry:
     """A model that the command line knows.
 
     Attributes:
-        make: builds it with its defaults.
+        make: builds it with its defaults, or with settings by name.
         place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
         doc: what it is for, one line.
         variant: tells this model from others of its class that stand before it.
     """
 
-    make: Callable[[], AbstractHysteresis]
+    make: Callable[..., AbstractHysteresis]
     place: str
     doc: str
     variant: Callable[[Any], bool] = lambda model: True
 
+    def settings(self) -> dict[str, int | bool | str]:
+        """What can be chosen beside values of parameters, with what it is where nothing is said."""
+        given = inspect.signature(self.make).parameters.values()
+        return {p.name: p.default for p in given if isinstance(p.default, (int, str))}
+
+    def shown(self) -> str:
+        """The settings as `make_model` takes them."""
+        said = lambda value: ("no", "yes")[value] if isinstance(value, bool) else value
+        return ":".join(f"{name}={said(value)}" for name, value in self.settings().items())
+
 
 MODELS: dict[str, Entry] = {
-    "duhem": Entry(Duhem, "core", "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters"),
+    "duhem": Entry(Duhem.of_order, "core", "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters"),
     "bouc-wen": Entry(BoucWen, "core", "normalized Bouc-Wen y = c v - h; symmetric loops, 5 parameters"),
     "bouc-wen-asymmetric": Entry(
         AsymmetricBoucWen, "core", "generalized Bouc-Wen: exponent, skew, bent backbone; 9 parameters"
@@ -58,22 +70,24 @@ MODELS: dict[str, Entry] = {
         BoucWenOscillator, "core", "mass, damper and Bouc-Wen spring; force in, displacement out; needs time"
     ),
     "preisach": Entry(
-        lambda: Preisach.of(30), "core", "Preisach with cells; weights >= 0 and smooth by a convex solve"
+        partial(Preisach.of, n=30, spacing="quantile"),
+        "core",
+        "Preisach with cells; weights >= 0 and smooth by a convex solve",
     ),
     "preisach-magnetic": Entry(
-        lambda: Preisach.of(40, symmetric=True),
+        partial(Preisach.of, n=40, symmetric=True, spacing="square"),
         "core",
         "Preisach of a material without remembered sign: mirror cells are tied",
         lambda model: model.symmetric,
     ),
     "preisach-relays": Entry(
-        lambda: Preisach.of(20, elements="relays"),
+        partial(Preisach.of, n=20, elements="relays", spacing="quantile"),
         "core",
         "Preisach with the classical point relays",
         lambda model: model.elements == "relays",
     ),
     "preisach-forc": Entry(
-        lambda: Preisach.of(40, spacing="reversal-curves"),
+        partial(Preisach.of, n=40, spacing="reversal-curves"),
         "core",
         "Preisach with cells from first-order reversal curves, each a record that starts from saturation",
         lambda model: model.spacing == "reversal-curves",
@@ -82,7 +96,7 @@ MODELS: dict[str, Entry] = {
         PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"
     ),
     "prandtl-ishlinskii-stop": Entry(
-        lambda: PrandtlIshlinskii.of(operator="stop"),
+        partial(PrandtlIshlinskii.of, operator="stop"),
         "core",
         "weighted stops; force against displacement (dampers, steel); convex solve",
         lambda model: model.operator == "stop",
@@ -94,7 +108,7 @@ MODELS: dict[str, Entry] = {
         lambda model: model.operator == "play" and len(model.envelopes) > 1,
     ),
     "prandtl-ishlinskii-hardening": Entry(
-        lambda: PrandtlIshlinskii.of(degree=3, operator="stop", hardening=True),
+        partial(PrandtlIshlinskii.of, degree=3, operator="stop", hardening=True),
         "core",
         "weighted stops that fade with the path: cyclic hardening",
         lambda model: model.hardening.size > 0,
@@ -116,24 +130,53 @@ MODELS: dict[str, Entry] = {
 def make_model(expression: str) -> AbstractHysteresis:
     """The model that an expression names: names joined by "+", or a file of the user's and a class in it.
 
-    Filters named "before" precede, those "after" follow the sum of the others, in the order in which they are written.
+    Filters named "before" precede, those "after" follow the sum of the others, in the order in which they are written. Settings
+    follow a name: "preisach:n=60:reversible=no".
 
     Raises:
-        ModelError: an unknown name (the message lists the names), a filter without a hysteresis, a file without such a class.
+        ModelError: an unknown name or setting (the message lists what there is), a filter without a hysteresis, a file without
+            such a class.
     """
     if ".py:" in expression:
         return _from_file(expression)
     places: dict[str, list[AbstractHysteresis]] = {"before": [], "core": [], "beside": [], "after": []}
-    for name in (part.strip() for part in expression.split("+")):
+    for part in expression.split("+"):
+        name, mark, given = (text.strip() for text in part.partition(":"))
         if name not in MODELS:
             raise ModelError(f"no model {name!r}; the models are: {', '.join(MODELS)} (join several by +)")
-        places[MODELS[name].place].append(MODELS[name].make())
+        places[MODELS[name].place].append(MODELS[name].make(**(_chosen(name, given) if mark else {})))
     added = places["core"] + places["beside"]
     if not added:
         raise ModelError(f"{expression!r} has no hysteresis model: add one, such as bouc-wen")
     inner = added[0] if len(added) == 1 else Sum(*added)
     chain = [*places["before"], inner, *places["after"]]
     return inner if len(chain) == 1 else Series(*chain)
+
+
+_SWITCH = {"yes": True, "true": True, "no": False, "false": False}
+
+
+def _chosen(name: str, given: str) -> dict[str, int | bool | str]:
+    """Settings of a model from "name=value:name=value".
+
+    Raises:
+        ModelError: not of that form, an unknown setting, or a value of another kind.
+    """
+    known, chosen = MODELS[name].settings(), {}
+    for pair in given.split(":"):
+        key, mark, text = (part.strip() for part in pair.partition("="))
+        if not mark or key not in known or key in chosen:
+            has = MODELS[name].shown() or "no settings"
+            raise ModelError(
+                f"{name}: settings are NAME=VALUE, each once, joined by colons; got {pair!r}, where it has {has}"
+            )
+        kind = type(known[key])
+        try:
+            chosen[key] = text if kind is str else _SWITCH[text.lower()] if kind is bool else int(text)
+        except (KeyError, ValueError):
+            needed = "yes or no" if kind is bool else "a whole number"
+            raise ModelError(f"{name}: {key} is {needed}, got {text!r}") from None
+    return chosen
 
 
 def _from_file(expression: str) -> AbstractHysteresis:
