@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colors, told apart by everybody.
 MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"
+DARK = "#8a5a00"  # of HELD_OUT, for words
 MANY = 12  # weights of one array above which they are summed up in one row
 _POINTS, _LOOP_POINTS, _RASTER = 4000, 40_000, 6000
+_BEYOND = 2.0  # times the largest residual fitted, outside of which a few others are not drawn
 
 
 def fit(
@@ -147,27 +149,36 @@ def _residuals(traces: list[_Trace], ax: Axes) -> None:
         at = thin(share, trace.residual)
         for mask, label, color in ((trace.seen, "fitted", MODEL), (trace.held, "not fitted", HELD_OUT)):
             _line(ax, trace.axis[at], np.where(mask, trace.residual, np.nan)[at], label, color, 0.8)
-    _zero(ax, traces)
+    ax.axhline(0.0, color="black", lw=0.7)
+    if any(trace.held.any() for trace in traces) and any(trace.seen.any() for trace in traces):
+        ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     ax.set(xlabel=_axis(traces), ylabel=traces[0].labels["residual"])
     ax.margins(x=0.01)
+    _frame(ax, traces)
 
 
 def _residuals_input(traces: list[_Trace], ax: Axes) -> None:
     share = max(1, _POINTS // len(traces))
     for trace in traces:
         at = thin(share, trace.u, trace.residual)
-        for mask, color in ((trace.seen, MODEL), (trace.held, HELD_OUT)):
+        for mask, color in ((trace.held, HELD_OUT), (trace.seen, MODEL)):
             y = np.where(mask, trace.residual, np.nan)[at]
             if np.isfinite(y).any():
                 ax.plot(trace.u[at], y, ".", ms=2, color=color, rasterized=True)
     ax.axhline(0.0, color="black", lw=0.7)
     ax.set(xlabel=traces[0].labels["u"], ylabel=traces[0].labels["residual"])
+    _frame(ax, traces)
 
 
-def _zero(ax: Axes, traces: list[_Trace]) -> None:
-    ax.axhline(0.0, color="black", lw=0.7)
-    if any(trace.held.any() for trace in traces) and any(trace.seen.any() for trace in traces):
-        ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+def _frame(ax: Axes, traces: list[_Trace]) -> None:
+    """Limits that show the residuals of the fit, where a few others are so large that they would flatten them."""
+    seen, held = (np.abs(np.concatenate([t.residual[getattr(t, k)] for t in traces])) for k in ("seen", "held"))
+    limit = _BEYOND * np.max(seen, initial=0.0)
+    beyond = held > limit
+    if limit > 0 and 0 < beyond.sum() <= 0.05 * held.size:
+        ax.set_ylim(-limit, limit)
+        words = f"{beyond.sum()} not fitted lie outside, up to {held.max():.3g}"
+        ax.text(0.99, 0.98, words, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
 
 
 def _autocorrelation(traces: list[_Trace], ax: Axes) -> None:
@@ -240,7 +251,7 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
                 ax.text(max(values), k, words, va="center", fontsize="small", color="#666666")
     ax.axvline(100.0, color=HELD_OUT, lw=1, ls="--")
     over = ax.get_xaxis_transform()
-    ax.text(100.0, 1.01, "as large as the value", transform=over, color="#8a5a00", fontsize="small", ha="center")
+    ax.text(100.0, 1.01, "as large as the value", transform=over, color=DARK, fontsize="small", ha="center")
     ax.set_xscale("log")
     ax.set(xlim=(left, right), ylim=(-0.6, len(rows) - 0.4), xlabel="standard error [% of the value]")
     ax.set_yticks(range(len(rows)), [name if len(f) == 1 else f"{name} ({len(f)})" for name, f in rows])

@@ -257,3 +257,18 @@ def test_labels_drop_a_unit_said_twice():
     assert axis_label("V", "V") == "V [V]"
     assert axis_label("force", "") == "force"
     assert axis_label("kappa_w", "[y]") == "kappa_w [y]"
+
+
+@pytest.mark.parametrize("kind", ["residuals", "residuals-input"])
+def test_a_few_residuals_not_fitted_do_not_flatten_those_of_the_fit(kind):
+    u = 30 * np.sin(2 * np.pi * np.arange(200) / 50)
+    y = 0.2 * u + 0.02 * np.random.default_rng(5).standard_normal(u.size)
+    whole = fit(BoucWen(), Record(u=u, y=y, weight=np.arange(200) < 150), starts=1)
+    assert not plot.fit(whole, kind, axes()).texts
+    y[[160, 170]] += [5.0, -7.0]
+    marred = fit(BoucWen(), Record(u=u, y=y, weight=np.arange(200) < 150), starts=1)
+    ax = plot.fit(marred, kind, axes())
+    said = re.fullmatch(r"2 not fitted lie outside, up to (\S+)", ax.texts[0].get_text())
+    assert said is not None
+    assert float(said[1]) == pytest.approx(7.0, abs=0.1)
+    assert np.abs(marred.predict(marred.data[0]) - y)[:150].max() < ax.get_ylim()[1] < 0.5

@@ -94,7 +94,7 @@ def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
         return ()
     return (
         f"the input moves by up to {largest:.2g} of the hysteresis' length in one sample, and the cheap step is trusted "
-        f"to {COARSE}: sample faster, or take the exact step (scheme='exact'; at the shell bouc-wen:scheme=exact)",
+        f"to {COARSE}: sample faster, or take the exact step (scheme='exact'; at the shell :scheme=exact after the model's name)",
     )
 
 
