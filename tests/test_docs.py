@@ -1,5 +1,6 @@
 """What the documents promise works: the skeleton of a model, the README's six lines, the lazy import."""
 
+import os
 import re
 import subprocess
 import sys
@@ -44,6 +45,12 @@ def test_skeleton_keeps_the_laws_and_fits(skeleton):
         assert abs(result[name].value - truth) < 4 * result[name].stderr < 0.05
 
 
+def by_itself(code: str) -> subprocess.CompletedProcess:
+    """Run a program in a process of its own, with JAX' own precision."""
+    plain = {k: v for k, v in os.environ.items() if k != "JAX_ENABLE_X64"}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=plain)
+
+
 def test_import_starts_no_backend_and_brings_no_optional_package():
     code = (
         "import sys, hystfit, hystfit.cli\n"
@@ -55,7 +62,7 @@ def test_import_starts_no_backend_and_brings_no_optional_package():
         "found = {'matplotlib', 'arviz', 'blackjax', 'emcee', 'h5py', 'jaxopt', 'openpyxl'} & set(sys.modules)\n"
         "assert not found, found\n"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    run = by_itself(code)
     assert run.returncode == 0, run.stderr
 
 
@@ -70,5 +77,5 @@ def test_single_precision_is_refused_with_the_remedy():
         "else:\n"
         "    raise SystemExit('no refusal')\n"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    run = by_itself(code)
     assert run.returncode == 0, run.stderr + run.stdout

@@ -186,6 +186,10 @@ def test_saved_and_read_back(posterior, tmp_path):
     np.testing.assert_array_equal(again.draws, posterior.draws)
     np.testing.assert_array_equal(again.log_density, posterior.log_density)
     assert (again.names, again.status, again.notes) == (posterior.names, posterior.status, posterior.notes)
+    assert again.to_dict() == posterior.to_dict()
+    made = again.provenance
+    assert made["fit"]["date"] == posterior.result.provenance["date"] <= made["date"]
+    assert (made["seed"], made["records"]) == (posterior.seed, posterior.result.provenance["records"])
     with pytest.raises(DataError, match="no posterior"):
         load_posterior(tmp_path)
 

@@ -1,11 +1,9 @@
-"""`Posterior`: draws with their diagnostics, tables, pictures, bands and derived quantities, and the file that keeps them."""
+"""`Posterior`: draws with their diagnostics, tables, pictures, bands and derived quantities."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import json
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,14 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.results import FitResult
+from hystfit.sampling import files
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.predictive import predictive_draws, simulate_draws
 from hystfit.sampling.raw import Evidence
 
-SCHEMA = "hystfit.sample/1"
 ADVICE = {
     "ok": "usable",
     "poor-fit": "the draws have converged, on a model that does not describe these data: choose another one (hystfit compare)",
@@ -46,6 +44,7 @@ class Posterior:
         priors: in words, by parameter.
         seconds: wall time of sampling.
         seed: of the draws.
+        provenance: of the draws: date, versions, seed, data, and under "fit" the date of the fit.
         evidence: log evidence of model, noise and priors together, of nested sampling; None from other samplers.
     """
 
@@ -63,6 +62,7 @@ class Posterior:
     priors: dict[str, str]
     seconds: float
     seed: int
+    provenance: dict[str, Any]
     evidence: Evidence | None = None
 
     @property
@@ -128,7 +128,7 @@ class Posterior:
         """The contents of `result.json`."""
         diverging = self.stats.get("diverging")
         return {
-            "schema": SCHEMA,
+            "schema": files.SCHEMA,
             "model": self.result.name,
             "status": self.status,
             "advice": ADVICE[self.status],
@@ -144,7 +144,7 @@ class Posterior:
             "derived": {row["name"]: {k: v for k, v in row.items() if k != "name"} for row in self.derived_rows},
             "priors": self.priors,
             "timing": {"sampling_s": self.seconds},
-            "provenance": {**self.result.provenance, "seed": self.seed},
+            "provenance": self.provenance,
         }
 
     def thinned(self, count: int, seed: int = 0) -> np.ndarray:
@@ -218,27 +218,7 @@ class Posterior:
 
     def dataset(self) -> Any:
         """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them."""
-        xarray = _xarray()
-        chains, draws, _ = self.draws.shape
-        place = {"chain": np.arange(chains), "draw": np.arange(draws)}
-        variables = {name: (("chain", "draw"), self.draws[:, :, k]) for k, name in enumerate(self.names)}
-        made = xarray.Dataset(variables, coords=place)
-        for name, unit in zip(self.names, self.units, strict=True):
-            made[name].attrs["units"] = unit
-        made.attrs["hystfit"] = json.dumps(self._header())
-        return made
-
-    def _header(self) -> dict[str, Any]:
-        numbers = {k: getattr(self.convergence, k).tolist() for k in ("rhat", "bulk", "tail")}
-        own = {k: getattr(self, k) for k in ("sampler", "noise", "status", "priors", "seconds", "seed")}
-        return own | {
-            "schema": SCHEMA,
-            "convergence": numbers,
-            "evidence": self.evidence,
-            "names": list(self.names),
-            "units": list(self.units),
-            "notes": list(self.notes),
-        }
+        return files.dataset(self)
 
     def to_arviz(self) -> Any:
         """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
@@ -259,20 +239,7 @@ class Posterior:
             MissingExtraError: xarray or h5netcdf is not installed.
             HystfitError: the folder cannot be written.
         """
-        from hystfit.saved import dump_json, writing
-
-        xarray = _xarray()
-        target = Path(folder)
-        with writing(target) as scratch:
-            dump_json(scratch / "result.json", self.to_dict())
-            file = scratch / "posterior.nc"
-            self.dataset().to_netcdf(file, group="posterior", engine="h5netcdf", mode="w")
-            stats = {
-                k: (("chain", "draw"), np.asarray(v, float)) for k, v in {"lp": self.log_density, **self.stats}.items()
-            }
-            xarray.Dataset(stats).to_netcdf(file, group="sample_stats", engine="h5netcdf", mode="a")
-        self.result.save(target / "fit")
-        return target
+        return files.save(self, folder)
 
 
 def load_posterior(folder: str | Path) -> Posterior:
@@ -282,34 +249,4 @@ def load_posterior(folder: str | Path) -> Posterior:
         DataError: the folder holds no such file, or one that is damaged.
         MissingExtraError: xarray or h5netcdf is not installed.
     """
-    from hystfit.saved import load_fit
-
-    xarray, place = _xarray(), Path(folder)
-    file = place / "posterior.nc"
-    try:
-        with xarray.open_dataset(file, group="posterior", engine="h5netcdf") as stored:
-            header = json.loads(stored.attrs["hystfit"])
-            draws = np.stack([stored[name].values for name in header["names"]], axis=-1)
-        with xarray.open_dataset(file, group="sample_stats", engine="h5netcdf") as stored:
-            stats = {str(k): stored[k].values for k in stored}
-    except (OSError, KeyError, ValueError) as error:
-        raise DataError(f"{os.fspath(file)!r} is no posterior that hystfit saved: {error}") from error
-    kept = {k: header[k] for k in ("sampler", "noise", "status", "priors", "seconds", "seed")}
-    names, units, notes = (tuple(header[k]) for k in ("names", "units", "notes"))
-    return Posterior(
-        load_fit(place / "fit"), names=names, units=units, notes=notes, draws=draws, log_density=stats.pop("lp"), stats=stats,
-        convergence=_stored_convergence(header), evidence=header["evidence"] and Evidence(*header["evidence"]), **kept,
-    )  # fmt: skip
-
-
-def _stored_convergence(header: dict[str, Any]) -> Convergence:
-    return Convergence(**{k: np.array(v, float) for k, v in header["convergence"].items()})
-
-
-def _xarray() -> Any:
-    try:
-        import h5netcdf  # noqa: F401
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError("h5netcdf", "bayes", "a posterior file (netCDF)") from error
-    return xarray
+    return Posterior(**files.load(folder))

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from hystfit.config import require_x64
 from hystfit.errors import DataError, ParameterError
 from hystfit.priors import AbstractPrior, LogNormal
-from hystfit.results import FitResult
+from hystfit.results import FitResult, provenance
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.draws import Posterior
 from hystfit.sampling.ensemble import Ensemble
@@ -100,6 +100,7 @@ def sample(
         priors=setup.describe_priors(),
         seconds=seconds,
         seed=seed,
+        provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),
         evidence=raw.evidence,
     )
 
