@@ -353,6 +353,10 @@ BAD = [
     (["fit"], "requires an argument"),
     (["fot"], "Did you mean"),
     (["fit", "LOOP", "--modle", "duhem"], "Did you mean --model"),
+    (
+        ["compare", "LOOP", "--models", "duhem", "bouc-wen"],
+        "'bouc-wen' belongs to no option: to give several values, repeat",
+    ),
     (["compare", "LOOP", "--models", "bouc-wen,foo"], "no model 'foo'"),
     (["compare", "LOOP", "--out", "plain/x"], "cannot write"),
     (["check", "one.csv"], "at least two"),

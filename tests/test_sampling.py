@@ -213,7 +213,11 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
     assert found["hysteresis_percent"].std() > 0
     with pytest.raises(ParameterError, match="no creep"):
         posterior.derived(["creep_percent_per_decade"])
-    for kind in ("corner", "trace", "rank", "bands"):
+    figure = posterior.plot("corner")
+    titles = [ax.get_title().splitlines()[0] for ax in figure.axes if ax.get_title()]
+    assert tuple(titles) == posterior.names
+    plt.close(figure)
+    for kind in ("trace", "rank", "bands"):
         plt.close(posterior.plot(kind))
 
 

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 
 import platformdirs
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
 
@@ -76,6 +76,11 @@ def run(arguments: Sequence[str]) -> int:
         with interruptible():
             status = app(list(arguments), exit_on_error=False, print_error=False)
         return status if isinstance(status, int) else 0
+    except UnusedCliTokensError as error:
+        extra = " ".join(error.unused_tokens or ())
+        return _refuse(
+            f"{extra!r} belongs to no option: to give several values, repeat the option (--fix rho --fix mu)"
+        )
     except CycloptsError as error:
         return _refuse(str(error))
     except HystfitError as error:

@@ -53,8 +53,9 @@ def _corner(posterior: Posterior) -> Any:
         smooth=1.0,
     )
     panels = np.array(figure.axes).reshape(len(labels), len(labels))
-    for ax, column in zip(np.diag(panels), flat[:, moving].T, strict=True):
-        ax.set_title(_title(column), fontsize=10)
+    names = [name for name, on in zip(posterior.names, moving, strict=True) if on]
+    for ax, name, column in zip(np.diag(panels), names, flat[:, moving].T, strict=True):
+        ax.set_title(f"{name}\n{_title(column)}", fontsize=10)
     figure.suptitle(
         "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %", fontsize=11
     )
