@@ -152,14 +152,15 @@ def test_settings_that_mean_nothing_are_refused():
 
 
 @contextmanager
-def dask(workers: int):
-    with distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as cluster:
+def dask(workers: int, processes: bool):
+    settings = {"threads_per_worker": 1, "protocol": "tcp://", "dashboard_address": ":0"}
+    with distributed.LocalCluster(n_workers=workers, processes=processes, **settings) as cluster:
         yield cluster
 
 
 def test_dask_workers_make_the_same_chunks(honest, tmp_path):
     study, again = honest[1], tmp_path / "dask"
-    with dask(1) as cluster:
+    with dask(1, processes=True) as cluster:
         found = calibrate(
             TRUTH, DATA, noise="iid", replicates=20, fix=["rho"], folder=again, scheduler=cluster.scheduler_address
         )
@@ -181,7 +182,7 @@ def test_dask_workers_that_are_not_there_end_a_study_and_keep_its_chunks(
 ):
     # Tasks that no worker takes wait for ever.
     monkeypatch.setattr(chunks, "_PATIENCE", 2.0)
-    with dask(workers) as cluster:
+    with dask(workers, processes=False) as cluster:
         told = lambda line: threading.Thread(target=leave, args=[cluster]).start() if line.startswith("1 of") else None
         with pytest.raises(DataError, match=message):
             calibrate(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import concurrent.futures
-import contextlib
 import hashlib
 import json
 import multiprocessing
@@ -28,6 +27,7 @@ Chunk = dict[str, np.ndarray]
 Outcome = tuple[int, Chunk | Exception]
 # Seconds that a scheduler is waited for, and a worker that runs: one that was killed is started anew in less.
 _PATIENCE = 30.0
+_PAUSE = 0.2  # seconds between two looks at tasks on their way
 _GO_ON = "the same call goes on from the chunks that its folder holds, where it was given one"
 
 
@@ -117,24 +117,30 @@ def _by_dask(study: Study, numbers: Sequence[int], scheduler: str) -> Iterator[O
 
 def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Future]:
     """Tasks as they end. A scheduler keeps what no worker takes for ever: where none runs for long, that is an error."""
-    from distributed import wait
-
     alone = time.monotonic()
     while waiting:
-        ended = set()
-        try:
-            with contextlib.suppress(TimeoutError):
-                ended, waiting = wait(waiting, 1.0, "FIRST_COMPLETED")  # type: ignore[misc]  # it is no coroutine
-            known = client.scheduler_info(n_workers=-1)["workers"].values()
-        except (OSError, concurrent.futures.CancelledError) as error:
-            raise DataError(f"the Dask scheduler at {address!r} was lost; {_GO_ON}") from error
+        time.sleep(_PAUSE)
+        running = client.status == "running" and _running(client)
+        if any(task.cancelled() for task in waiting):  # a client's tasks go with its connection
+            raise DataError(f"the Dask scheduler at {address!r} was lost; {_GO_ON}")
+        ended = {task for task in waiting if task.done()}
         yield from ended
-        if any(worker["status"] == "running" for worker in known):
+        waiting = waiting - ended
+        if running or ended:
             alone = time.monotonic()
         elif time.monotonic() - alone > _PATIENCE:
             raise DataError(
                 f"the Dask scheduler at {address!r} has no workers that run: start some (dask worker ADDRESS); {_GO_ON}"
             )
+
+
+def _running(client: Client) -> bool:
+    """Whether any worker takes tasks; not where a scheduler that is going says nothing of them."""
+    try:
+        workers = client.scheduler_info(n_workers=-1).get("workers", {})
+    except OSError:
+        return False
+    return any(worker["status"] == "running" for worker in workers.values())
 
 
 def _knock(scheduler: str) -> None:
