@@ -25,8 +25,8 @@ from hystfit.sampling.target import Target
 
 MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
-_TOGETHER = 8  # walkers at once where trajectories are kept: those of more leave the cache
 _STEADY = 0.05  # and their estimate of it has settled to this, relative
+_TOGETHER = 8  # walkers at once where trajectories are kept: those of more leave the cache
 _FINE = 20.0  # samples of an autocorrelation time that are enough to estimate it
 
 
