@@ -3,8 +3,9 @@
 import os
 
 import jax
+import numpy as np
 
-from hystfit.errors import PrecisionError
+from hystfit.errors import ParameterError, PrecisionError
 
 # XLA compiles a scan on a CPU into one native loop only while its body is below a threshold of about 1 kB, and dispatches every
 # operation of every step otherwise: 3 to 10 times slower for the larger models, measured on their fits.
@@ -31,3 +32,14 @@ def require_x64() -> None:
     """
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise PrecisionError("hystfit fits in double precision; call hystfit.enable_x64() before anything else")
+
+
+def require_seed(seed: int) -> int:
+    """Refuse what some generator of random numbers does not take as a seed, before any work.
+
+    Raises:
+        ParameterError: not a whole number from 0 to 2^32 - 1.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32:
+        raise ParameterError(f"a seed is a whole number from 0 to {2**32 - 1}, got {seed!r}")
+    return int(seed)

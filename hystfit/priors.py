@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,9 +19,9 @@ from hystfit.errors import ParameterError
 from hystfit.space import ParameterSpace
 
 _WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natural size
-_DECADES = (
-    3.0  # standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way
-)
+# Standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way.
+_LOG_WIDE = 3.0
+_INSIDE = 0.01  # of the natural size, by which a value on its bound is moved off it
 _DRAWS = 2000  # of a prior, to see where it lies
 _NUMBERS = ("mean", "sd", "median", "spread", "edge", "lower", "upper")
 _LOG_ROOT = float(0.5 * np.log(2 * np.pi))
@@ -32,6 +33,10 @@ def _number(value: Any) -> Array:
 
 class AbstractPrior(eqx.Module):
     """A density over one parameter."""
+
+    def exact(self) -> list[str | float]:
+        """Kind and numbers to the last digit, which tell one prior from every other."""
+        return [type(self).__name__, *(float(getattr(self, field.name)) for field in dataclasses.fields(self))]
 
     @abc.abstractmethod
     def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
@@ -170,7 +175,11 @@ def parse(words: str) -> AbstractPrior:
 
 
 def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> dict[str, AbstractPrior]:
-    """Priors about given values: a relative `spread`, of the distance to a bound or of the natural size."""
+    """Priors about given values: a relative `spread`, of the distance to a bound or of the natural size.
+
+    About a value on a bound (a play's weight of zero) there is no such prior: it is moved inside by a hundredth of the natural
+    size, or of the way between two bounds.
+    """
     c = space.coordinates
     lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
     found: dict[str, AbstractPrior] = {}
@@ -178,10 +187,12 @@ def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> 
         if kind == REAL:
             found[name] = Normal(x[k], spread * max(0.1 * scale[k], abs(float(x[k]))))
         elif kind == BOTH:
-            found[name] = LogitNormal(lower[k], upper[k], x[k], 2 * spread)
+            away = _INSIDE * (upper[k] - lower[k])
+            found[name] = LogitNormal(lower[k], upper[k], np.clip(x[k], lower[k] + away, upper[k] - away), 2 * spread)
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
-            found[name] = LogNormal(side * (x[k] - edge), spread, edge, side)
+            distance = side * (x[k] - edge)
+            found[name] = LogNormal(distance if distance > 0 else _INSIDE * scale[k], spread, edge, side)
     return found
 
 
@@ -204,7 +215,7 @@ def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[s
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
             weight = HalfNormal(_WIDE * scale[k], edge, side)
-            found[name] = weight if info.linear else LogNormal(scale[k], _DECADES, edge, side)
+            found[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
     return found
 
 

@@ -154,16 +154,6 @@ class Problem:
         """Weighted residuals in units of the output's half range at z, shape (R * T,)."""
         return np.asarray(_residuals(self.objective, jnp.asarray(z)))
 
-    def log_likelihood(self, z: Any, sigma: float) -> float:
-        """Gaussian log likelihood of the samples that count, with independent noise of standard deviation sigma [output units]."""
-        r = np.asarray(_residuals(self.objective, jnp.asarray(z))) * self.scales.y / sigma
-        count = self.objective.batch.count
-        return float(-0.5 * np.sum(r**2) - count * (np.log(sigma) + 0.5 * np.log(2 * np.pi)))
-
-    def model_at(self, z: Any, record: int = 0) -> Any:
-        """The model at z, as record number `record` sees it."""
-        return self.space.tree(z, record)
-
 
 @eqx.filter_jit
 def _predict_physical(objective: Objective, x: Array) -> Array:

@@ -76,7 +76,7 @@ class FitResult:
         honest_ratio: by how much the errors grew for it, beside those for independent residuals.
         rank, condition: of the relative Jacobian; None where there is none.
         method: the estimator's name; `starts` and `in_best_basin`, how many starts and how many of them agree.
-        compile_s, run_s: time of the first call and of a second one; None where it was not measured.
+        compile_s, run_s: seconds that the fit spent compiling and running; None where it was not measured.
         provenance: versions, seed, data checksums, date.
     """
 

@@ -143,6 +143,15 @@ def load_records(path: Path) -> Dataset:
     return Dataset(tuple(records), name=described["name"])
 
 
+def holds_fit(folder: Path) -> bool:
+    """Whether a folder holds what `FitResult.save` wrote."""
+    try:
+        stored = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(stored, dict) and stored.get("schema") == SCHEMA
+
+
 def load_fit(folder: str | Path) -> FitResult:
     """The result that `FitResult.save` or `hystfit fit --out` wrote.
 
@@ -163,7 +172,7 @@ def load_fit(folder: str | Path) -> FitResult:
         raise DataError(f"{folder / 'result.json'}: schema {found!r}, expected {SCHEMA!r}")
     try:
         return _result_of(stored, described, load_records(folder / "records.npz"))
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit anew") from error
 
 

@@ -7,11 +7,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import distributed
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.priors import LogNormal, priors_around
+from hystfit.space import ParameterSpace
 from hystfit.uncertainty import chunks
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 
@@ -227,3 +231,29 @@ def test_a_scheduler_without_dask_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"hystfit\[batch\]"):
         calibrate(TRUTH, DATA, noise="iid", replicates=1, scheduler="tcp://nowhere:1")
+
+
+def test_what_a_fit_freed_is_calibrated_too(tmp_path):
+    found = calibrate(TRUTH, DATA, noise="iid", replicates=10, fix=["rho"], free=["h0"], folder=tmp_path)
+    assert "h0" in found.names
+    with pytest.raises(DataError, match="another study"):
+        calibrate(TRUTH, DATA, noise="iid", replicates=10, fix=["rho"], folder=tmp_path)
+
+
+def test_weights_of_zero_and_values_on_bounds_have_priors_inside():
+    play = hf.PrandtlIshlinskii(w=[[0.5, 0.0]], r=[0.1, 0.3], b=[1.0])
+    space = ParameterSpace.of(play)
+    around = priors_around(space, space.vector(play))
+    assert isinstance(around["w[0,1]"], LogNormal)
+    bound = hf.BoucWen(c=1.0, mu=1.0, tau=0.0, rho=-1.0)
+    every = priors_around(ParameterSpace.of(bound), ParameterSpace.of(bound).vector(bound))
+    for prior in (*around.values(), *every.values()):
+        drawn = np.asarray(prior.sample(jax.random.key(0), (50,)))
+        assert np.all(np.isfinite([prior.log_density(jnp.asarray(x)) for x in drawn]))
+
+
+@pytest.mark.parametrize("content", [b"[]", b"{}", b"\xff\xfe", b"half a f"])
+def test_a_damaged_label_of_a_study_is_told(tmp_path, content):
+    (tmp_path / "study.json").write_bytes(content)
+    with pytest.raises(DataError, match="is damaged"):
+        calibrate(TRUTH, DATA, noise="iid", replicates=10, folder=tmp_path)

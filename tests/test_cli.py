@@ -357,6 +357,8 @@ BAD = [
         ["compare", "LOOP", "--models", "duhem", "bouc-wen"],
         "'bouc-wen' belongs to no option: to give several values, repeat",
     ),
+    (["fit", "LOOP", "--method", "ukf", "--noise", "ou"], "--noise has no meaning for --method ukf"),
+    (["fit", "LOOP", "--method", "rls", "--starts", "3"], "--starts has no meaning for --method rls"),
     (["compare", "LOOP", "--models", "bouc-wen,foo"], "no model 'foo'"),
     (["compare", "LOOP", "--out", "plain/x"], "cannot write"),
     (["check", "one.csv"], "at least two"),
@@ -406,7 +408,10 @@ def test_a_damaged_fit_is_refused(fitted, folder, capsys):
     damaged.mkdir()
     for name in ("model.json", "records.npz"):
         (damaged / name).write_bytes((fitted / name).read_bytes())
-    for content in ("{", '{"schema": "other/1"}', '{"schema": "hystfit.fit/1"}', "[]"):
+    whole = strict((fitted / "result.json").read_text())
+    changed = [{"metrics": None}, {"covariance": [[1.0]]}, {"parameters": 3}]
+    by_hand = [json.dumps({**whole, **change}) for change in changed]
+    for content in ("{", '{"schema": "other/1"}', '{"schema": "hystfit.fit/1"}', "[]", *by_hand):
         (damaged / "result.json").write_text(content)
         assert run(["report", str(damaged)]) == 2
         assert "damaged" in (words := capsys.readouterr().err) or "schema" in words

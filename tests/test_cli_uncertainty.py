@@ -8,6 +8,7 @@ import pytest
 import hystfit as hf
 from hystfit import priors
 from hystfit.cli import run
+from hystfit.cli.uncertainty import _priors
 from hystfit.errors import ParameterError
 
 
@@ -95,3 +96,34 @@ def test_priors_are_read_from_words():
     for words in ("normal", "normal(1)", "cauchy(0,1)", "normal(a,b)"):
         with pytest.raises(ParameterError, match="a prior is one of"):
             priors.parse(words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["profile"],
+        ["errors"],
+        ["sample"],
+        ["calibrate"],
+        ["design"],
+        ["predict", "stage-sweep"],
+        ["invert", "stage-sweep"],
+    ],
+)
+def test_no_result_takes_the_place_of_a_fit(fitdir, capsys, words):
+    before = (fitdir / "result.json").read_bytes()
+    assert run([words[0], str(fitdir), *words[1:], "--out", str(fitdir)]) == 2
+    assert "holds a fit" in capsys.readouterr().err
+    assert (fitdir / "result.json").read_bytes() == before
+    assert run(["report", str(fitdir)]) == 0
+
+
+def test_priors_of_parameters_of_records_called_by_a_value():
+    assert str(_priors(["offset@field=3=normal(0,1)"])["offset@field=3"]) == "normal, mean 0, sd 1"
+    with pytest.raises(ParameterError, match="NAME=KIND"):
+        _priors(["offset"])
+
+
+def test_a_seed_that_no_generator_takes_is_bad_input(fitdir, capsys):
+    assert run(["sample", str(fitdir), "--sampler", "nested", "--seed", "-1"]) == 2
+    assert "a seed is a whole number" in capsys.readouterr().err

@@ -239,3 +239,13 @@ def test_a_noise_model_frees_what_a_repeating_error_pushed_to_a_bound():
     assert found["rho"].at_bound is None
     for name, value in (("c", 1.0), ("mu", 0.5), ("tau", 2.0), ("rho", 0.5)):
         assert abs(found[name].value - value) < 4 * found[name].stderr, name
+
+
+def test_a_record_without_time_beside_one_with_it_is_evenly_sampled():
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.exponential(0.1, 40))
+    timed = hf.Record(u=np.sin(t), y=rng.normal(size=40), t=t, name="timed")
+    plain = hf.Record(u=np.sin(t[:30]), y=rng.normal(size=30), name="plain")
+    both = np.asarray(Setting.of(Batch.of(hf.Dataset((timed, plain)))).gap)
+    np.testing.assert_array_equal(both[1, :30], 1.0)
+    np.testing.assert_allclose(both[0, 1:40] * np.median(timed.dt[timed.dt > 0]), np.diff(t), rtol=1e-9)

@@ -10,9 +10,11 @@ import scipy.optimize
 
 import hystfit as hf
 from hystfit.errors import ParameterError
+from hystfit.fitting.again import problem_of
+from hystfit.noise import Setting
 from hystfit.uncertainty.covariances import covariance
 from hystfit.uncertainty.design import design
-from hystfit.uncertainty.profiles import profile
+from hystfit.uncertainty.profiles import _whitened, profile
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
 
@@ -221,3 +223,68 @@ def test_bad_questions_are_refused(fitted):
         covariance(fitted, "bootstrap", block=500)
     with pytest.raises(ParameterError, match="kind must be"):
         covariance(fitted, "jackknife")
+
+
+def test_weights_all_alike_change_no_error(fitted):
+    record = fitted.data[0]
+    heavy = hf.fit(TRUTH, record.replace(weight=np.full(len(record), 4.0)), starts=1, noise="iid")
+    plain, same = (profile(result, ["tau"])["tau"] for result in (fitted, heavy))
+    np.testing.assert_allclose([same.lower, same.upper], [plain.lower, plain.upper], rtol=1e-3)
+    for kind in ("iid", "sandwich"):
+        errors = (covariance(result, kind, block=20).stderr for result in (heavy, fitted))
+        np.testing.assert_allclose(*errors, rtol=1e-4)
+
+
+def test_weights_count_in_errors_as_in_the_fit(fitted):
+    record = fitted.data[0]
+    uneven = hf.fit(
+        TRUTH, record.replace(weight=np.where(np.arange(len(record)) < 200, 9.0, 1.0)), starts=1, noise="iid"
+    )
+    own = [uneven[name].stderr for name in uneven.free_names]
+    np.testing.assert_allclose(covariance(uneven, "iid").stderr, own, rtol=1e-3)
+
+
+def test_a_profile_takes_a_kernel_in_parts_of_the_range_that_it_was_learned_on():
+    u = np.concatenate([np.sin(np.arange(300) / 15), 2 * np.sin(np.arange(300) / 15)])
+    y = np.asarray(hf.simulate(TRUTH, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=600)
+    windowed = hf.fit(TRUTH, hf.Record(u=u, y=y, weight=np.arange(600) < 300), starts=1, noise="iid")
+    problem, x = problem_of(windowed)
+    whitened = _whitened(windowed, problem, x, np.ones(x.size, bool), "discrepancy")[2]
+    place = np.asarray(Setting.of(problem.objective.batch).place)[0, :300]
+    np.testing.assert_allclose(np.asarray(whitened.setting.place)[0, :300], place, atol=1e-12)
+
+
+def test_a_design_starts_from_what_the_fit_knows():
+    record = loop(T=600)
+    part = hf.fit(TRUTH, record.replace(weight=np.arange(600) < 200), starts=1, noise="iid")
+    made = design(part, samples=300, method="families")
+    for name in part.free_names:
+        assert made.present[name] == pytest.approx(part[name].stderr, rel=0.05)
+
+
+def test_each_record_of_a_design_has_an_offset_of_its_own():
+    first, second = (loop(T=400, seed=k).replace(name=name) for k, name in enumerate(("first", "second")))
+    both = hf.fit(TRUTH, [first, second.replace(y=second.y + 1.0)], starts=1, noise="iid")
+    made = design(both, samples=300, method="families")
+    for name in both.free_names:
+        assert made.present[name] == pytest.approx(both[name].stderr, rel=0.05)
+    offsets = [name for name in both.free_names if name.startswith("offset")]
+    assert len(offsets) == 2
+    # Another record tells of the offsets of these only through the loop that they share.
+    for name in offsets:
+        assert made.best.stderr[name] > 0.5 * made.present[name]
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+@pytest.mark.usefixtures("as_users_run")
+def test_seeds_that_no_generator_takes_are_refused_at_once(fitted, seed):
+    for ask in (
+        lambda: hf.fit(TRUTH, fitted.data, seed=seed),
+        lambda: hf.sample(fitted, seed=seed),
+        lambda: hf.compare(fitted.data, seed=seed),
+        lambda: hf.calibrate(TRUTH, fitted.data, seed=seed),
+        lambda: covariance(fitted, "bootstrap", seed=seed),
+        lambda: design(fitted, seed=seed),
+    ):
+        with pytest.raises(ParameterError, match="a seed is a whole number from 0"):
+            ask()

@@ -18,10 +18,11 @@ import scipy.signal
 import scipy.stats
 
 import hystfit as hf
+import hystfit.models
 from hystfit import priors
-from hystfit.errors import DataError, ParameterError
+from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
-from hystfit.sampling.draws import load_posterior
+from hystfit.sampling.draws import Posterior, load_posterior
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.posterior import prepare
 from hystfit.sampling.sample import beside_priors, sample
@@ -418,3 +419,56 @@ def test_a_parameter_that_the_data_do_not_move_is_named(fitted):
     told = sample(fitted, noise="iid", chains=2, draws=900, warmup=200, priors={"tau": priors.LogNormal(2.03, 1e-6)})
     assert "tau is hardly determined" in str(told)
     assert np.log(told["tau"]).std() == pytest.approx(1e-6, rel=0.15)
+
+
+@pytest.mark.parametrize("words", ["normal(1234,5)", "log-normal(1234,5)", "half-normal(1234)", "uniform(0,1234)"])
+def test_priors_that_print_alike_are_told_apart(words):
+    one, other = priors.parse(words), priors.parse(words.replace("1234", "1234.1"))
+    assert str(one) == str(other)
+    assert one.exact() != other.exact()
+    assert priors.parse(words).exact() == one.exact()
+
+
+def test_a_run_under_another_prior_or_other_settings_is_another_run(fitted, tmp_path):
+    small = {"noise": "iid", "walkers": 16, "draws": 50, "check": 50, "folder": tmp_path}
+    first = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)
+    again = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)
+    np.testing.assert_array_equal(again.draws, first.draws)
+    with pytest.raises(DataError, match="another run"):
+        sample(fitted, "emcee", priors={"c": priors.Normal(1.0001, 0.5)}, **small)
+    with pytest.raises(DataError, match="another run"):
+        sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **{**small, "check": 25})
+
+
+def test_records_may_be_called_with_slashes(tmp_path):
+    first, second = (loop(seed=k)[0].replace(name=f"coil/{k}") for k in range(2))
+    both = hf.fit(loop()[1], [first, second], starts=1, fix={"rho": 0.5}, noise="iid")
+    made = sample(both, "emcee", noise="iid", walkers=16, draws=50)
+    again = load_posterior(made.save(tmp_path / "p"))
+    assert "offset@coil/1" in again.names
+    np.testing.assert_array_equal(again["offset@coil/1"], made["offset@coil/1"])
+    made.to_arviz()
+
+
+def test_predictions_of_a_model_with_time_need_time(fitted):
+    t = np.arange(300) / 100
+    u = np.sin(2 * np.pi * t)
+    model = hf.models.Series(hf.BoucWen(c=1.0, mu=0.5, tau=2.0), hf.models.LogCreep(gamma=[0.02]))
+    record = hf.Record(u=u, y=np.asarray(hf.simulate(model, u, 0.01)[0]) + 0.001 * np.cos(40 * t), t=t)
+    drawn = sample(hf.fit(model, record, start="model", starts=1, noise="iid"), "emcee", noise="iid", draws=50)
+    with pytest.raises(ModelError, match="depends on time"):
+        drawn.predict(hf.Record(u=u, y=u))
+
+
+def test_bands_under_heavy_tails_have_the_tails_of_students_t(fitted):
+    p, dof = len(fitted.free_names), 2.5
+    row = np.concatenate([[fitted[n].value for n in fitted.free_names], [0.5, dof]])
+    names = (*fitted.free_names, "noise_white", "noise_dof")
+    nothing = Convergence(*(np.ones(row.size) for _ in range(3)))
+    draws = np.tile(row, (1, 4000, 1))
+    drawn = Posterior(
+        fitted, "nuts", "student-t", names, ("",) * (p + 2), draws, np.zeros((1, 4000)), {}, nothing, "ok", (), {}, 0.0, 0, {}
+    )  # fmt: skip
+    ahead = hf.Record(u=np.linspace(-1, 1, 30), y=np.zeros(30))
+    low, _, high = drawn.bands(ahead, 0.9, count=4000)
+    assert np.median(high - low) == pytest.approx(2 * 0.5 * scipy.stats.t.ppf(0.95, dof), rel=0.05)

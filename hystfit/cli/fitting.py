@@ -71,7 +71,7 @@ def fit(
         out: folder for result.json, the saved fit, the report and its pictures.
         json: print result.json alone.
     """
-    refuse_unwritable(out)
+    refuse_unwritable(out, fit=True)
     given = {"fix": held(fix or []), "free": free or [], "loss": loss, "start": start, "starts": starts, "noise": noise}
     train, test = train_and_test(loop, reading, split)
     if model == "auto" and method not in Sequential:
@@ -111,17 +111,7 @@ def _best(train: Dataset, method: str, given: dict[str, Any], seed: int) -> FitR
     """The winner of `compare`, with a note that says so."""
     from hystfit.fitting.compare import compare as compare_models
 
-    defaults = {
-        "fix": {},
-        "free": [],
-        "loss": "linear",
-        "start": "data",
-        "starts": 8,
-        "noise": "auto",
-        "method": "auto",
-    }
-    changed = [name for name, value in {**given, "method": method}.items() if value != defaults[name]]
-    if changed:
+    if changed := _changed({**given, "method": method}):
         raise ParameterError(
             f"--{changed[0]} needs a model of your choice: add --model NAME (hystfit models lists them, hystfit compare "
             "ranks them)"
@@ -137,6 +127,14 @@ def _best(train: Dataset, method: str, given: dict[str, Any], seed: int) -> FitR
     return dataclasses.replace(comparison.winner, notes=(note, *comparison.winner.notes))
 
 
+_DEFAULTS = {"fix": {}, "free": [], "loss": "linear", "start": "data", "starts": 8, "noise": "auto", "method": "auto"}
+
+
+def _changed(given: dict[str, Any]) -> list[str]:
+    """Options that were given another value than their default."""
+    return [name for name, value in given.items() if value != _DEFAULTS[name]]
+
+
 def _sequential(train: Dataset, model: str, method: str, given: dict[str, Any], seed: int) -> FitResult:
     """A sample-by-sample identification as a fit."""
     from hystfit.cli.sequential import as_fit
@@ -144,9 +142,8 @@ def _sequential(train: Dataset, model: str, method: str, given: dict[str, Any], 
     from hystfit.identify import identify
     from hystfit.models.registry import make_model
 
-    unused = [name for name in ("fix", "free") if given[name]]
-    if unused or given["loss"] != "linear":
-        raise ParameterError(f"--{(unused or ['loss'])[0]} has no meaning for --method {method}: leave it out")
+    if unused := _changed(given):
+        raise ParameterError(f"--{unused[0]} has no meaning for --method {method}: leave it out")
     watch = Stopwatch()
     with progress(f"identifying by {method}"):
         found = identify(train, method=method, model=None if model == "auto" else make_model(model))

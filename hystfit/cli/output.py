@@ -48,13 +48,21 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
         yield say
 
 
-def refuse_unwritable(out: Path | None) -> None:
-    """Fail before long work where the result could not be written after it.
+def refuse_unwritable(out: Path | None, *, fit: bool = False) -> None:
+    """Fail before long work where the result could not be written after it, or would take the place of a fit.
+
+    Args:
+        out: folder for results.
+        fit: what is written is a fit, or stands beside it.
 
     Raises:
-        HystfitError: `out` cannot be written.
+        HystfitError: `out` cannot be written, or holds a fit.
     """
-    if out is not None:
-        from hystfit.saved import check_writable
+    if out is None:
+        return
+    from hystfit.errors import HystfitError
+    from hystfit.saved import check_writable, holds_fit
 
-        check_writable(out)
+    check_writable(out)
+    if not fit and holds_fit(out):
+        raise HystfitError(f"{str(out)!r} holds a fit, whose result.json would be lost: choose another folder")

@@ -93,7 +93,7 @@ def _priors(given: list[str]) -> dict[str, Any]:
 
     chosen = {}
     for item in given:
-        name, mark, words = item.partition("=")
+        name, mark, words = item.rpartition("=")  # records are called field=3, and parameters offset@field=3
         if not mark:
             raise ParameterError(f"--prior is NAME=KIND(A,B), got {item!r}")
         chosen[name] = parse(words)
@@ -198,6 +198,7 @@ def calibrate(
     result = load_fit(fitdir)
     refuse_unwritable(out)
     fixed = [p.name for p in result.parameters if p.fixed]
+    free = list(dict.fromkeys(name.partition("@")[0] for name in result.free_names))
     with progress("calibrating") as say:
         found = study(
             result.model,
@@ -208,6 +209,7 @@ def calibrate(
             replicates=replicates,
             spread=spread,
             fix=fixed,
+            free=free,
             seed=seed,
             folder=None if out is None else out / "run",
             workers=workers,

@@ -111,7 +111,7 @@ def report(folder: Path, /, *, out: Path | None = None, json: Json = False) -> i
 
     result = load_fit(folder)
     target = out or folder
-    refuse_unwritable(target)
+    refuse_unwritable(target, fit=True)
     with progress("drawing"):
         write(result, target)
     show(f"{text_report(result)}\nWritten to {target}: report.html, pictures", result.to_dict(), json)

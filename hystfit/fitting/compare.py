@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import require_seed, require_x64
 from hystfit.data.loops import loop_area
 from hystfit.data.record import Dataset, Record
 from hystfit.data.reversal import recognize_family
@@ -139,6 +139,7 @@ def compare(
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
     """
     require_x64()
+    require_seed(seed)
     if left_out not in SCHEMES:
         raise ParameterError(f"left_out must be one of {', '.join(SCHEMES)}, got {left_out!r}")
     data = Dataset.of(data)

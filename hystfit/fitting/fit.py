@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError, ModelError, ParameterError
 from hystfit.fitting.bounded import BoundedDescent
@@ -91,6 +91,7 @@ def fit(
         HystfitError: data, names or settings that cannot be used; the message says what to do.
     """
     require_x64()
+    require_seed(seed)
     named = isinstance(model, str)
     model = make_model(model) if named else model
     data = Dataset.of(data)

@@ -37,7 +37,7 @@ class Setting(eqx.Module):
         u, dt, weight = (np.asarray(v) for v in (batch.u, batch.dt, batch.weight))
         low, high = limits or (float(u.min()), float(u.max()))
         typical = float(np.median(dt[dt > 0])) if (dt > 0).any() else 1.0
-        gap = dt / typical if (dt > 0).any() else np.ones_like(dt)
+        gap = np.where((dt > 0).any(axis=1, keepdims=True), dt / typical, 1.0)
         last = [int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in weight]
         inside = np.concatenate([row[1 : end + 1] for row, end in zip(gap, last, strict=True)])
         even = bool(np.all(np.abs(inside - 1.0) < _UNEVEN))

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib.metadata
+import json
+import os
 import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from hystfit.errors import DataError
 
 
 def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -28,3 +35,42 @@ def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarr
         np.savez(handle, **arrays)  # type: ignore[arg-type]
     scratch.replace(file)
     return arrays
+
+
+def claim(folder: Path, label: str, described: dict[str, Any]) -> Path:
+    """A folder for the parts of one run, new or of the same one: `described`, which the file `label` keeps, tells runs apart.
+
+    Other versions of hystfit or JAX make another run: what they compute need not go on from the same point.
+
+    Raises:
+        DataError: the folder holds another run, a damaged label, or cannot be made.
+    """
+    versions = {name: importlib.metadata.version(name) for name in ("hystfit", "jax")}
+    described = {**described, "versions": versions}
+    digest = hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()
+    file, what = folder / label, Path(label).stem
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if file.exists() and _digest(file) != digest:
+            raise DataError(
+                f"{os.fspath(folder)!r} holds another {what} (other data, model, priors, seed, settings or versions): "
+                "choose another folder"
+            )
+        scratch = folder / f".{label}"
+        scratch.write_text(json.dumps({"digest": digest, **described}, indent=1, default=str), encoding="utf-8")
+        scratch.replace(file)
+    except OSError as error:
+        raise DataError(f"cannot keep the {what} in {os.fspath(folder)!r}: {error.strerror or error}") from error
+    return folder
+
+
+def _digest(file: Path) -> str:
+    """Of the run that a folder holds.
+
+    Raises:
+        DataError: the file is damaged.
+    """
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["digest"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{os.fspath(file)!r} is damaged: remove its folder to start anew") from error

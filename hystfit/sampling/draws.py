@@ -227,7 +227,7 @@ class Posterior:
         except ImportError as error:
             raise MissingExtraError("arviz", "bayes", "to_arviz") from error
         stats = {"lp": self.log_density, **self.stats}
-        posterior = {name: self.draws[:, :, k] for k, name in enumerate(self.names)}
+        posterior = {files.variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
         if hasattr(arviz, "InferenceData"):
             return arviz.from_dict(posterior=posterior, sample_stats=stats)
         return arviz.from_dict({"posterior": posterior, "sample_stats": stats})

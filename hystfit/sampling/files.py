@@ -21,15 +21,22 @@ _PLAIN = ("sampler", "noise", "status", "priors", "seconds", "seed", "provenance
 _LISTS = ("names", "units", "notes")
 
 
+def variable(name: str) -> str:
+    """A parameter's name as a variable of a netCDF file, which takes no slashes (records are called field/7)."""
+    return name.replace("/", "|")
+
+
 def dataset(posterior: Posterior) -> Any:
     """Draws as an xarray Dataset with dimensions chain and draw; what is no draw stands in an attribute as JSON."""
     xarray = _xarray()
     chains, draws, _ = posterior.draws.shape
     place = {"chain": np.arange(chains), "draw": np.arange(draws)}
-    variables = {name: (("chain", "draw"), posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)}
+    variables = {
+        variable(name): (("chain", "draw"), posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)
+    }
     made = xarray.Dataset(variables, coords=place)
     for name, unit in zip(posterior.names, posterior.units, strict=True):
-        made[name].attrs["units"] = unit
+        made[variable(name)].attrs["units"] = unit
     made.attrs["hystfit"] = json.dumps(_header(posterior))
     return made
 
@@ -60,7 +67,7 @@ def load(folder: str | Path) -> dict[str, Any]:
     try:
         with xarray.open_dataset(file, group="posterior", engine="h5netcdf") as stored:
             header = json.loads(stored.attrs["hystfit"])
-            draws = np.stack([stored[name].values for name in header["names"]], axis=-1)
+            draws = np.stack([stored[variable(name)].values for name in header["names"]], axis=-1)
         with xarray.open_dataset(file, group="sample_stats", engine="h5netcdf") as stored:
             stats = {str(k): stored[k].values for k in stored}
         kept = {k: header[k] for k in _PLAIN} | {k: tuple(header[k]) for k in _LISTS}

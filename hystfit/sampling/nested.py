@@ -73,7 +73,7 @@ class Nested:
         if apart > 3 * float(np.sqrt(np.mean(own**2))):
             notes.append(
                 f"the evidences of the runs differ by {np.ptp(values):.2g}, more than their errors: more steps are needed "
-                "(raise live or moves)"
+                "(raise live, at the shell --live)"
             )
         if not all(run.ended for run in runs):
             notes.append("the likelihood goes on rising without end: more steps are needed, or a proper noise level")

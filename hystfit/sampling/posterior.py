@@ -41,7 +41,6 @@ class Setup:
         noise_name: which noise model.
         noise_space: its parameters.
         target: centered on the posterior's mode and whitened by the curvature there.
-        mode: log posterior at the mode.
         names, units: of all parameters.
         notes: what was chosen, and why.
     """
@@ -50,7 +49,6 @@ class Setup:
     noise_name: str
     noise_space: ParameterSpace
     target: Target
-    mode: float
     names: tuple[str, ...]
     units: tuple[str, ...]
     notes: tuple[str, ...]
@@ -65,7 +63,8 @@ def choose_noise(left: Leftover, asked: str) -> tuple[str, list[str]]:
     found = diagnose(left)
     if asked == "auto":
         name = found.recommended if found.recommended in ("discrepancy", "student-t") else "ou"
-        return name, [f"noise model {name}, because {'; '.join(found.reasons)}"]
+        plain = "the default, which holds independent noise as a case" if found.recommended == "iid" else ""
+        return name, [f"noise model {name}: {plain or '; '.join(found.reasons)}"]
     return asked, [f"noise={asked!r} was asked for, but {why}" for why in found.objections(asked)]
 
 
@@ -116,7 +115,7 @@ def prepare(
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
     target = eqx.tree_at(lambda t: (t.center, t.factor), start, (jnp.asarray(center), jnp.asarray(factor)))
-    return Setup(problem, name, space, target, value, names, units, tuple(notes))
+    return Setup(problem, name, space, target, names, units, tuple(notes))
 
 
 def noise_priors(space: ParameterSpace, left: Leftover) -> dict[str, AbstractPrior]:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.coordinates import Coordinates
 from hystfit.data.batch import Batch
 from hystfit.data.record import Record
+from hystfit.errors import ModelError
 from hystfit.fitting.again import problem_of
 from hystfit.fitting.generalized import raw_residual
 from hystfit.models.base import run
@@ -31,7 +32,13 @@ def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, own: 
 
 
 def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
-    """Outputs over a record's input for rows of free parameters x, shape (count, p): (count, T)."""
+    """Outputs over a record's input for rows of free parameters x, shape (count, p): (count, T).
+
+    Raises:
+        ModelError: no time for a model that needs it.
+    """
+    if record.t is None and not result.model.rate_independent:
+        raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     problem, _ = problem_of(result)
     names = [r.name for r in result.data]
     own = names.index(record.name) if record.name in names else 0
@@ -49,21 +56,15 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     flat = posterior.draws.reshape(-1, len(names))
     rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
     y = simulate_draws(posterior.result, record, rows[:, :p])
-    variance = _independent_variance(rows, names)[:, None]
+    if "noise_dof" in names:
+        dof, size = (rows[:, names.index(name), None] for name in ("noise_dof", "noise_white"))
+        return y + size * np.random.default_rng(seed + 1).standard_t(np.broadcast_to(dof, y.shape))
+    parts = [k for k, name in enumerate(names) if name in ("noise_white", "noise_slow")]
+    variance = np.sum(rows[:, parts] ** 2, axis=1)[:, None]
     if "noise_loop" in names:
         curve, unknown = _repeating(posterior, record, rows, seed)
         y, variance = y + curve, variance + unknown
     return y + np.sqrt(variance) * np.random.default_rng(seed + 1).normal(size=y.shape)
-
-
-def _independent_variance(rows: np.ndarray, names: tuple[str, ...]) -> Float[np.ndarray, " count"]:
-    """Marginal variance of slow and independent noise in each draw."""
-    parts = [k for k, name in enumerate(names) if name in ("noise_white", "noise_slow")]
-    variance = np.sum(rows[:, parts] ** 2, axis=1)
-    if "noise_dof" in names:
-        dof = rows[:, names.index("noise_dof")]
-        variance = variance * np.where(dof > 2.1, dof / (dof - 2), 20.0)
-    return variance
 
 
 def _repeating(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import require_x64
-from hystfit.errors import DataError, ParameterError
+from hystfit.config import require_seed, require_x64
+from hystfit.errors import ParameterError
 from hystfit.priors import AbstractPrior, LogNormal
 from hystfit.results import FitResult, provenance
+from hystfit.sampling.chunks import claim
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.draws import Posterior
 from hystfit.sampling.ensemble import Ensemble
@@ -64,7 +63,7 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     require_x64()
-    seed = int(seed)
+    seed = require_seed(seed)
     if sampler not in SAMPLERS:
         raise ParameterError(f"sampler must be one of {', '.join(SAMPLERS)}, got {sampler!r}")
     known = [field.name for field in dataclasses.fields(SAMPLERS[sampler])]
@@ -72,7 +71,7 @@ def sample(
         raise ParameterError(f"settings of {sampler} are {', '.join(known)}; got {', '.join(unknown)}")
     chosen = SAMPLERS[sampler](**settings)
     setup = prepare(result, noise=noise, priors=priors)
-    place = None if folder is None else _claim(Path(folder), setup, result, sampler, seed, settings)
+    place = None if folder is None else _claim(Path(folder), setup, result, chosen, sampler, seed)
     started = time.perf_counter()
     raw = chosen.run(setup, seed, place, progress or (lambda words, part: None))
     seconds = time.perf_counter() - started
@@ -154,12 +153,10 @@ def _of_the_fit(result: FitResult) -> list[str]:
     return [f"the fit from which the draws start is not usable ({result.status}): {result.advice}"]
 
 
-def _claim(folder: Path, setup: Setup, result: FitResult, sampler: str, seed: int, settings: Mapping[str, Any]) -> Path:
-    """The folder of a run, new or of the same one.
-
-    Raises:
-        DataError: the folder holds another run, or cannot be made.
-    """
+def _claim(
+    folder: Path, setup: Setup, result: FitResult, chosen: Nuts | Ensemble | Nested, sampler: str, seed: int
+) -> Path:
+    """The folder of a run: with more draws it is the same."""
     from hystfit.models.storage import to_json
 
     described = {
@@ -167,34 +164,9 @@ def _claim(folder: Path, setup: Setup, result: FitResult, sampler: str, seed: in
         "model": [to_json(model) for model in result.models],
         "free": list(setup.names),
         "noise": setup.noise_name,
-        "priors": setup.describe_priors(),
+        "priors": {name: prior.exact() for name, prior in zip(setup.names, setup.target.priors, strict=True)},
         "sampler": sampler,
         "seed": seed,
-        "settings": {k: v for k, v in settings.items() if k != "draws"},
+        "settings": {k: v for k, v in dataclasses.asdict(chosen).items() if k != "draws"},
     }
-    digest = hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        label = folder / "run.json"
-        if label.exists() and _digest(label) != digest:
-            raise DataError(
-                f"{str(folder)!r} holds another run (other data, model, priors, sampler, seed or settings): choose another folder"
-            )
-        scratch = folder / ".run.json"
-        scratch.write_text(json.dumps({"digest": digest, **described}, indent=1, default=str), encoding="utf-8")
-        scratch.replace(label)
-    except OSError as error:
-        raise DataError(f"cannot keep the run in {str(folder)!r}: {error.strerror or error}") from error
-    return folder
-
-
-def _digest(label: Path) -> str:
-    """Of the run that a folder holds.
-
-    Raises:
-        DataError: the file is damaged.
-    """
-    try:
-        return str(json.loads(label.read_text(encoding="utf-8"))["digest"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{str(label)!r} is damaged: remove its folder to start anew") from error
+    return claim(folder, "run.json", described)

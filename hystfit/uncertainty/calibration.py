@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import binom
 
-from hystfit.config import require_x64
+from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
@@ -185,6 +185,7 @@ def calibrate(
     spread: float = 0.2,
     priors: Mapping[str, AbstractPrior] | None = None,
     fix: Sequence[str] | Mapping[str, float] = (),
+    free: Sequence[str] = (),
     seed: int = 0,
     folder: str | Path | None = None,
     workers: int = 1,
@@ -203,6 +204,7 @@ def calibrate(
         spread: relative width of the priors about the model's values.
         priors: the user's own, by name.
         fix: parameters to hold.
+        free: parameters to fit that the model holds.
         seed: of everything.
         folder: keeps finished chunks; the same call goes on from them.
         workers: processes on this machine.
@@ -215,6 +217,7 @@ def calibrate(
         DataError: the folder holds another study.
     """
     require_x64()
+    require_seed(seed)
     if method not in ("laplace", "nuts", "emcee"):
         raise ParameterError(f"method must be laplace, nuts or emcee, got {method!r}")
     if replicates < 1 or workers < 1 or not spread > 0:
@@ -222,12 +225,13 @@ def calibrate(
     records = Dataset.of(data)
     if isinstance(model, str):
         model = make_model(model).start(list(records))
-    problem = Problem(model, records, fix=fix)
+    problem = Problem(model, records, fix=fix, free=free)
     fixed_model, held = problem.space.template, tuple(name for name, _, _ in problem.space.fixed())
     truth = valued_noise(noise, problem) if isinstance(noise, str) else noise
     make_noise(assumed or truth.name)
     choose_priors(problem.space, priors, problem.space.vector(fixed_model))  # says what is wrong with the user's own
-    study = Study(fixed_model, records, truth, assumed or truth.name, method, spread, dict(priors or {}), held, seed)
+    given = dict(priors or {})
+    study = Study(fixed_model, records, truth, assumed or truth.name, method, spread, given, held, tuple(free), seed)
     if method == "emcee" and len(problem.space) > 10:
         raise ParameterError(
             f"emcee is for up to 10 parameters, the model has {len(problem.space)}: use nuts or laplace"

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
-import hashlib
-import json
 import multiprocessing
-import os
 import socket
 import time
 import zipfile
@@ -18,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystfit.errors import DataError, HystfitError, MissingExtraError
+from hystfit.sampling.chunks import claim
 from hystfit.uncertainty.replicates import CHUNK, Study, broken_chunk, run_chunk
 
 if TYPE_CHECKING:
@@ -169,21 +167,7 @@ def _claim(folder: Path, study: Study) -> Path:
     from hystfit.models.storage import to_json
 
     values = {k: np.asarray(v).tolist() for k, v in vars(study.truth).items() if hasattr(v, "shape")}
-    own = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "seed")}
-    priors = {k: str(v) for k, v in study.priors.items()}
+    own = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "free", "seed")}
+    priors = {k: v.exact() for k, v in study.priors.items()}
     described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **own}
-    described["inputs"] = [record.digest() for record in study.data]
-    digest = hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        label = folder / "study.json"
-        if label.exists() and json.loads(label.read_text(encoding="utf-8")).get("digest") != digest:
-            raise DataError(f"{os.fspath(folder)!r} holds another study: choose another folder")
-        scratch = folder / ".study.json"
-        scratch.write_text(json.dumps({"digest": digest, **described}, indent=1, default=str), encoding="utf-8")
-        scratch.replace(label)
-    except json.JSONDecodeError as error:
-        raise DataError(f"{os.fspath(folder / 'study.json')!r} is damaged: choose another folder") from error
-    except OSError as error:
-        raise DataError(f"cannot keep the study in {os.fspath(folder)!r}: {error.strerror or error}") from error
-    return folder
+    return claim(folder, "study.json", described | {"inputs": [record.digest() for record in study.data]})

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.config import require_x64
+from hystfit.config import require_seed, require_x64
 from hystfit.errors import ParameterError
 from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import near_bound
@@ -187,6 +187,7 @@ def covariance(
             noise model.
     """
     require_x64()
+    require_seed(seed)
     noise = result.provenance.get("noise", {}).get("name", "auto")
     if noise not in ("auto", "iid"):
         raise ParameterError(
@@ -197,8 +198,10 @@ def covariance(
     if block is not None and block < 1:
         raise ParameterError(f"a block holds at least one sample, got {block}")
     problem, x = problem_of(result)
-    used = np.asarray(problem.objective.batch.weight) > 0
+    weight = np.asarray(problem.objective.batch.weight)
+    used, root = weight > 0, np.sqrt(weight)
     r, J = (np.asarray(v) for v in _linear(problem.objective, jnp.asarray(x)))
+    r, J = r * root, J * root[..., None]
     live = np.array([side is None for side in near_bound(problem, x)])
     rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, used, strict=True) if on.any()]
     total = sum(len(row) for row, _ in rows)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import require_x64
+from hystfit.config import require_seed, require_x64
 from hystfit.coordinates import REAL, Coordinates
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
@@ -144,7 +144,7 @@ def design(
 ) -> Design:
     """Propose the next excitation.
 
-    Families of signals (one and more amplitudes, decaying, reversal curves, random reversals) and, with "gradient", turning levels
+    Families of signals (one and two amplitudes, decaying, growing, random reversals) and, with "gradient", turning levels
     moved by the derivative of the simulation are compared by the errors that the linearized model predicts, with the present data's
     information added and a wide prior. The design is right near the fitted values only: measure, fit again, design again.
 
@@ -161,6 +161,7 @@ def design(
         ParameterError: limits out of order, an unknown parameter, fewer than 100 samples.
     """
     require_x64()
+    require_seed(seed)
     problem, x = problem_of(result)
     names = problem.space.names
     chosen = tuple(aim) if aim else names
@@ -176,8 +177,9 @@ def design(
     sigma = result.sigma * result.honest_ratio
     typical = float(np.median(np.concatenate([r.dt for r in result.data])))
     prior = jnp.eye(x.size) / _PRIOR**2
-    setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical))
-    now = prior + sum(_information(*setting, jnp.asarray(r.u)) for r in result.data)
+    own = jnp.asarray([info.per_record for info in problem.space.infos])
+    setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical), own)
+    now = prior + sum(_known(*setting[:3], record, jnp.asarray(k)) for k, record in enumerate(problem.data))
     counted = jnp.asarray([name in chosen for name in names])
     inputs = _families(low, high, samples, seed)
     if method == "gradient":
@@ -190,12 +192,10 @@ def design(
 
     candidates = []
     for name, u in inputs.items():
-        matrix = now + _information(*setting, jnp.asarray(u))
+        matrix = now + _added(*setting, jnp.asarray(u))
         candidates.append(Candidate(name, np.asarray(u), errors(matrix), float(_score(matrix, counted))))
     candidates.sort(key=lambda one: one.score)
-    closes = _closed(
-        np.asarray(now), np.asarray(now + _information(*setting, jnp.asarray(candidates[0].u))), list(names)
-    )
+    closes = _closed(np.asarray(now), np.asarray(now + _added(*setting, jnp.asarray(candidates[0].u))), list(names))
     present = {name: None if result[name].stderr is None else error for name, error in errors(now).items()}
     notes = []
     if not result.usable:
@@ -218,12 +218,36 @@ def _sizes(c: Coordinates, x: np.ndarray) -> np.ndarray:
     return np.where(kind == REAL, np.maximum(np.abs(x), scale), np.maximum(np.abs(x), 1e-3 * scale))
 
 
+def _known(c: Coordinates, x: Array, scale: Array, record: Record, number: Array) -> Float[Array, "p p"]:
+    """Information about x / size from a record as it was fitted: its own parameters, and the samples that counted."""
+    weight = np.where(record.used, record.weight, 0.0)
+    return _information(c, x, scale, *(jnp.asarray(v) for v in (record.u, record.dt, weight)), number)
+
+
 @eqx.filter_jit
-def _information(c: Coordinates, x: Array, scale: Array, dt: Array, u: Float[Array, " T"]) -> Float[Array, "p p"]:
-    """Information about x / size from an input."""
-    push = lambda t: jax.jvp(lambda x: run(c.assemble(x, 0), u, jnp.full_like(u, dt))[0], (x,), (t,))[1]
-    J = jax.vmap(push)(jnp.eye(x.shape[0])) * scale[:, None]
+def _information(
+    c: Coordinates,
+    x: Array,
+    scale: Array,
+    u: Float[Array, " T"],
+    dt: Float[Array, " T"],
+    weight: Float[Array, " T"],
+    number: Array,
+) -> Float[Array, "p p"]:
+    push = lambda t: jax.jvp(lambda x: run(c.assemble(x, number), u, dt)[0], (x,), (t,))[1]
+    J = jax.vmap(push)(jnp.eye(x.shape[0])) * scale[:, None] * jnp.sqrt(weight)
     return J @ J.T
+
+
+@eqx.filter_jit
+def _added(c: Coordinates, x: Array, scale: Array, dt: Array, own: Array, u: Float[Array, " T"]) -> Float[Array, "p p"]:
+    """Information from another record with this input, whose own parameters (`own`, such as its offset) are to be found from it too."""
+    F = _information(c, x, scale, u, jnp.full_like(u, dt), jnp.ones_like(u), jnp.asarray(0))
+    nuisance = jnp.where(own, 1.0, 0.0)
+    A = F * nuisance
+    inner = A * nuisance[:, None] + jnp.diag(jnp.where(own, _PRIOR**-2, 1.0))
+    left = F - A @ jnp.linalg.solve(inner, A.T)
+    return left * (1 - nuisance) * (1 - nuisance)[:, None]
 
 
 def _score(matrix: Array, counted: Array) -> Array:
@@ -265,9 +289,8 @@ def _optimize(
     starts = np.concatenate([np.tile([[1.0, -1.0]], (1, _TURNS // 2)), rng.normal(size=(2, _TURNS))])
 
     def score(w: Array, setting: tuple[Any, ...], now: Array) -> Array:
-        c, x, scale, dt = setting
         u = _through(middle + half * jnp.tanh(w), samples, middle)
-        return _score(now + _information(c, x, scale, dt, u), counted)
+        return _score(now + _added(*setting, u), counted)
 
     @eqx.filter_jit
     def descend(w: Array, setting: tuple[Any, ...], now: Array) -> tuple[Array, Array]:

@@ -220,7 +220,10 @@ def _whitened(
     """How misfit is counted, where the optimum is, the whitened problem, and by how much each parameter's error is wider than there."""
     batch = trimmed(problem.objective.batch)
     objective: Objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
-    setting = Setting.of(batch)
+    whole = np.asarray(problem.objective.batch.u)
+    setting = Setting.of(
+        batch, (float(whole.min()), float(whole.max()))
+    )  # lengths of a kernel are in parts of that range
     if noise == "auto":
         noise = str((result.provenance.get("noise") or {}).get("name", "auto"))
     if noise == "student-t":
@@ -228,7 +231,7 @@ def _whitened(
     if noise not in ("auto", "iid"):
         refined = refine(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), noise, moving)
         return noise, refined.x, Whitened(objective, refined.noise, setting), np.ones(x.size)
-    r = np.asarray(_residuals(objective, jnp.asarray(x)))
+    r = np.asarray(_residuals(objective, jnp.asarray(x))) * np.sqrt(np.asarray(batch.weight))
     used = np.asarray(batch.weight) > 0
     wider = error_ratios(problem, x) if noise == "auto" else np.ones(x.size)
     sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))

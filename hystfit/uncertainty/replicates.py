@@ -46,6 +46,7 @@ class Study:
         spread: relative width of the priors.
         priors: the user's own, by name.
         fix: parameters held.
+        free: parameters fitted that the model holds.
         seed: of everything.
     """
 
@@ -57,6 +58,7 @@ class Study:
     spread: float
     priors: Mapping[str, AbstractPrior]
     fix: tuple[str, ...]
+    free: tuple[str, ...]
     seed: int
 
 
@@ -81,7 +83,7 @@ class Spaces:
     """
 
     def __init__(self, study: Study):
-        problem = Problem(study.model, study.data, fix=study.fix)
+        problem = Problem(study.model, study.data, fix=study.fix, free=study.free)
         same = study.assumed == study.truth.name
         noise = study.truth if same else valued_noise(study.assumed, problem)
         model = problem.space
