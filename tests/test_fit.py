@@ -263,3 +263,18 @@ def test_a_loop_that_loses_stiffness_is_refused():
     fit = hf.fit("bouc-wen-force", hf.Record(u=u, y=worn), starts=1)
     assert fit.status == "poor"
     assert "loses stiffness" in " ".join(fit.notes)
+
+
+def test_white_noise_as_large_as_the_loop_is_no_fault_of_the_model():
+    """Neither is noise without a loop described by one, nor a loop that the model cannot make."""
+    rng, truth = np.random.default_rng(0), hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+    u = 0.1 * np.sin(2 * np.pi * 3 * np.arange(600) / 600)
+    y = np.asarray(hf.simulate(truth, u)[0])
+    noisy = hf.fit("bouc-wen", hf.Record(u=u, y=y + 0.01 * rng.normal(size=600)), starts=2)
+    assert noisy.train.nrmse_percent > 3
+    assert noisy.status == "ok"
+    assert any("all noise" in note for note in noisy.notes)
+    empty = hf.fit("bouc-wen", hf.Record(u=u, y=rng.normal(size=600)), starts=2)
+    assert empty.status == "poor"
+    bent = hf.fit("bouc-wen", hf.Record(u=u, y=y + 0.01 * np.sin(90 * u) + 0.001 * rng.normal(size=600)), starts=2)
+    assert bent.status == "poor"

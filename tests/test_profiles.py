@@ -165,9 +165,10 @@ def test_a_design_gives_no_error_to_what_the_fit_leaves_open(faint):
     assert all(made.present[name] is None for name in open_)
     assert all(made.present[name] > 0 for name in set(faint.free_names) - set(open_))
     assert any("beforehand" in note for note in made.notes)
-    assert made.status == "ok"  # a faint loop is what a design is for
-    assert faint.status == "poor"
-    assert any("not usable (poor)" in note for note in made.notes)
+    assert (faint.status, made.status) == ("ok", "ok")  # noise hides the loop, and a faint loop is what a design is for
+    poor = design(dataclasses.replace(faint, status="poor"), samples=300, method="families")
+    assert poor.status == "ok"
+    assert any("not usable (poor)" in note for note in poor.notes)
 
 
 def test_a_design_for_data_without_a_loop_is_not_usable():

@@ -234,8 +234,10 @@ def conclude(
     models = tuple(space.coordinates.assemble(jnp.asarray(estimate.x), k) for k in range(len(data)))
     bounds = near_bound(problem, estimate.x)
     predicted = problem.predict_at(estimate.x)
-    train = Metrics.of([r.y[r.used] for r in data], [y[r.used] for r, y in zip(data, predicted, strict=True)])
-    status, why = status_of(data, models[0], estimate, train)
+    measured, made = [r.y[r.used] for r in data], [y[r.used] for r, y in zip(data, predicted, strict=True)]
+    train = Metrics.of(measured, made)
+    left = [y - m for y, m in zip(made, measured, strict=True)]
+    status, why = status_of(data, models[0], estimate, train, left)
     linear = [info.linear for info in space.infos]
     notes = why + list(extra) + notes_of(data, models[0], space.names, linear, estimate, errors, bounds)
     compile_s, run_s = watch.read()

@@ -12,13 +12,17 @@ from hystfit.data.reversal import recognize_family
 from hystfit.data.verdict import degrades
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
-from hystfit.metrics import Metrics
+from hystfit.metrics import Metrics, is_correlated
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach import Preisach
 
 _POOR = 10.0  # percent of range above which no fit is called usable
 _ROUGH = 3.0  # percent of range above which a reason is looked for why the model may be the wrong one
 _SHARE = 0.7  # of the error of a single-valued curve: above it the loop itself is not described
+_ENOUGH = 30  # residuals of a record that can be called white
+_NOISY = (
+    "the error is {:.3g} % of the range and all noise, for the residuals are white: average cycles, or drive further"
+)
 _MANY = 12  # weights above this number are counted in a note, not named
 
 
@@ -49,8 +53,25 @@ def curve_error(data: Dataset) -> float:
     return float(np.sqrt(np.mean((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2)))
 
 
-def status_of(data: Dataset, model: AbstractHysteresis, estimate: Estimate, train: Metrics) -> tuple[str, list[str]]:
-    """Status of a fit, and why."""
+def only_noise_is_left(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+    """Whether residuals are white beside a loop that stands out of them: however large they are, no model leaves less.
+
+    Args:
+        rows: residuals of each record.
+        plain: RMSE of the best single-valued curve.
+        parameters: of the model; the loop is believed where it is worth them by the Bayesian information criterion.
+    """
+    count = sum(row.size for row in rows)
+    rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+    if min(row.size for row in rows) < _ENOUGH or any(is_correlated(row) for row in rows) or not 0 < rmse < plain:
+        return False
+    return bool(2 * count * np.log(plain / rmse) > parameters * np.log(count))
+
+
+def status_of(
+    data: Dataset, model: AbstractHysteresis, estimate: Estimate, train: Metrics, rows: Sequence[np.ndarray]
+) -> tuple[str, list[str]]:
+    """Status of a fit that leaves the residuals `rows` (of each record), and why."""
     from_saturation = isinstance(model, Preisach) and model.spacing == "reversal-curves"
     if not (from_saturation or turns_back(data)):
         family = recognize_family(data)
@@ -64,9 +85,10 @@ def status_of(data: Dataset, model: AbstractHysteresis, estimate: Estimate, trai
         ]
     percent = train.nrmse_percent if train.nrmse_percent is not None else np.inf
     plain = curve_error(data)
-    if percent > _POOR:
+    noise = percent > _ROUGH and only_noise_is_left(rows, plain, estimate.x.size)
+    if percent > _POOR and not noise:
         return "poor", [f"the error is {percent:.3g} % of the range: the model does not describe this loop"]
-    if percent > _ROUGH and train.rmse > _SHARE * plain:
+    if percent > _ROUGH and train.rmse > _SHARE * plain and not noise:
         return "poor", [
             f"the error is {train.rmse / plain:.0%} of what a single-valued curve without hysteresis leaves: "
             "the loop itself is not described"
@@ -78,7 +100,8 @@ def status_of(data: Dataset, model: AbstractHysteresis, estimate: Estimate, trai
         ]
     if not estimate.converged:
         return "not-converged", [estimate.message]
-    return "ok", []
+    large = percent > _POOR or train.rmse > _SHARE * plain
+    return "ok", [_NOISY.format(percent)] if noise and large else []
 
 
 def notes_of(
