@@ -93,7 +93,7 @@ def status_of(
             f"the error is {train.rmse / plain:.0%} of what a single-valued curve without hysteresis leaves: "
             "the loop itself is not described"
         ]
-    if percent > _ROUGH and any(degrades(record) for record in check(data).records):
+    if percent > _ROUGH and not noise and any(degrades(record) for record in check(data).records):
         return "poor", [
             f"the loop loses stiffness from cycle to cycle (damage), and the error is {percent:.3g} % of the range: the model has no "
             "term for it (see hystfit check)"
