@@ -52,7 +52,7 @@ def models(name: str | None = None, /, *, json: Json = False) -> int:
         return 0
     entry = MODELS.get(name)
     rows = _parameters_of(entry.make() if entry else make_model(name))
-    lines = [f"{name}: {len(rows)} parameters"]
+    lines = [f"{name}: {len(rows)} parameter{'s' * (len(rows) != 1)}"]
     for row in rows:
         bounds = f"{'-inf' if row['lower'] is None else row['lower']:>6} to {'inf' if row['upper'] is None else row['upper']:<6}"
         lines.append(
