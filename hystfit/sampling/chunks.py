@@ -17,23 +17,31 @@ import numpy as np
 from hystfit.errors import DataError
 
 
-def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays from a file of a folder, or made and written there whole or not at all; a damaged file is made anew."""
-    if folder is None:
-        return make()
-    file = folder / name
+def load(file: Path) -> dict[str, np.ndarray] | None:
+    """Arrays that `keep` wrote; None where there are none, or a damaged file."""
     try:
         with file.open("rb") as handle, np.load(handle) as kept:
-            return {k: kept[k] for k in kept.files}
-    except FileNotFoundError:
-        pass
+            return {name: kept[name] for name in kept.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        pass  # what made it makes the same again
-    arrays = make()
-    scratch = folder / f".{name}"
+        return None
+
+
+def keep(file: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write beside, then rename: a kill leaves a whole file or none."""
+    scratch = file.with_name(f".{file.name}")
     with scratch.open("wb") as handle:
         np.savez(handle, **arrays)  # type: ignore[arg-type]
     scratch.replace(file)
+
+
+def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays from a file of a folder, or made and kept there; what made a damaged file makes the same again."""
+    found = None if folder is None else load(folder / name)
+    if found is not None:
+        return found
+    arrays = make()
+    if folder is not None:
+        keep(folder / name, arrays)
     return arrays
 
 

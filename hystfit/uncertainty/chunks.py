@@ -6,7 +6,6 @@ import concurrent.futures
 import multiprocessing
 import socket
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystfit.errors import DataError, HystfitError, MissingExtraError
-from hystfit.sampling.chunks import claim
+from hystfit.sampling.chunks import claim, keep, load
 from hystfit.uncertainty.replicates import CHUNK, Study, broken_chunk, run_chunk
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def collect(
         else:
             done[k] = found
             if place is not None:
-                _keep(_file(place, k), found)
+                keep(_file(place, k), found)
         if progress:
             progress(f"{len(done)} of {count} chunks of {CHUNK} replicates")
     return [done[k] for k in sorted(done)], broken
@@ -66,21 +65,8 @@ def _file(place: Path, k: int) -> Path:
 
 def _load(file: Path) -> Chunk | None:
     """A stored chunk; None where there is none, or a damaged one."""
-    try:
-        with file.open("rb") as handle, np.load(handle) as stored:
-            return {name: stored[name] for name in ("ranks", "errors", "reason")}
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
-
-
-def _keep(file: Path, chunk: Chunk) -> None:
-    """Write beside, then rename: a kill leaves a whole chunk or none."""
-    scratch = file.with_name(f".{file.name}")
-    with scratch.open("wb") as handle:
-        np.savez(handle, **chunk)  # type: ignore[arg-type]
-    scratch.replace(file)
+    found = load(file)
+    return found if found is not None and set(found) == {"ranks", "errors", "reason"} else None
 
 
 def _computed(study: Study, numbers: Sequence[int], workers: int, scheduler: str | None) -> Iterator[Outcome]:
