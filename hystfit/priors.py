@@ -34,9 +34,12 @@ def _number(value: Any) -> Array:
 class AbstractPrior(eqx.Module):
     """A density over one parameter."""
 
-    def exact(self) -> list[str | float]:
-        """Kind and numbers to the last digit, which tell one prior from every other."""
-        return [type(self).__name__, *(float(getattr(self, field.name)) for field in dataclasses.fields(self))]
+    def exact(self) -> list[Any]:
+        """Kind and fields to the last digit, which tell one prior from every other."""
+        return [
+            type(self).__name__,
+            *(np.asarray(getattr(self, field.name)).tolist() for field in dataclasses.fields(self)),
+        ]
 
     @abc.abstractmethod
     def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:

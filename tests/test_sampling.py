@@ -429,6 +429,20 @@ def test_priors_that_print_alike_are_told_apart(words):
     assert priors.parse(words).exact() == one.exact()
 
 
+def test_a_prior_of_the_users_with_arrays_has_an_identity():
+    class Table(priors.AbstractPrior):
+        heights: np.ndarray
+        name: str = "table"
+
+        def log_density(self, x):
+            return jnp.log(jnp.interp(x, jnp.linspace(0, 1, len(self.heights)), self.heights))
+
+        def sample(self, key, shape=()):
+            return jax.random.uniform(key, shape)
+
+    assert Table(np.array([1.0, 2.0])).exact() == ["Table", [1.0, 2.0], "table"]
+
+
 def test_a_run_under_another_prior_or_other_settings_is_another_run(fitted, tmp_path):
     small = {"noise": "iid", "walkers": 16, "draws": 50, "check": 50, "folder": tmp_path}
     first = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)

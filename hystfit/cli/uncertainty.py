@@ -191,14 +191,14 @@ def calibrate(
         out: folder for result.json, calibration.png and the chunks from which the same command goes on.
         json: print result.json alone.
     """
+    from hystfit.fitting.again import held_and_free
     from hystfit.results import provenance
     from hystfit.saved import load_fit
     from hystfit.uncertainty.calibration import calibrate as study
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
-    fixed = [p.name for p in result.parameters if p.fixed]
-    free = list(dict.fromkeys(name.partition("@")[0] for name in result.free_names))
+    fixed, free = held_and_free(result)
     with progress("calibrating") as say:
         found = study(
             result.model,

@@ -9,6 +9,12 @@ from hystfit.problem import Problem
 from hystfit.results import FitResult
 
 
+def held_and_free(result: FitResult) -> tuple[list[str], list[str]]:
+    """Names of the parameters that a fit held, and of those that it fitted (once for all records), as `Problem` takes them."""
+    held = [p.name for p in result.parameters if p.fixed]
+    return held, list(dict.fromkeys(name.partition("@")[0] for name in result.free_names))
+
+
 def problem_of(result: FitResult, *, as_fitted: bool = False) -> tuple[Problem, np.ndarray]:
     """The problem that a result solved, and where it ended, physical, shape (p,).
 
@@ -19,8 +25,7 @@ def problem_of(result: FitResult, *, as_fitted: bool = False) -> tuple[Problem, 
     Raises:
         ModelError: the result's free parameters are not those of its model (a file that was changed by hand).
     """
-    fixed = [p.name for p in result.parameters if p.fixed]
-    free = list(dict.fromkeys(name.partition("@")[0] for name in result.free_names))
+    fixed, free = held_and_free(result)
     loss = result.provenance.get("loss", "linear") if as_fitted else "linear"
     problem = Problem(result.model, result.data, fix=fixed, free=free, loss=loss)
     if problem.space.names != tuple(result.free_names):
