@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import hystfit as hf
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model
-from hystfit.problem import Problem
 
 SAMPLES, REPEATS = 4000, 9
 MODELS = ("lag+bouc-wen", "bouc-wen+log-creep", "lag+prandtl-ishlinskii+creep", "lag+bouc-wen-asymmetric+log-creep")

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.optimize import nnls
 
 import hystfit as hf
-from hystfit.fitting.nonnegative import solve_nonnegative
-from hystfit.models.columns import features
-from hystfit.models.compiled import compile_for, respond
-from hystfit.models.preisach import Preisach
+from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.models.preisach.compiled import compile_for, respond
+from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.model import Preisach
 
 BARS = {"forward": 300, "first_call": 20, "gradient": 300, "memory_mb": 150, "nnls": 5}
 

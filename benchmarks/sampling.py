@@ -27,7 +27,7 @@ import hystfit as hf
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Nuts
-from hystfit.sampling.posterior import Setup, prepare
+from hystfit.sampling.setup import Setup, prepare
 from hystfit.uncertainty.profiles import profile
 
 BARS = {"emcee": 2.0, "nuts": 8.0, "profiles_s": 3.0}

@@ -21,7 +21,7 @@ from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, run, simulate
-from hystfit.space import ParameterSpace
+from hystfit.params.space import ParameterSpace
 
 _EAGER = 5  # samples of the run without jit
 

@@ -33,11 +33,11 @@ import numpy as np
 import hystfit as hf
 from hystfit.control import Controller, design, export_c, run_loop
 
-from hystfit.models.compiled import compile_for, respond
+from hystfit.models.preisach.compiled import compile_for, respond
 from hystfit.models.free_run import free_run
-from hystfit.plot_preisach import plot_curves, plot_density, plot_forc_diagram
-from hystfit.preisach import check_preisach, fit_forc, forc_diagram
-from hystfit.preisach.properties import through
+from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
+from hystfit.models.preisach import check_preisach, fit_forc, forc_diagram
+from hystfit.models.preisach.properties import through
 
 hf.enable_x64()  # double precision, which every fit asks for
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer curves and cells

@@ -14,8 +14,8 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.priors import LogNormal, priors_around
-from hystfit.space import ParameterSpace
+from hystfit.inference.priors import LogNormal, priors_around
+from hystfit.params.space import ParameterSpace
 from hystfit.uncertainty import chunks
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 

@@ -20,7 +20,7 @@ from hystfit import cli
 from hystfit.cli import as_options, run
 from hystfit.cli.options import held, limits
 from hystfit.errors import HystfitError
-from hystfit.saved import load_fit
+from hystfit.results.saved import load_fit
 
 PARAMETER_KEYS = {"value", "stderr", "unit", "lower", "upper", "fixed", "at_bound", "identifiable"}
 METRIC_KEYS = {"rmse", "nrmse_percent", "max_error", "max_error_percent", "r2", "n"}
@@ -294,7 +294,7 @@ def test_models_and_datasets_list_what_there_is(folder, capsys):
     assert run(["datasets"]) == 0
     assert "stage-sine" in capsys.readouterr().out
     assert run(["datasets", "stage-step", "--out", str(folder / "step.csv")]) == 0
-    from hystfit import datasets
+    from hystfit.reading import datasets
 
     record = datasets.load("stage-step")
     table = np.loadtxt(folder / "step.csv", delimiter=",", skiprows=1)
@@ -418,7 +418,7 @@ def test_a_damaged_fit_is_refused(fitted, folder, capsys):
 
 
 def test_a_full_disk_leaves_nothing(folder, loop, monkeypatch, capsys):
-    from hystfit import report
+    from hystfit.results import report
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -431,7 +431,7 @@ def test_a_full_disk_leaves_nothing(folder, loop, monkeypatch, capsys):
 
 
 def test_an_interrupted_fit_leaves_nothing_and_an_old_one_alone(folder, loop, fitted, monkeypatch, capsys):
-    from hystfit import report
+    from hystfit.results import report
 
     def stop(*_, **__):
         raise KeyboardInterrupt

@@ -8,7 +8,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.saved import load_fit
+from hystfit.results.saved import load_fit
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.preisach.properties import CONGRUENCY, HIGHER_ORDER, through
+from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, through
 
 
 def device() -> hf.Preisach:

@@ -14,7 +14,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
 from hystfit.identify import Ukf
 from hystfit.models import AbstractHysteresis, BoucWen, LinearCreep, LogCreep, Series, simulate
-from hystfit.space import ParameterSpace
+from hystfit.params.space import ParameterSpace
 from hystfit.stage import Actuator, Sensor, piezo
 
 GAMMA = 0.0175

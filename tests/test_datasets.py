@@ -8,10 +8,9 @@ import pathlib
 import numpy as np
 import pytest
 
-from hystfit import datasets, published
-from hystfit.data import instruments
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.reading import datasets, instruments, published
 
 SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (SHARED / "piezo_dbo").is_dir(), reason="no measured data: set HYSTFIT_DATA")

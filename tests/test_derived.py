@@ -9,7 +9,7 @@ import hystfit as hf
 from hystfit.control.bands import inverse_bands
 from hystfit.errors import ParameterError
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.draws import Posterior
+from hystfit.sampling.posterior import Posterior
 
 TRUTH = hf.BoucWen(c=1.2, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
 

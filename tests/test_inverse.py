@@ -13,8 +13,8 @@ import hystfit as hf
 from hystfit.control import InverseStep, Status, invert, lead
 from hystfit.control.bracketed import Root, solve_rising
 from hystfit.errors import DataError, ModelError
+from hystfit.models.preisach import EverettTable
 from hystfit.models.relaxation import Relaxation
-from hystfit.preisach import EverettTable
 
 DT = 0.002
 

@@ -34,7 +34,7 @@ from hystfit.models import (
     registry,
     simulate,
 )
-from hystfit.params import param
+from hystfit.params.param import param
 from hystfit.testing import check_model
 
 LOOP = dict(c=1.1, mu=0.5, tau=1.7, rho=0.4, h0=0.07, offset=0.2)

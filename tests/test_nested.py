@@ -13,9 +13,9 @@ from scipy.special import logsumexp
 import hystfit as hf
 from hystfit import priors
 from hystfit.errors import DataError, ParameterError
-from hystfit.sampling.draws import load_posterior
-from hystfit.sampling.posterior import prepare
+from hystfit.sampling.posterior import load_posterior
 from hystfit.sampling.sample import sample
+from hystfit.sampling.setup import prepare
 
 SETTINGS = dict(noise="iid", live=300, seed=5)
 

@@ -14,9 +14,18 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import leftover
 from hystfit.fitting.fit import solve
 from hystfit.fitting.generalized import Whitened, linearize, refine, restricted
-from hystfit.noise import NOISES, Ar1, LoopDiscrepancy, OrnsteinUhlenbeck, Setting, StudentT, White, make_noise
-from hystfit.problem import Problem
-from hystfit.residuals import diagnose
+from hystfit.inference.noise import (
+    NOISES,
+    Ar1,
+    LoopDiscrepancy,
+    OrnsteinUhlenbeck,
+    Setting,
+    StudentT,
+    White,
+    make_noise,
+)
+from hystfit.inference.problem import Problem
+from hystfit.inference.residuals import diagnose
 
 
 def setting_of(T: int, seed: int, even: bool = False, missing: bool = True) -> tuple[Setting, np.ndarray, np.ndarray]:

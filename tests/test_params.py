@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 
 from hystfit.errors import ParameterError
 from hystfit.models import BoucWen, Duhem, LogCreep, Offset, Series, Sum, Viscous, simulate
-from hystfit.params import leaves_of, param, short_names
-from hystfit.space import ParameterSpace
-from hystfit.units import Scales, exponents
+from hystfit.params.param import leaves_of, param, short_names
+from hystfit.params.space import ParameterSpace
+from hystfit.params.units import Scales, exponents
 
 FEW = settings(max_examples=40, deadline=None, derandomize=True)
 

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.models.columns import features
-from hystfit.models.compiled import compile_for, respond
-from hystfit.models.density import ParametricPreisach
-from hystfit.models.everett import Everett, place
 from hystfit.models.free_run import free_run, has_short_cut
-from hystfit.models.preisach import Preisach
-from hystfit.models.staircase import compile_input
+from hystfit.models.preisach.compiled import compile_for, respond
+from hystfit.models.preisach.density import ParametricPreisach
+from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.everett import Everett, place
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.staircase import compile_input
 
 RESTS = ("demagnetized", "negative", "positive")
 

@@ -10,19 +10,19 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.data.record import Record
-from hystfit.data.reversal import recognize_family
 from hystfit.errors import DataError, ModelError
-from hystfit.fitting.density import fit_density
-from hystfit.fitting.nonnegative import solve_nonnegative
-from hystfit.fitting.preisach import fit_preisach
-from hystfit.fitting.preisach_system import PreisachSystem
-from hystfit.fitting.smooth import SMOOTHNESS, fit_smooth
-from hystfit.models.columns import features
-from hystfit.models.density import ParametricPreisach
-from hystfit.models.levels import sharp_levels
-from hystfit.models.preisach import Preisach
-from hystfit.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
-from hystfit.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
+from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
+from hystfit.models.preisach.density import ParametricPreisach
+from hystfit.models.preisach.density_fit import fit_density
+from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.equations import PreisachSystem
+from hystfit.models.preisach.levels import sharp_levels
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
+from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
+from hystfit.models.preisach.solve import fit_preisach
+from hystfit.quality.reversal_curves import recognize_family
 
 
 def output(model, u):
@@ -248,7 +248,7 @@ class TestPictures:
     def test_axes_show_what_was_asked(self):
         matplotlib = pytest.importorskip("matplotlib")
         matplotlib.use("Agg")
-        from hystfit.plot_preisach import plot_curves, plot_density, plot_forc_diagram
+        from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
 
         curves = family(truth("positive"), 12)
         model = truth("positive")

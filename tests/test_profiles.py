@@ -11,10 +11,10 @@ import scipy.optimize
 import hystfit as hf
 from hystfit.errors import ParameterError
 from hystfit.fitting.again import problem_of
-from hystfit.noise import Setting
-from hystfit.uncertainty.covariances import covariance
-from hystfit.uncertainty.design import design
+from hystfit.inference.noise import Setting
+from hystfit.uncertainty.input_design import design
 from hystfit.uncertainty.profiles import _whitened, profile
+from hystfit.uncertainty.robust_errors import covariance
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
 

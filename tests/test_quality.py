@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystfit import datasets, signals
-from hystfit.data import drift as drifting
-from hystfit.data import lag as lagging
-from hystfit.data import loops as geometry
-from hystfit.data import noise as small
-from hystfit.data.quality import check
 from hystfit.data.record import Dataset, Record
+from hystfit.quality import drift as drifting
+from hystfit.quality import faults as small
+from hystfit.quality import lag as lagging
+from hystfit.quality import loops as geometry
+from hystfit.quality.quality import check
 
 SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (SHARED / "piezo_dbo").is_dir(), reason="no measured data: set HYSTFIT_DATA")

@@ -12,11 +12,12 @@ import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hystfit.data import Dataset, Record, read, read_csv
-from hystfit.data.columns import quantity
-from hystfit.data.header import split_unit
-from hystfit.data.text import read_table
+from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.reading import read, read_csv
+from hystfit.reading.columns import quantity
+from hystfit.reading.header import split_unit
+from hystfit.reading.text import read_table
 
 T = [0.0, 0.5, 1.0, 1.5]
 U = [0.0, 1.25, -2.5, 1000.5]

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystfit import plot, report
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.fit import fit, with_test
 from hystfit.models import BoucWen, simulate
-from hystfit.results import FitResult, ParameterEstimate
-from hystfit.units import axis_label
+from hystfit.params.units import axis_label
+from hystfit.results import plots, report
+from hystfit.results.result import FitResult, ParameterEstimate
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +195,7 @@ def test_loop_and_series_show_the_numbers(result):
     record = result.data[0]
     for kind, x in (("loop", record.u), ("series", record.t)):
         ax = axes()
-        assert plot.fit(result, kind, ax) is ax
+        assert plots.fit(result, kind, ax) is ax
         drawn = {line.get_label(): line for line in ax.get_lines()}
         assert np.array_equal(drawn["model"].get_xdata(), x)
         assert np.array_equal(drawn["model"].get_ydata(), result.predict(record))
@@ -209,11 +209,11 @@ def test_loop_and_series_show_the_numbers(result):
 
 def test_every_kind_leaves_the_result_alone(result):
     before = result.to_dict(), result.data[0].digest()
-    for kind in plot.KINDS:
-        assert plot.fit(result, kind, axes()).get_xlabel()
+    for kind in plots.KINDS:
+        assert plots.fit(result, kind, axes()).get_xlabel()
     assert (result.to_dict(), result.data[0].digest()) == before
     with pytest.raises(HystfitError, match="there are loop, series"):
-        plot.fit(result, "pie", axes())
+        plots.fit(result, "pie", axes())
 
 
 def test_axes_are_made_where_none_are_given(result):
@@ -227,10 +227,10 @@ def test_axes_are_made_where_none_are_given(result):
 
 def test_autocorrelation_starts_at_one_and_parameters_show_relative_errors(result):
     (line,) = [
-        line for line in plot.fit(result, "autocorrelation", axes()).collections if hasattr(line, "get_segments")
+        line for line in plots.fit(result, "autocorrelation", axes()).collections if hasattr(line, "get_segments")
     ]
     assert line.get_segments()[0][1][1] == pytest.approx(1.0)
-    ax = plot.fit(result, "parameters", axes())
+    ax = plots.fit(result, "parameters", axes())
     dots = [line.get_xdata()[0] for line in ax.get_lines() if line.get_marker() == "o"]
     free = [p for p in result.parameters if not p.fixed]
     assert dots == pytest.approx([100 * p.stderr / abs(p.value) for p in free])
@@ -243,7 +243,7 @@ def test_thinning_keeps_ends_and_extremes(seed, size, most):
     rng = np.random.default_rng(seed)
     a, b = rng.standard_normal((2, size))
     b[rng.integers(size, size=size // 10)] = np.nan
-    at = plot.thin(most, a, b)
+    at = plots.thin(most, a, b)
     assert (np.diff(at) > 0).all()
     assert (at[0], at[-1]) == (0, size - 1)
     assert at.size <= max(most, 8) + 2
@@ -264,10 +264,10 @@ def test_a_few_residuals_not_fitted_do_not_flatten_those_of_the_fit(kind):
     u = 30 * np.sin(2 * np.pi * np.arange(200) / 50)
     y = 0.2 * u + 0.02 * np.random.default_rng(5).standard_normal(u.size)
     whole = fit(BoucWen(), Record(u=u, y=y, weight=np.arange(200) < 150), starts=1)
-    assert not plot.fit(whole, kind, axes()).texts
+    assert not plots.fit(whole, kind, axes()).texts
     y[[160, 170]] += [5.0, -7.0]
     marred = fit(BoucWen(), Record(u=u, y=y, weight=np.arange(200) < 150), starts=1)
-    ax = plot.fit(marred, kind, axes())
+    ax = plots.fit(marred, kind, axes())
     said = re.fullmatch(r"2 not fitted lie outside, up to (\S+)", ax.texts[0].get_text())
     assert said is not None
     assert float(said[1]) == pytest.approx(7.0, abs=0.1)

@@ -22,10 +22,10 @@ import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
-from hystfit.sampling.draws import Posterior, load_posterior
 from hystfit.sampling.ensemble import Ensemble, longest_time
-from hystfit.sampling.posterior import prepare
+from hystfit.sampling.posterior import Posterior, load_posterior
 from hystfit.sampling.sample import beside_priors, sample
+from hystfit.sampling.setup import prepare
 
 
 def loop(T: int = 500, seed: int = 0, sigma: float = 0.01) -> tuple[hf.Record, hf.BoucWen]:

@@ -12,14 +12,14 @@ import hystfit as hf
 from hystfit.data.batch import Batch
 from hystfit.fitting.covariance import leftover
 from hystfit.fitting.generalized import restricted
-from hystfit.fitting.newton import maximize
-from hystfit.metrics import autocorrelation_time, is_correlated
-from hystfit.noise import LoopDiscrepancy, OrnsteinUhlenbeck, Setting
-from hystfit.noise.serial import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
-from hystfit.problem import Problem
-from hystfit.residuals import CHANCE, Leftover
+from hystfit.inference.newton import maximize
+from hystfit.inference.noise import LoopDiscrepancy, OrnsteinUhlenbeck, Setting
+from hystfit.inference.noise.serial import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
+from hystfit.inference.problem import Problem
+from hystfit.inference.residuals import CHANCE, Leftover
+from hystfit.results.metrics import autocorrelation_time, is_correlated
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.draws import Posterior
+from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import predictive_draws
 
 CYCLES, T = 8, 800

@@ -12,8 +12,8 @@ from common import Results
 
 import hystfit as hf
 from hystfit.identify import GradientCorrection, Rls, identify, output_error
-from hystfit.metrics import Metrics
 from hystfit.models.base import simulate
+from hystfit.results.metrics import Metrics
 
 INK = {"truth": "0.25", "RLS": "#c0392b", "gradient correction": "#e08e0b", "output error": "#1f6fb4"}
 SHOWN = ("loops.png", "histories.png", "rates.png")

@@ -14,7 +14,7 @@ from measured import Measured
 from tracking import Trio
 
 import hystfit as hf
-from hystfit.plot_preisach import plot_curves, plot_density, plot_forc_diagram
+from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
 
 
 def _save(figure: Any, out: Path, name: str) -> None:

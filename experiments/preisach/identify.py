@@ -7,8 +7,8 @@ from plant import legs, measure
 from scipy.optimize import least_squares
 
 import hystfit as hf
-from hystfit.fitting.preisach import fit_preisach
 from hystfit.models import AbstractHysteresis
+from hystfit.models.preisach.solve import fit_preisach
 
 TOP, CURVES = 180.0, 12
 

@@ -11,9 +11,9 @@ import numpy as np
 from common import Results
 
 import hystfit as hf
-from hystfit.fitting.preisach import PreisachFit, fit_preisach
-from hystfit.preisach import fit_forc, forc_diagram
-from hystfit.preisach.forc import ForcDiagram
+from hystfit.models.preisach import fit_forc, forc_diagram
+from hystfit.models.preisach.forc import ForcDiagram
+from hystfit.models.preisach.solve import PreisachFit, fit_preisach
 
 CLOSE = 0.5  # s after which the piezo has come from 0 V, where it had rested, to the signal's first input
 

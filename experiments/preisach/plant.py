@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.models import AbstractHysteresis
-from hystfit.params import param
+from hystfit.params.param import param
 
 OMEGA, ZETA = 328.0, 0.02  # rad/s; the paper gives the first, the second is ours
 RELAXATION = ((0.12, 0.02, 0.02), (0.15, 1.5, 15.0))

@@ -25,8 +25,8 @@ from plant import STRONGER, Thunder, actuator, legs, measure
 from tracking import Trio, feedforward, loop_design, robust_damping, track, trio
 
 import hystfit as hf
-from hystfit.preisach import congruency
-from hystfit.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT
+from hystfit.models.preisach import congruency
+from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT
 
 HERE = Path(__file__).resolve().parent
 MAJOR, MINOR, WIPED = (0.0, 100.0, 0.0), (0.0, 100.0, 20.0, 80.0, 40.0), (0.0, 80.0, 40.0, 100.0, 20.0)

@@ -11,7 +11,7 @@ from noises import NAMES, TRUTH, excitation
 
 import hystfit as hf
 from hystfit import priors
-from hystfit.sampling.posterior import prepare
+from hystfit.sampling.setup import prepare
 
 
 def _measured(amplitude: float, sigma: float, samples: int, seed: int) -> hf.Record:

@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 import hystfit as hf
 from hystfit.identify import Ukf
-from hystfit.uncertainty.covariances import covariance
+from hystfit.uncertainty.robust_errors import covariance
 
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")

@@ -22,8 +22,8 @@ Start with: hystfit fit LOOP --out fit
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
 _VERBS = {
-    "fit": ("hystfit.cli.fitting:fit", "Fit a model to a measured loop and say what the data determine."),
-    "compare": ("hystfit.cli.fitting:compare", "Fit several models and rank them by their error on data left out."),
+    "fit": ("hystfit.cli.fit:fit", "Fit a model to a measured loop and say what the data determine."),
+    "compare": ("hystfit.cli.fit:compare", "Fit several models and rank them by their error on data left out."),
     "check": ("hystfit.cli.using:check", "Say what a record holds and which models it can determine."),
     "predict": ("hystfit.cli.using:predict", "Run a fitted model over another record."),
     "invert": ("hystfit.cli.control:invert", "Find the input that makes a fitted model follow a reference."),
@@ -40,7 +40,7 @@ _VERBS = {
     "calibrate": ("hystfit.cli.uncertainty:calibrate", "Check by simulation that the error bars of a set-up hold."),
     "design": ("hystfit.cli.uncertainty:design", "Propose the input that shrinks the errors most."),
     "report": ("hystfit.cli.using:report", "Print and draw the report of a saved fit anew."),
-    "simulate": ("hystfit.cli.making:simulate", "Make a record with the simulated stage, a model or a fit."),
+    "simulate": ("hystfit.cli.simulate:simulate", "Make a record with the simulated stage, a model or a fit."),
     "models": ("hystfit.cli.listing:models", "List the models, or the parameters of one."),
     "datasets": ("hystfit.cli.listing:datasets", "List the data sets known by name, or write one."),
 }

@@ -46,8 +46,8 @@ def invert(
     """
     from hystfit.control.inverse import invert as solve
     from hystfit.data.record import Dataset
-    from hystfit.results import provenance
-    from hystfit.saved import load_fit
+    from hystfit.results.result import provenance
+    from hystfit.results.saved import load_fit
 
     sampled = (fitdir / "posterior.nc").is_file()
     result = load_fit(fitdir / "fit" if sampled else fitdir)
@@ -93,7 +93,7 @@ def invert(
 
 def _bands(folder: Path, reference: Any, dt: Any, edges: tuple[float, float] | None) -> InverseBands:
     from hystfit.control.bands import inverse_bands
-    from hystfit.sampling.draws import load_posterior
+    from hystfit.sampling.posterior import load_posterior
 
     with progress("inverting by draws"):
         return inverse_bands(load_posterior(folder), reference, dt, limits=edges)
@@ -129,8 +129,8 @@ def _wanted(reference: str, reading: Reading) -> Record:
     """The one record of a file with a reference: its input column is not there, and counts for nothing."""
     import numpy as np
 
-    from hystfit.data.read import assemble, table_of
     from hystfit.data.record import Dataset
+    from hystfit.reading.read import assemble, table_of
 
     if reading.input is not None:
         raise DataError("a reference has no input: name its column with --output")
@@ -157,7 +157,7 @@ def _write_inverse(
 ) -> None:
     import csv
 
-    from hystfit.saved import dump_json, writing
+    from hystfit.results.saved import dump_json, writing
 
     timed = data.t is not None
     with writing(out) as scratch:
@@ -193,7 +193,7 @@ def export(
         between: lowest and highest input of the inverse as low:high; the range of the fit where not given.
     """
     from hystfit.control.export import export_c
-    from hystfit.saved import load_fit
+    from hystfit.results.saved import load_fit
 
     edges = _edges(between)
     refuse_unwritable(c)

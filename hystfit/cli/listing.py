@@ -71,8 +71,8 @@ def _parameters_of(model: Any) -> list[dict[str, Any]]:
     """Each field with parameters once: name, unit, bounds, whether it is held, meaning."""
     import math
 
-    from hystfit.space import ParameterSpace
-    from hystfit.units import Scales
+    from hystfit.params.space import ParameterSpace
+    from hystfit.params.units import Scales
 
     space = ParameterSpace.of(model)
     label = Scales(u_unit="[u]", y_unit="[y]").label
@@ -95,7 +95,7 @@ def datasets(name: str | None = None, /, *, out: Path | None = None, json: Json 
         out: file (or folder) to write it to.
         json: print as JSON.
     """
-    from hystfit import datasets as known
+    from hystfit.reading import datasets as known
 
     if name is None:
         if out is not None:
@@ -103,10 +103,10 @@ def datasets(name: str | None = None, /, *, out: Path | None = None, json: Json 
         about = {key: known.describe(key).splitlines()[0].partition(": ")[2] for key in known.names()}
         width = max(map(len, about)) + 2
         text = "\n".join(f"{key:<{width}}{words}" for key, words in about.items())
-        show(text, {"schema": "hystfit.datasets/1", "datasets": about}, json)
+        show(text, {"schema": "hystfit.reading.datasets/1", "datasets": about}, json)
         return 0
     text = known.describe(name)
-    content: dict[str, Any] = {"schema": "hystfit.datasets/1", "name": name, "about": text}
+    content: dict[str, Any] = {"schema": "hystfit.reading.datasets/1", "name": name, "about": text}
     if out is not None:
         from hystfit.data.record import Dataset
 
@@ -148,7 +148,7 @@ def _write(out: Path, head: Sequence[str], rows: Iterable[Sequence[Any]], name: 
     import csv
     import math
 
-    from hystfit.saved import dump_json, writing
+    from hystfit.results.saved import dump_json, writing
 
     is_file = bool(out.suffix) and not out.is_dir()
     folder, target = (out.parent, out) if is_file else (out, out / name)

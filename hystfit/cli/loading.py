@@ -20,9 +20,9 @@ def load(loop: str, reading: Reading) -> Dataset:
     Raises:
         DataError: neither a file nor a data set, or it cannot be read as asked.
     """
-    from hystfit import datasets
-    from hystfit.data.read import read
     from hystfit.data.record import Dataset
+    from hystfit.reading import datasets
+    from hystfit.reading.read import read
 
     if Path(loop).is_dir():
         raise DataError(f"{loop!r} is a folder; name a file in it")
@@ -36,9 +36,9 @@ def load(loop: str, reading: Reading) -> Dataset:
 
 
 def _by_name(name: str, reading: Reading) -> Dataset:
-    from hystfit import datasets
-    from hystfit.data.read import select_curves
     from hystfit.data.record import Dataset
+    from hystfit.reading import datasets
+    from hystfit.reading.read import select_curves
 
     asked = [field for field, value in vars(reading).items() if value not in (None, "error") and field != "only"]
     if asked:

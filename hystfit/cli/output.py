@@ -61,7 +61,7 @@ def refuse_unwritable(out: Path | None, *, fit: bool = False) -> None:
     if out is None:
         return
     from hystfit.errors import HystfitError
-    from hystfit.saved import check_writable, holds_fit
+    from hystfit.results.saved import check_writable, holds_fit
 
     check_writable(out)
     if not fit and holds_fit(out):

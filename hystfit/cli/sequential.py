@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystfit.errors import ModelError
-from hystfit.results import FitResult, provenance
+from hystfit.results.result import FitResult, provenance
 
 if TYPE_CHECKING:
     from hystfit.fitting.timing import Stopwatch
@@ -22,7 +22,7 @@ def as_fit(found: Identification, seed: int, watch: Stopwatch) -> FitResult:
     Raises:
         ModelError: the parameters found make no model.
     """
-    from hystfit.metrics import autocorrelation_time
+    from hystfit.results.metrics import autocorrelation_time
 
     runs = found.predict()
     models = [model for model in found.models if model is not None]

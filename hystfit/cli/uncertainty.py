@@ -13,8 +13,8 @@ from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.output import progress, refuse_unwritable, show
 
 if TYPE_CHECKING:
-    from hystfit.noise import AbstractNoise
-    from hystfit.results import FitResult
+    from hystfit.inference.noise import AbstractNoise
+    from hystfit.results.result import FitResult
 
 Json = Annotated[bool, Parameter(name="--json")]
 Noise = Literal["auto", "iid", "ou", "ar1", "student-t", "discrepancy"]
@@ -57,8 +57,8 @@ def sample(
         out: folder for result.json, posterior.nc, the fit and pictures; the running chains are in its folder run.
         json: print result.json alone.
     """
+    from hystfit.results.saved import load_fit
     from hystfit.sampling.sample import sample as draw
-    from hystfit.saved import load_fit
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
@@ -89,7 +89,7 @@ def sample(
 
 def _priors(given: list[str]) -> dict[str, Any]:
     from hystfit.errors import ParameterError
-    from hystfit.priors import parse
+    from hystfit.inference.priors import parse
 
     chosen = {}
     for item in given:
@@ -120,7 +120,7 @@ def profile(
         out: folder for result.json and profiles.png.
         json: print result.json alone.
     """
-    from hystfit.saved import load_fit
+    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.profiles import profile as follow
 
     result = load_fit(fitdir)
@@ -150,8 +150,8 @@ def errors(
         out: folder for result.json and errors.txt.
         json: print result.json alone.
     """
-    from hystfit.saved import load_fit
-    from hystfit.uncertainty.covariances import standard_errors
+    from hystfit.results.saved import load_fit
+    from hystfit.uncertainty.robust_errors import standard_errors
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
@@ -192,8 +192,8 @@ def calibrate(
         json: print result.json alone.
     """
     from hystfit.fitting.again import held_and_free
-    from hystfit.results import provenance
-    from hystfit.saved import load_fit
+    from hystfit.results.result import provenance
+    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.calibration import calibrate as study
 
     result = load_fit(fitdir)
@@ -225,7 +225,7 @@ def calibrate(
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
     """A noise model as large and slow as the fit's residuals."""
-    from hystfit.noise import starting_noise
+    from hystfit.inference.noise import starting_noise
 
     rows = [(result.predict(record) - record.y)[record.used] for record in result.data]
     return starting_noise(name, rows, result.correlation_time)
@@ -259,8 +259,8 @@ def design(
         out: folder for result.json and input.csv.
         json: print result.json alone.
     """
-    from hystfit.saved import load_fit
-    from hystfit.uncertainty.design import design as propose
+    from hystfit.results.saved import load_fit
+    from hystfit.uncertainty.input_design import design as propose
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
@@ -289,7 +289,7 @@ def _write(
 ) -> None:
     if out is None:
         return
-    from hystfit.saved import dump_json, writing
+    from hystfit.results.saved import dump_json, writing
 
     with writing(out) as scratch:
         dump_json(scratch / "result.json", content)
@@ -304,7 +304,7 @@ def _pictures(out: Path, pictures: dict[str, Callable[[], Any]]) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    from hystfit.saved import writing
+    from hystfit.results.saved import writing
 
     with writing(out) as scratch:
         for name, make in pictures.items():

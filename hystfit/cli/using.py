@@ -15,7 +15,7 @@ from hystfit.errors import DataError
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset, Record
-    from hystfit.results import FitResult
+    from hystfit.results.result import FitResult
 
 Json = Annotated[bool, Parameter(name="--json")]
 
@@ -38,8 +38,8 @@ def check(
         out: folder for result.json and check.txt.
         json: print result.json alone.
     """
-    from hystfit.data.quality import check as judge
-    from hystfit.results import provenance
+    from hystfit.quality.quality import check as judge
+    from hystfit.results.result import provenance
 
     refuse_unwritable(out)
     data = load(loop, reading)
@@ -55,7 +55,7 @@ def check(
         words, content["preisach"] = _properties(data)
         text += f"\n\n{words}"
     if out is not None:
-        from hystfit.saved import dump_json, writing
+        from hystfit.results.saved import dump_json, writing
 
         with writing(out) as scratch:
             dump_json(scratch / "result.json", content)
@@ -70,8 +70,8 @@ _SHOWN = 8  # most findings of Preisach properties that are printed
 
 def _properties(data: Dataset) -> tuple[str, dict[str, Any]]:
     """Preisach properties of every record: as text, and for result.json."""
-    from hystfit.data.reversal import recognize_family
-    from hystfit.preisach import check_preisach
+    from hystfit.models.preisach import check_preisach
+    from hystfit.quality.reversal_curves import recognize_family
 
     with progress("measuring Preisach properties"):
         checks = [check_preisach(record, model=True) for record in data]
@@ -106,8 +106,8 @@ def report(folder: Path, /, *, out: Path | None = None, json: Json = False) -> i
         out: another folder for the report; the fit's own where not given.
         json: print result.json alone.
     """
-    from hystfit.report import text_report, write
-    from hystfit.saved import load_fit
+    from hystfit.results.report import text_report, write
+    from hystfit.results.saved import load_fit
 
     result = load_fit(folder)
     target = out or folder
@@ -141,7 +141,7 @@ def predict(
         out: folder for result.json, prediction.csv and a picture.
         json: print result.json alone.
     """
-    from hystfit.saved import load_fit
+    from hystfit.results.saved import load_fit
 
     result = load_fit(fitdir)
     refuse_unwritable(out)
@@ -161,8 +161,8 @@ def _inputs(loop: str, reading: Reading) -> Dataset:
     """Records of a file without output: none of their samples counts."""
     import numpy as np
 
-    from hystfit.data.read import assemble, table_of
     from hystfit.data.record import Dataset
+    from hystfit.reading.read import assemble, table_of
 
     if reading.output is not None:
         raise DataError("--output and --input-only exclude each other")
@@ -185,8 +185,8 @@ def _compared(result: FitResult, data: Dataset, runs: list[Any], fitdir: Path, r
     """Content of result.json for a prediction."""
     import numpy as np
 
-    from hystfit.metrics import Metrics
-    from hystfit.results import provenance
+    from hystfit.results.metrics import Metrics
+    from hystfit.results.result import provenance
 
     finite = all(np.isfinite(run).all() for run in runs)
     measured = [(record, run) for record, run in zip(data, runs, strict=True) if record.used.any()]
@@ -213,8 +213,8 @@ def _compared(result: FitResult, data: Dataset, runs: list[Any], fitdir: Path, r
 
 
 def _prediction_words(content: dict[str, Any], data: Dataset, out: Path | None) -> str:
-    from hystfit.metrics import Metrics
-    from hystfit.report import metrics_words
+    from hystfit.results.metrics import Metrics
+    from hystfit.results.report import metrics_words
 
     metrics = content["metrics"]["test"]
     names = ", ".join(record.name for record in list(data)[:5]) + (
@@ -233,8 +233,8 @@ def _write_prediction(
 ) -> None:
     from matplotlib.figure import Figure
 
-    from hystfit.plot import fit as draw
-    from hystfit.saved import dump_json, writing
+    from hystfit.results.plots import fit as draw
+    from hystfit.results.saved import dump_json, writing
 
     with writing(out) as scratch:
         dump_json(scratch / "result.json", content)

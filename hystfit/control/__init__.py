@@ -11,10 +11,10 @@ from hystfit.control.inverse import invert as invert
 from hystfit.control.lead import lead as lead
 from hystfit.control.loop import LoopResult as LoopResult
 from hystfit.control.loop import run_loop as run_loop
+from hystfit.control.online_inverse import InverseStep as InverseStep
+from hystfit.control.online_inverse import Status as Status
 from hystfit.control.plant import LinearPlant as LinearPlant
 from hystfit.control.plant import identify_plant as identify_plant
-from hystfit.control.running import InverseStep as InverseStep
-from hystfit.control.running import Status as Status
 from hystfit.control.transfer import Margins as Margins
 from hystfit.control.transfer import TransferFunction as TransferFunction
 from hystfit.control.transfer import margins as margins

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.control.inverse import Inverse, Task, invert, prepare
-from hystfit.control.running import Answer, Limits, known_range
+from hystfit.control.online_inverse import Answer, Limits, known_range
 from hystfit.errors import ParameterError
 from hystfit.models.base import simulate
-from hystfit.sampling.draws import Posterior
+from hystfit.sampling.posterior import Posterior
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
+from hystfit.control.online_inverse import InverseStep, Limits
 from hystfit.control.preisach_inverse import PreisachStep
-from hystfit.control.running import InverseStep, Limits
 from hystfit.control.step_inverse import SearchStep
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
@@ -24,12 +24,12 @@ from hystfit.models.creep import LogCreep
 from hystfit.models.duhem import _LONG, _NODES, _WEIGHTS, Duhem
 from hystfit.models.polynomial import derivative_matrix
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
-from hystfit.models.preisach import Preisach
+from hystfit.models.preisach.model import Preisach
 from hystfit.models.registry import model_name
 from hystfit.models.relaxation import Relaxation
 
 if TYPE_CHECKING:
-    from hystfit.results import FitResult
+    from hystfit.results.result import FitResult
 
 _FOLDER = Path(__file__).with_name("c")
 

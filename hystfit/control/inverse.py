@@ -13,7 +13,7 @@ from jaxtyping import Array
 from hystfit.config import require_x64
 from hystfit.control.bracketed import solve_rising
 from hystfit.control.lead import lead
-from hystfit.control.running import InverseStep, Limits, Status, known_inputs
+from hystfit.control.online_inverse import InverseStep, Limits, Status, known_inputs
 from hystfit.control.step_inverse import AbstractStepInverse
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis, Resume, simulate
@@ -21,7 +21,7 @@ from hystfit.models.compose import Series
 from hystfit.models.dynamics import SecondOrder
 
 if TYPE_CHECKING:
-    from hystfit.results import FitResult
+    from hystfit.results.result import FitResult
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
 from hystfit.control.feedback import Controller
-from hystfit.control.running import InverseStep, Limits
+from hystfit.control.online_inverse import InverseStep, Limits
 from hystfit.errors import DataError, ParameterError
 from hystfit.models.base import AbstractHysteresis, Resume
 

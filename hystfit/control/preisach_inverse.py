@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 
 from hystfit.control.bracketed import Root, solve_rising
 from hystfit.control.step_inverse import AbstractStepInverse
-from hystfit.models.everett import Place
-from hystfit.models.memory import CellMemory
-from hystfit.models.preisach import Preisach
+from hystfit.models.preisach.everett import Place
+from hystfit.models.preisach.memory import CellMemory
+from hystfit.models.preisach.model import Preisach
 
 
 class PreisachStep(AbstractStepInverse):

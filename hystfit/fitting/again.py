@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hystfit.errors import ModelError
-from hystfit.problem import Problem
-from hystfit.results import FitResult
+from hystfit.inference.problem import Problem
+from hystfit.results.result import FitResult
 
 
 def held_and_free(result: FitResult) -> tuple[list[str], list[str]]:

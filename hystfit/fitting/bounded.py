@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.problem import Objective, Problem
+from hystfit.inference.problem import Objective, Problem
 
 
 def _jaxopt() -> Any:

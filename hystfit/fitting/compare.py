@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.loops import loop_area
 from hystfit.data.record import Dataset, Record
-from hystfit.data.reversal import recognize_family
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.structure import search_structure
-from hystfit.models.preisach import Preisach
+from hystfit.models.preisach.model import Preisach
 from hystfit.models.registry import make_model
-from hystfit.results import FitResult
+from hystfit.quality.loops import loop_area
+from hystfit.quality.reversal_curves import recognize_family
+from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
 SEARCH = "prandtl-ishlinskii-search"

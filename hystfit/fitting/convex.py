@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.problem import Objective, Problem
+from hystfit.inference.problem import Objective, Problem
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 0))
 _BLOCKS = 5

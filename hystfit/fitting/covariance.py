@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.coordinates import BOTH, REAL
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.preisach import responses
-from hystfit.models.preisach import Preisach
-from hystfit.noise.serial import least_squares_root
-from hystfit.problem import Objective, Problem
-from hystfit.residuals import Leftover
+from hystfit.inference.noise.serial import least_squares_root
+from hystfit.inference.problem import Objective, Problem
+from hystfit.inference.residuals import Leftover
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.solve import responses
+from hystfit.params.coordinates import BOTH, REAL
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes an error bar, which is symmetric, meaningless
@@ -82,7 +82,7 @@ def uncertainty(
     """Covariance at an estimate, to first order.
 
     Residuals that are correlated in time carry less information than their number: with `honest` the covariance of a least-squares
-    estimate is taken under slow and independent noise with their statistics (`hystfit.noise.serial`). That of hundreds of weights, or
+    estimate is taken under slow and independent noise with their statistics (`inference.noise.serial`). That of hundreds of weights, or
     where such noise would have to be far larger than the residuals, grows by their integrated autocorrelation time. Parameters on a
     bound and directions that the data leave open get no finite error.
 

@@ -8,7 +8,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 
-from hystfit.problem import Problem
+from hystfit.inference.problem import Problem
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,27 +12,27 @@ import numpy as np
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError, ModelError, ParameterError
+from hystfit.fitting.assessment import notes_of, status_of
 from hystfit.fitting.bounded import BoundedDescent
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge
 from hystfit.fitting.covariance import Uncertainty, near_bound, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.multistart import spread_starts
-from hystfit.fitting.preisach import PreisachWeights
 from hystfit.fitting.released import refine_released
 from hystfit.fitting.timing import Stopwatch
 from hystfit.fitting.trust_region import TrustRegion
-from hystfit.fitting.verdict import notes_of, status_of
-from hystfit.metrics import Metrics
+from hystfit.inference.noise import NOISES
+from hystfit.inference.problem import Loss, Problem, check_fittable
+from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.compose import has_rest, with_rest
-from hystfit.models.preisach import Preisach
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.solve import PreisachWeights
 from hystfit.models.registry import make_model
-from hystfit.noise import NOISES
-from hystfit.problem import Loss, Problem, check_fittable
-from hystfit.residuals import diagnose
-from hystfit.results import FitResult, ParameterEstimate, provenance
-from hystfit.space import ParameterSpace
+from hystfit.params.space import ParameterSpace
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import FitResult, ParameterEstimate, provenance
 
 Method = Literal["auto", "lm", "dogleg", "trf", "lbfgsb", "projected-gradient", "convex", "preisach"]
 ESTIMATORS: dict[str, AbstractEstimator] = {

@@ -17,14 +17,14 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Float
 
-from hystfit.coordinates import Coordinates
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.newton import Optimum, descend, maximize
-from hystfit.metrics import autocorrelation_time
-from hystfit.noise import AbstractNoise, Setting, White, starting_noise
-from hystfit.priors import AbstractPrior, default_priors
-from hystfit.problem import Objective, Problem
-from hystfit.space import ParameterSpace
+from hystfit.inference.newton import Optimum, descend, maximize
+from hystfit.inference.noise import AbstractNoise, Setting, White, starting_noise
+from hystfit.inference.priors import AbstractPrior, default_priors
+from hystfit.inference.problem import Objective, Problem
+from hystfit.params.coordinates import Coordinates
+from hystfit.params.space import ParameterSpace
+from hystfit.results.metrics import autocorrelation_time
 
 _ROUNDS = 4
 _LIMIT = 1e3  # times the output's size: residuals beyond are those of a simulation that breaks

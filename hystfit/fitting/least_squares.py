@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.trust_region import TrustRegion
-from hystfit.problem import Objective, Problem
+from hystfit.inference.problem import Objective, Problem
 
 
 def _residuals(z: Array, objective: Objective) -> Array:

@@ -11,13 +11,13 @@ from hystfit.fitting.again import problem_of
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
 from hystfit.fitting.covariance import near_bound
 from hystfit.fitting.fit import ESTIMATORS
-from hystfit.fitting.preisach_system import PreisachSystem
-from hystfit.fitting.smooth import SMOOTHNESS, fit_smooth
-from hystfit.models.preisach import Preisach
-from hystfit.noise.serial import Contrasts, fit_slow_noise
-from hystfit.problem import Problem
-from hystfit.residuals import Leftover
-from hystfit.results import FitResult
+from hystfit.inference.noise.serial import Contrasts, fit_slow_noise
+from hystfit.inference.problem import Problem
+from hystfit.inference.residuals import Leftover
+from hystfit.models.preisach.equations import PreisachSystem
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
+from hystfit.results.result import FitResult
 
 Scheme = Literal["blocks", "future"]
 SCHEMES: tuple[str, ...] = get_args(Scheme)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
-from hystfit.coordinates import BOTH
-from hystfit.problem import Problem
+from hystfit.inference.problem import Problem
+from hystfit.params.coordinates import BOTH
 
 _SPREAD = 1.5  # in z: a factor of about 4 either way for a positive parameter
 

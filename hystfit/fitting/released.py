@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from hystfit.coordinates import BOTH
 from hystfit.fitting.covariance import near_bound
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import NoiseFit, refine
-from hystfit.problem import Problem
+from hystfit.inference.problem import Problem
+from hystfit.params.coordinates import BOTH
 
 _INSIDE = 0.05  # in the parameter's scale, or in the width between two bounds
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.compose import Series, Sum
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
 from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii, Rest
 from hystfit.models.rate import SaturatingRate, Viscous
-from hystfit.problem import Problem
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out blocks by at least 2 %
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)

@@ -10,7 +10,7 @@ import scipy.optimize
 from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.problem import Objective, Problem
+from hystfit.inference.problem import Objective, Problem
 
 
 class TrustRegion(AbstractEstimator):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.data.loops import reversals
 from hystfit.data.record import Dataset
 from hystfit.models.base import simulate
+from hystfit.quality.loops import reversals
 
 if TYPE_CHECKING:
     from hystfit.identify.base import Info

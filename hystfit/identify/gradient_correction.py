@@ -23,7 +23,7 @@ from hystfit.identify.bias import noise_bias
 from hystfit.identify.linear import LinearIdentifier, check_enough, rows_of, starting_theta
 from hystfit.identify.regressors import DuhemRegressor, Rows
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params import as_array
+from hystfit.params.param import as_array
 
 _SLACK = 1e-12  # relative, of the condition on time-varying weights
 _EXCESS = 0.02  # part of the response's RMS by which the equation error may exceed that of the batch solution

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hystfit.data.record import Dataset
-from hystfit.metrics import Metrics
+from hystfit.inference.problem import scales_of
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.problem import scales_of
-from hystfit.results import ParameterEstimate
-from hystfit.space import ParameterSpace
+from hystfit.params.space import ParameterSpace
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import ParameterEstimate
 
 if TYPE_CHECKING:
     from hystfit.identify.base import AbstractIdentifier, Info, Sample

@@ -15,9 +15,9 @@ from hystfit.identify.bias import noise_bias
 from hystfit.identify.linear import check_enough, rows_of, with_first_output
 from hystfit.identify.regressors import DuhemRegressor
 from hystfit.identify.rls import Rls
+from hystfit.inference.problem import Problem
 from hystfit.models.base import simulate
 from hystfit.models.duhem import Duhem
-from hystfit.problem import Problem
 
 
 def decimate(record: Record, increment: float) -> Record:

@@ -17,7 +17,7 @@ from hystfit.identify.bias import noise_bias
 from hystfit.identify.linear import LinearIdentifier, check_enough, rows_of, starting_theta
 from hystfit.identify.regressors import DuhemRegressor
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params import as_array
+from hystfit.params.param import as_array
 
 _WINDUP = 1e3  # growth of the mean variance over the prior at which forgetting pauses
 

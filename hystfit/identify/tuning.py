@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.coordinates import REAL
-from hystfit.data.noise import noise_rms
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.space import ParameterSpace
+from hystfit.params.coordinates import REAL
+from hystfit.params.space import ParameterSpace
+from hystfit.quality.faults import noise_rms
 
 _QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range: a smooth record says less than nothing
 

@@ -12,16 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hystfit.coordinates import Coordinates
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify import tuning
 from hystfit.identify.base import AbstractIdentifier, Info, Sample, run_stream
 from hystfit.identify.consistency import verdict
 from hystfit.identify.unscented import Unscented, triangular
+from hystfit.inference.problem import check_fittable, scales_of
 from hystfit.models.base import AbstractHysteresis
-from hystfit.problem import check_fittable, scales_of
-from hystfit.space import ParameterSpace
+from hystfit.params.coordinates import Coordinates
+from hystfit.params.space import ParameterSpace
 
 _STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the records
 

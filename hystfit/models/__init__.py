@@ -12,14 +12,14 @@ from hystfit.models.compose import Series as Series
 from hystfit.models.compose import Sum as Sum
 from hystfit.models.creep import LinearCreep as LinearCreep
 from hystfit.models.creep import LogCreep as LogCreep
-from hystfit.models.density import ParametricPreisach as ParametricPreisach
 from hystfit.models.duhem import Duhem as Duhem
 from hystfit.models.dynamics import Delay as Delay
 from hystfit.models.dynamics import Lag as Lag
 from hystfit.models.dynamics import SecondOrder as SecondOrder
 from hystfit.models.oscillator import BoucWenOscillator as BoucWenOscillator
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii as PrandtlIshlinskii
-from hystfit.models.preisach import Preisach as Preisach
+from hystfit.models.preisach.density import ParametricPreisach as ParametricPreisach
+from hystfit.models.preisach.model import Preisach as Preisach
 from hystfit.models.rate import SaturatingRate as SaturatingRate
 from hystfit.models.rate import Viscous as Viscous
 from hystfit.models.relaxation import Relaxation as Relaxation

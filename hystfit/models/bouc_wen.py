@@ -15,7 +15,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import begun, bound, exact_step, trapezoid
 from hystfit.models.starting import fit_linear, input_range, thinned
-from hystfit.params import param
+from hystfit.params.param import param
 
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 

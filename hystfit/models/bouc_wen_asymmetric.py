@@ -17,7 +17,7 @@ from hystfit.models.bouc_wen import coarse, grid_start
 from hystfit.models.bouc_wen_steps import begun, bound, passed_rates, power_of, runge_kutta, semi_implicit
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import input_range
-from hystfit.params import param
+from hystfit.params.param import param
 
 
 class AsymmetricBoucWen(AbstractHysteresis):

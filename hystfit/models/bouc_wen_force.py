@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import fit_linear, input_range, thinned
-from hystfit.params import param
+from hystfit.params.param import param
 
 _SUBSTEPS = 4
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractFilter, AbstractHysteresis, simulate
-from hystfit.params import param
+from hystfit.params.param import param
 
 
 def _size(model: AbstractHysteresis) -> int:

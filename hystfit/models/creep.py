@@ -16,7 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractFilter, AbstractHysteresis, check_rest
 from hystfit.models.starting import fitted_input_range, input_range
-from hystfit.params import param
+from hystfit.params.param import param
 
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
 _TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))

@@ -16,7 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
-from hystfit.params import param
+from hystfit.params.param import param
 
 Scheme = Literal["midpoint", "explicit", "exact"]
 

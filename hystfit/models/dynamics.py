@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractFilter, check_rest
-from hystfit.params import param
+from hystfit.params.param import param
 
 
 class Delay(AbstractFilter):

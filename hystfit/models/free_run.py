@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.models.columns import features
-from hystfit.models.compiled import compile_for, respond
 from hystfit.models.compose import Series, Sum
-from hystfit.models.density import ParametricPreisach
-from hystfit.models.preisach import Preisach
+from hystfit.models.preisach.compiled import compile_for, respond
+from hystfit.models.preisach.density import ParametricPreisach
+from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.model import Preisach
 
 _SMALL = (
     4_000_000  # samples times weights up to which columns on the host beat compiling look-ups for yet another shape

@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import input_range, output_range
-from hystfit.params import param
+from hystfit.params.param import param
 
 
 class BoucWenOscillator(AbstractHysteresis):

@@ -15,7 +15,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import fitted_input_range, output_range
-from hystfit.params import param
+from hystfit.params.param import param
 
 Envelope = Literal["identity", "square", "mirror"]
 Operator = Literal["play", "stop"]

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params import param
+from hystfit.params.param import param
 
 
 class Viscous(AbstractHysteresis):

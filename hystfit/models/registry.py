@@ -23,7 +23,7 @@ from hystfit.models.duhem import Duhem
 from hystfit.models.dynamics import Delay, Lag, SecondOrder
 from hystfit.models.oscillator import BoucWenOscillator
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
-from hystfit.models.preisach import Preisach
+from hystfit.models.preisach.model import Preisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
 

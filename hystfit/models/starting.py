@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.data.loops import reversals
 from hystfit.data.record import Record
+from hystfit.quality.loops import reversals
 
 
 class Range(NamedTuple):

@@ -11,7 +11,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 
 if TYPE_CHECKING:
-    from hystfit.sampling.draws import Posterior
+    from hystfit.sampling.posterior import Posterior
 
 _CYCLES, _POINTS = 3, 400
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep

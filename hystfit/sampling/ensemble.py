@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.sampling.posterior import Setup
 from hystfit.sampling.raw import Raw
 from hystfit.sampling.settings import check_counts
+from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
 MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted

@@ -14,7 +14,7 @@ from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.raw import Evidence
 
 if TYPE_CHECKING:
-    from hystfit.sampling.draws import Posterior
+    from hystfit.sampling.posterior import Posterior
 
 SCHEMA = "hystfit.sample/1"
 _PLAIN = ("sampler", "noise", "status", "priors", "seconds", "seed", "provenance")
@@ -43,7 +43,7 @@ def dataset(posterior: Posterior) -> Any:
 
 def save(posterior: Posterior, folder: str | Path) -> Path:
     """Write posterior.nc, result.json, and the fit in fit/: see `Posterior.save`."""
-    from hystfit.saved import dump_json, writing
+    from hystfit.results.saved import dump_json, writing
 
     xarray = _xarray()
     target = Path(folder)
@@ -60,7 +60,7 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
 
 def load(folder: str | Path) -> dict[str, Any]:
     """Fields of the `Posterior` that `save` wrote: see `load_posterior`."""
-    from hystfit.saved import load_fit
+    from hystfit.results.saved import load_fit
 
     xarray, place = _xarray(), Path(folder)
     file = place / "posterior.nc"

@@ -19,9 +19,9 @@ from scipy.special import logsumexp
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.sampling.chunks import stored
-from hystfit.sampling.posterior import Setup
 from hystfit.sampling.raw import Evidence, Raw
 from hystfit.sampling.settings import check_counts
+from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
 _CHUNK = 10  # deletions of a batch in one compiled call, and between two writes to disk

@@ -19,9 +19,9 @@ from jaxtyping import Array
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
-from hystfit.sampling.posterior import Setup
 from hystfit.sampling.raw import Raw
 from hystfit.sampling.settings import check_counts
+from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
 _CHUNK = 50  # draws in one compiled call, and between two writes to disk

@@ -1,180 +1,252 @@
-"""A posterior made ready for sampling: which noise, which priors, where its mode is and how it is curved there."""
+"""`Posterior`: draws with their diagnostics, tables, pictures, bands and derived quantities."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.coordinates import BOTH, LOWER, UPPER
-from hystfit.data.batch import Batch
-from hystfit.errors import DataError, ParameterError
-from hystfit.fitting.again import problem_of
-from hystfit.fitting.covariance import leftover
-from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.newton import maximize
-from hystfit.fitting.released import refine_released
-from hystfit.noise import Setting
-from hystfit.priors import AbstractPrior, LogNormal, choose_priors
-from hystfit.problem import Problem
-from hystfit.residuals import Leftover, diagnose
-from hystfit.results import FitResult
-from hystfit.sampling.target import Target
-from hystfit.space import ParameterSpace
+from hystfit.data.record import Record
+from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.results.result import FitResult
+from hystfit.sampling import files
+from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.predictive import predictive_draws, simulate_draws
+from hystfit.sampling.raw import Evidence
 
-_MOST = 100  # parameters beyond which sampling is refused
-_CURVE = 0.7  # standard deviation of the logarithm of a repeating error's size about what the residuals show of it
-_WIDEST = 3.0  # standard deviation in z that a direction without curvature is given to start with
+ADVICE = {
+    "ok": "usable",
+    "poor-fit": "the draws have converged, on a model that does not describe these data: choose another one (hystfit compare)",
+    "not-converged": "the chains have not converged: draw more, or fix what the data do not determine",
+}
 
 
 @dataclasses.dataclass(frozen=True)
-class Setup:
-    """A posterior made ready for sampling.
+class Posterior:
+    """Draws of the parameters of model and noise.
 
     Attributes:
-        problem: model and data, as they were fitted.
-        noise_name: which noise model.
-        noise_space: its parameters.
-        target: centered on the posterior's mode and whitened by the curvature there.
-        names, units: of all parameters.
-        notes: what was chosen, and why.
+        result: the fit from which sampling started.
+        sampler, noise: names.
+        names, units: of the parameters, the model's first.
+        draws: physical, shape (chains, draws, d); for the ensemble every walker is a chain.
+        log_density: log posterior in unconstrained coordinates, shape (chains, draws).
+        stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
+        convergence: R-hat and effective sizes.
+        status: "ok", "not-converged", or "poor-fit" (draws of a model that does not describe the data).
+        notes: what was chosen, what went wrong.
+        priors: in words, by parameter.
+        seconds: wall time of sampling.
+        seed: of the draws.
+        provenance: of the draws: date, versions, seed, data, and under "fit" the date of the fit.
+        evidence: log evidence of model, noise and priors together, of nested sampling; None from other samplers.
     """
 
-    problem: Problem
-    noise_name: str
-    noise_space: ParameterSpace
-    target: Target
+    result: FitResult
+    sampler: str
+    noise: str
     names: tuple[str, ...]
     units: tuple[str, ...]
+    draws: np.ndarray
+    log_density: np.ndarray
+    stats: dict[str, np.ndarray]
+    convergence: Convergence
+    status: str
     notes: tuple[str, ...]
+    priors: dict[str, str]
+    seconds: float
+    seed: int
+    provenance: dict[str, Any]
+    evidence: Evidence | None = None
 
-    def describe_priors(self) -> dict[str, str]:
-        """Priors in words, by parameter."""
-        return {name: str(prior) for name, prior in zip(self.names, self.target.priors, strict=True)}
+    @property
+    def usable(self) -> bool:
+        """Whether the chains have converged, on a model that describes the data."""
+        return self.status == "ok"
 
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Draws of one parameter, shape (chains, draws)."""
+        if name not in self.names:
+            raise ParameterError(f"no parameter {name!r}; there are {', '.join(self.names)}")
+        return self.draws[:, :, self.names.index(name)]
 
-def choose_noise(left: Leftover, asked: str) -> tuple[str, list[str]]:
-    """The noise model to use and why: what was asked for, or for "auto" slow noise, unless the residuals call for more."""
-    found = diagnose(left)
-    if asked == "auto":
-        name = found.recommended if found.recommended in ("discrepancy", "student-t") else "ou"
-        plain = "the default, which holds independent noise as a case" if found.recommended == "iid" else ""
-        return name, [f"noise model {name}: {plain or '; '.join(found.reasons)}"]
-    return asked, [f"noise={asked!r} was asked for, but {why}" for why in found.objections(asked)]
+    def table(self) -> list[dict[str, Any]]:
+        """One row a parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
+        finite = lambda v: float(v) if np.isfinite(v) else None
+        rows = []
+        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            flat = self.draws[:, :, k].ravel()
+            low, median, high = np.quantile(flat, [0.025, 0.5, 0.975])
+            row = {"name": name, "unit": unit, "mean": finite(flat.mean()), "sd": finite(flat.std(ddof=1))}
+            row |= {"lower": finite(low), "median": finite(median), "upper": finite(high)}
+            row |= {k_: finite(getattr(self.convergence, k_)[k]) for k_ in ("rhat", "bulk", "tail")}
+            rows.append(row)
+        return rows
 
-
-def prepare(
-    result: FitResult,
-    *,
-    noise: str = "auto",
-    priors: Mapping[str, AbstractPrior] | None = None,
-) -> Setup:
-    """Make the posterior of a fit ready: noise model, priors, mode and curvature.
-
-    Args:
-        result: the fit; its data, free parameters and values are taken.
-        noise: "auto", or a name of `hystfit.noise.NOISES`.
-        priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
-
-    Raises:
-        ParameterError: an unknown name, a prior that is flat or excludes the fit, too many parameters.
-    """
-    problem, x = problem_of(result)
-    if len(problem.space) > _MOST:
-        raise ParameterError(
-            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): fix most of them, or fewer cells or plays"
-        )
-    left = leftover(problem, x)
-    name, notes = choose_noise(left, noise)
-    refined = refine_released(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), name)
-    space = refined.space
-    values = np.concatenate([refined.x, refined.values])
-    chosen = choose_priors_for(problem.space, space, noise_priors(space, left) | dict(priors or {}), values)
-    z = np.concatenate([_inside(problem.space, refined.x), _inside(space, refined.values)])
-    batch = trimmed(problem.objective.batch)
-    objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
-    d = z.size
-    start = Target(objective, space.coordinates, Setting.of(batch), chosen, jnp.asarray(z), jnp.eye(d))
-    names, units = (*problem.space.names, *space.names), (*problem.space.units, *space.units)
-    if not np.isfinite(float(start.log_prior(jnp.asarray(z)))):
-        outside = [
-            n
-            for n, prior, v in zip(names, chosen, values, strict=True)
-            if not np.isfinite(float(prior.log_density(jnp.asarray(v))))
+    def __str__(self) -> str:
+        width = max(len(name) for name in self.names)
+        shape = self.draws.shape
+        lines = [
+            f"{self.result.name}, noise {self.noise}, {self.sampler}: {shape[0]} chains of {shape[1]} draws: {self.status}"
         ]
-        raise ParameterError(
-            f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
+        lines.append(
+            f"{'':{width}}  {'mean':>11} {'sd':>10} {'2.5 %':>11} {'97.5 %':>11} {'R-hat':>6} {'bulk':>6} {'tail':>6}"
         )
-    mode = find_mode(start)
-    center, factor, value = whiten_by_curvature(mode)
-    if not np.isfinite(value):
-        raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
-    target = eqx.tree_at(lambda t: (t.center, t.factor), start, (jnp.asarray(center), jnp.asarray(factor)))
-    return Setup(problem, name, space, target, names, units, tuple(notes))
+        number = lambda v, form: "-" if v is None else format(v, form)
+        for row in self.table():
+            values = [number(row[k], ".5g") for k in ("mean", "sd", "lower", "upper")]
+            end = [number(row["rhat"], ".3f"), number(row["bulk"], ".0f"), number(row["tail"], ".0f")]
+            lines.append(
+                f"{row['name']:{width}}  {values[0]:>11} {values[1]:>10} {values[2]:>11} {values[3]:>11} {end[0]:>6} {end[1]:>6} "
+                f"{end[2]:>6}  {row['unit']}".rstrip()
+            )
+        if self.evidence is not None:
+            lines.append(
+                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; for the same data only)"
+            )
+        lines += self._derived_words()
+        lines += [f"note: {note}" for note in self.notes]
+        lines += [f"prior of {name}: {words}" for name, words in self.priors.items()]
+        return "\n".join(lines)
+
+    def _derived_words(self) -> list[str]:
+        words = lambda v: "-" if v is None else f"{v:.5g}"
+        return [
+            f"{row['name']}: {words(row['median'])} {row['unit']}, 95 % {words(row['lower'])} to {words(row['upper'])}".replace(
+                " ,", ","
+            )
+            for row in self.derived_rows
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`."""
+        diverging = self.stats.get("diverging")
+        return {
+            "schema": files.SCHEMA,
+            "model": self.result.name,
+            "status": self.status,
+            "advice": ADVICE[self.status],
+            "notes": list(self.notes),
+            "sampler": self.sampler,
+            "noise": self.noise,
+            "chains": self.draws.shape[0],
+            "draws": self.draws.shape[1],
+            "divergences": None if diverging is None else int(diverging.sum()),
+            "acceptance": float(np.mean(self.stats["acceptance"])) if "acceptance" in self.stats else None,
+            "evidence": None if self.evidence is None else self.evidence._asdict(),
+            "parameters": {row.pop("name"): row for row in self.table()},
+            "derived": {row["name"]: {k: v for k, v in row.items() if k != "name"} for row in self.derived_rows},
+            "priors": self.priors,
+            "timing": {"sampling_s": self.seconds},
+            "provenance": self.provenance,
+        }
+
+    def thinned(self, count: int, seed: int = 0) -> np.ndarray:
+        """`count` draws of the model's parameters, chosen at random, shape (count, p)."""
+        flat = self.draws.reshape(-1, len(self.names))[:, : len(self.result.free_names)]
+        return flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
+
+    def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
+        """The models of `thinned` draws, as the first record sees them: simulate or invert each."""
+        from hystfit.fitting.again import problem_of
+
+        coordinates = problem_of(self.result)[0].space.coordinates
+        for row in self.thinned(count, seed):
+            yield coordinates.assemble(jnp.asarray(row), 0)
+
+    # -- prediction ----------------------------------------------------------------------------------------------------
+
+    def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
+        """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
+        return simulate_draws(self.result, record, self.thinned(count, seed))
+
+    def bands(
+        self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, kind: str = "predictive"
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, median, upper) of the output over a record's input, each (T,).
+
+        Args:
+            record: gives the input.
+            level: of the pointwise band.
+            count: draws used.
+            seed: of their choice and of the noise.
+            kind: "credible" (of the model's curve) or "predictive" (of a measurement: see
+                `hystfit.sampling.predictive`).
+
+        Raises:
+            ParameterError: another kind, or a level outside (0, 1).
+        """
+        if kind not in ("credible", "predictive") or not 0 < level < 1:
+            raise ParameterError(f"kind must be credible or predictive and 0 < level < 1, got {kind!r} and {level}")
+        draw = predictive_draws if kind == "predictive" else Posterior.predict
+        y = draw(self, record, count, seed)
+        edges = np.quantile(y, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
+        return edges[0], edges[1], edges[2]
+
+    def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
+        """Posterior draws of derived quantities, each (count,): see `hystfit.sampling.derived.QUANTITIES`."""
+        from hystfit.sampling.derived import derive
+
+        return derive(self, quantities, count)
+
+    @functools.cached_property
+    def derived_rows(self) -> list[dict[str, Any]]:
+        """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
+        from hystfit.sampling.derived import QUANTITIES, units
+
+        finite = lambda v: float(v) if np.isfinite(v) else None
+        rows, unit = [], units(self)
+        for name, values in self.derived().items():
+            low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
+            row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}
+            rows.append(row | {"upper": finite(high), "about": QUANTITIES[name]})
+        return rows
+
+    def plot(self, kind: str = "corner", **options: Any) -> Any:
+        """A picture: "corner", "trace", "rank" or "bands"; returns the matplotlib figure."""
+        from hystfit.sampling import plots
+
+        return plots.draw(self, kind, **options)
+
+    # -- files ---------------------------------------------------------------------------------------------------------
+
+    def dataset(self) -> Any:
+        """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them."""
+        return files.dataset(self)
+
+    def to_arviz(self) -> Any:
+        """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
+        try:
+            import arviz
+        except ImportError as error:
+            raise MissingExtraError("arviz", "bayes", "to_arviz") from error
+        stats = {"lp": self.log_density, **self.stats}
+        posterior = {files.variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
+        if hasattr(arviz, "InferenceData"):
+            return arviz.from_dict(posterior=posterior, sample_stats=stats)
+        return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
+
+    def save(self, folder: str | Path) -> Path:
+        """Write posterior.nc (groups posterior and sample_stats), result.json, and the fit in fit/.
+
+        Raises:
+            MissingExtraError: xarray or h5netcdf is not installed.
+            HystfitError: the folder cannot be written.
+        """
+        return files.save(self, folder)
 
 
-def noise_priors(space: ParameterSpace, left: Leftover) -> dict[str, AbstractPrior]:
-    """Defaults that the residuals decide.
-
-    Noise slower than a third of the record is a constant, which the offset already is. An error that repeats is about as large as
-    the residuals show: model and discrepancy explain each other, and without a prior that says so draws run off to
-    errors of any size that the model makes good (Brynjarsdottir and O'Hagan 2014).
-    """
-    slowest = max(max(row.size for row in left.rows) / 3, 10.0)
-    about = LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)  # one sample to the slowest: two sd each way
-    found: dict[str, AbstractPrior] = {"noise_time": about}
-    if left.curve_size is not None:
-        found["noise_loop"] = LogNormal(left.curve_size, _CURVE)
-    return {name: prior for name, prior in found.items() if name in space.names}
-
-
-def choose_priors_for(
-    model: ParameterSpace, noise: ParameterSpace, own: Mapping[str, AbstractPrior] | None, x: np.ndarray
-) -> tuple[AbstractPrior, ...]:
-    """Priors of both spaces, in their order; `own` may name parameters of either.
+def load_posterior(folder: str | Path) -> Posterior:
+    """What `Posterior.save` wrote.
 
     Raises:
-        ParameterError: see `hystfit.priors.choose_priors`.
+        DataError: the folder holds no such file, or one that is damaged.
+        MissingExtraError: xarray or h5netcdf is not installed.
     """
-    own = dict(own or {})
-    theirs = {name: own.pop(name) for name in list(own) if name in noise.names}
-    return choose_priors(model, own, x[: len(model)], noise.names) + choose_priors(noise, theirs, x[len(model) :])
-
-
-def trimmed(batch: Batch) -> Batch:
-    """A batch without padding that no record needs: a long run pays for its own compilation."""
-    used = np.asarray(batch.weight) > 0
-    end = int(np.max(np.flatnonzero(used.any(axis=0)))) + 1
-    return jax.tree_util.tree_map(lambda v: v[:, :end], batch)
-
-
-def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
-    """z with parameters that lie on a bound moved to where a mode can be found."""
-    c = space.coordinates
-    z = space.unconstrained(np.clip(x, np.asarray(c.lower), np.asarray(c.upper)))
-    kind = np.asarray(c.kinds)
-    one = (kind == LOWER) | (kind == UPPER)
-    return np.where(one, np.maximum(z, np.log(1e-4)), np.where(kind == BOTH, np.clip(z, -9, 9), z))
-
-
-@eqx.filter_jit
-def _mode(target: Target) -> Any:
-    return maximize(target.log_density, target.center, target.slope)
-
-
-def find_mode(target: Target) -> Any:
-    """The posterior's mode in z, by Newton steps from the target's center."""
-    return _mode(target)
-
-
-def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
-    """(center, factor, log posterior) from an `Optimum`: factor factor' = inverse curvature, bounded where there is next to none."""
-    curvature = -np.asarray(mode.hessian)
-    curvature = np.where(np.isfinite(curvature), curvature, 0.0)
-    size, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    return np.asarray(mode.z), axes / np.sqrt(np.maximum(size, _WIDEST**-2)), float(mode.value)
+    return Posterior(**files.load(folder))

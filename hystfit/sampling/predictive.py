@@ -10,20 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.coordinates import Coordinates
 from hystfit.data.batch import Batch
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.fitting.again import problem_of
 from hystfit.fitting.generalized import raw_residual
+from hystfit.inference.noise import LoopDiscrepancy, Setting, make_noise
+from hystfit.inference.problem import Objective
 from hystfit.models.base import run
-from hystfit.noise import LoopDiscrepancy, Setting, make_noise
-from hystfit.problem import Objective
-from hystfit.results import FitResult
-from hystfit.space import ParameterSpace
+from hystfit.params.coordinates import Coordinates
+from hystfit.params.space import ParameterSpace
+from hystfit.results.result import FitResult
 
 if TYPE_CHECKING:
-    from hystfit.sampling.draws import Posterior
+    from hystfit.sampling.posterior import Posterior
 
 
 @eqx.filter_jit
@@ -71,7 +71,7 @@ def _repeating(
     posterior: Posterior, record: Record, rows: np.ndarray, seed: int
 ) -> tuple[Float[np.ndarray, "count T"], Float[np.ndarray, "count T"]]:
     """A repeating error for each draw over a record's input, and the variance that its shapes cannot make there."""
-    from hystfit.sampling.posterior import trimmed
+    from hystfit.sampling.setup import trimmed
 
     problem, _ = problem_of(posterior.result)
     noise = make_noise(posterior.noise)

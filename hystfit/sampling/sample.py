@@ -16,15 +16,15 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, require_x64
 from hystfit.errors import ParameterError
-from hystfit.priors import AbstractPrior, LogNormal
-from hystfit.results import FitResult, provenance
+from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.results.result import FitResult, provenance
 from hystfit.sampling.chunks import claim
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.draws import Posterior
 from hystfit.sampling.ensemble import Ensemble
 from hystfit.sampling.nested import Nested
 from hystfit.sampling.nuts import Nuts
-from hystfit.sampling.posterior import Setup, prepare
+from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.setup import Setup, prepare
 from hystfit.sampling.target import Target
 
 _AS_WIDE = 0.5  # width of a posterior over that of its prior above which the data say little
@@ -50,7 +50,7 @@ def sample(
         sampler: "nuts" (blackjax), "emcee" for up to ten parameters, or "nested" (blackjax) where the posterior may have several
             modes or the evidence is wanted: it starts from the priors, and takes minutes.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals call for more, and says why.
-        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
+        priors: the user's own, such as {"tau": hystfit.inference.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
         seed: of the draws.
         folder: keeps the run while it goes; the same call with the same folder goes on after a kill.
         progress: called from time to time with a line and the part that is done, such as `print`.

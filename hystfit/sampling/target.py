@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hystfit.coordinates import Coordinates
 from hystfit.fitting.generalized import linearize, log_likelihood, log_prior, raw_residual
-from hystfit.fitting.newton import FORWARD, forward
+from hystfit.inference.newton import FORWARD, forward
+from hystfit.inference.noise import AbstractNoise, Setting
+from hystfit.inference.priors import AbstractPrior
+from hystfit.inference.problem import Objective
 from hystfit.models.base import AbstractHysteresis
-from hystfit.noise import AbstractNoise, Setting
-from hystfit.priors import AbstractPrior
-from hystfit.problem import Objective
+from hystfit.params.coordinates import Coordinates
 
 
 class Target(eqx.Module):

@@ -9,7 +9,7 @@ from typing import Any
 
 from hystfit.errors import DataError
 from hystfit.signals.checks import Series
-from hystfit.signals.levels import amplitude_sweep, forc_protocol, random_reversals, staircase, step
+from hystfit.signals.turning_points import amplitude_sweep, forc_protocol, random_reversals, staircase, step
 from hystfit.signals.waves import chirp, decaying_sine, multisine, sine, triangle
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
-from hystfit.space import ParameterSpace
+from hystfit.params.space import ParameterSpace
 
 
 def piezo(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, ParameterError
-from hystfit.params import param
+from hystfit.params.param import param
 
 AXES = ("x", "y", "theta")
 UNITS = {"x": "um", "y": "um", "theta": "mrad"}

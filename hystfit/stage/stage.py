@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
-from hystfit.space import ParameterSpace
+from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo, population
 from hystfit.stage.kinematics import AXES, Kinematics
 from hystfit.stage.measured import Measured

@@ -19,12 +19,12 @@ from scipy.stats import binom
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
+from hystfit.inference.noise import AbstractNoise, make_noise
+from hystfit.inference.priors import AbstractPrior, choose_priors
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
-from hystfit.noise import AbstractNoise, make_noise
-from hystfit.priors import AbstractPrior, choose_priors
-from hystfit.problem import Problem
-from hystfit.uncertainty.chunks import collect
+from hystfit.uncertainty.replicate_pool import collect
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, valued_noise
 
 SCHEMA = "hystfit.calibrate/1"

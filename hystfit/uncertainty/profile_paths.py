@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.fitting.generalized import Whitened
-from hystfit.fitting.newton import descend
+from hystfit.inference.newton import descend
 
 _STEPS = 24  # points on each side at most
 _STRIDE = 0.6  # aimed rise of the root statistic from point to point

@@ -17,18 +17,18 @@ from jaxtyping import Array
 from scipy.stats import chi2
 
 from hystfit.config import require_x64
-from hystfit.coordinates import BOTH, LOWER, UPPER
 from hystfit.errors import ParameterError
 from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import error_ratios, near_bound
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.generalized import Whitened, linearize, refine
-from hystfit.noise import Setting, White
-from hystfit.problem import Objective
-from hystfit.results import FitResult
-from hystfit.sampling.posterior import trimmed
+from hystfit.inference.noise import Setting, White
+from hystfit.inference.problem import Objective
+from hystfit.params.coordinates import BOTH, LOWER, UPPER
+from hystfit.params.units import axis_label
+from hystfit.results.result import FitResult
+from hystfit.sampling.setup import trimmed
 from hystfit.uncertainty.profile_paths import crossing, follow_all
-from hystfit.units import axis_label
 
 SCHEMA = "hystfit.profile/1"
 

@@ -14,16 +14,16 @@ from jaxtyping import Array, Float
 
 from hystfit.config import enable_x64
 from hystfit.data.record import Dataset
-from hystfit.fitting.newton import maximize
+from hystfit.inference.newton import maximize
+from hystfit.inference.noise import AbstractNoise, Setting, make_noise
+from hystfit.inference.priors import AbstractPrior, priors_around
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.noise import AbstractNoise, Setting, make_noise
-from hystfit.priors import AbstractPrior, priors_around
-from hystfit.problem import Problem
+from hystfit.params.space import ParameterSpace
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Tuning, advance
-from hystfit.sampling.posterior import trimmed
+from hystfit.sampling.setup import trimmed
 from hystfit.sampling.target import Target
-from hystfit.space import ParameterSpace
 
 Method = Literal["laplace", "nuts", "emcee"]
 CHUNK = 10  # replicates in one compiled call and one file

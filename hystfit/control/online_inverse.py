@@ -1,0 +1,167 @@
+"""An inverse fed sample by sample: what a controller runs, and what `invert` runs over a whole reference."""
+
+from __future__ import annotations
+
+import enum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from hystfit.control.step_choice import reach, step_inverse
+from hystfit.control.step_inverse import AbstractStepInverse
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis, Resume
+
+if TYPE_CHECKING:
+    from hystfit.results.result import FitResult
+
+Limits = tuple[float | int, float | int]
+_WIDER = 0.05  # a fitted model is searched this part of its range beyond the inputs it was fitted on
+
+
+class Status(enum.IntEnum):
+    """What became of one sample of a reference."""
+
+    OK = 0
+    SATURATED = 1
+    NOT_MONOTONE = 2
+    OUT_OF_RANGE = 3
+
+    @property
+    def label(self) -> str:
+        """As printed: "not-monotone"."""
+        return self.name.lower().replace("_", "-")
+
+
+class Answer(NamedTuple):
+    """One sample of an inverse: input, the model's output for it, and its `Status` as a number."""
+
+    u: Float[Array, ""]
+    y: Float[Array, ""]
+    status: Int[Array, ""]
+
+
+class InverseStep(eqx.Module):
+    """An inverse fed sample by sample: `memory = init(u0)`, then `memory, answer = step(memory, target, dt)`.
+
+    The memory is that of the model itself, moved by the input that is really given: a reference out of reach is met as well as
+    the limits allow, and what follows is right again. Make one with `InverseStep.of`.
+
+    Attributes:
+        model: what is inverted.
+        solver: its one-sample inverse.
+        low, high: between which the input is held.
+        tolerance: miss of the output up to which a sample is met.
+        given: the limits are the user's; else they are the range in which the model is known.
+    """
+
+    model: AbstractHysteresis
+    solver: AbstractStepInverse
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+    tolerance: Float[Array, ""]
+    given: bool = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        model: AbstractHysteresis | FitResult,
+        *,
+        limits: Limits | None = None,
+        tolerance: float | None = None,
+    ) -> InverseStep:
+        """An inverse of a model, or of a fit.
+
+        Args:
+            model: any model without a delay or a resonance.
+            limits: lowest and highest input; None for the range in which the model is known (of a fit: a little more than its data).
+            tolerance: miss of the output up to which a sample is met; None for 1e-7 of what the model reaches.
+
+        Raises:
+            ModelError: a delay or a resonance; no limits where the inverse is a search and the model names no range.
+        """
+        known, own = known_inputs(model)
+        edges = limits if limits is not None else known
+        low, high = (float(edge) for edge in edges) if edges is not None else (-np.inf, np.inf)
+        if not low < high:
+            raise ModelError(f"limits must be (low, high) with low < high, got {limits}")
+        solver = step_inverse(own)
+        travel = _travel(solver, low, high)
+        if travel < 0:
+            solver = step_inverse(own, -1.0)
+        if solver.needs_limits and not (np.isfinite(low) and np.isfinite(high)):
+            raise ModelError(
+                f"the inverse of {type(own).__name__} is a search: give limits=(low, high), the inputs to search between"
+            )
+        if tolerance is None:
+            tolerance = 1e-7 * abs(travel) or 1e-9
+        numbers = (jnp.asarray(value, dtype=jnp.result_type(float)) for value in (low, high, tolerance))
+        return cls(own, solver, *numbers, given=limits is not None)
+
+    def init(self, u0: Any = 0.0) -> Resume:
+        """The model at rest on an input."""
+        u0 = jnp.asarray(u0, dtype=jnp.result_type(float))
+        return Resume(self.model.init(u0), u0)
+
+    def step(self, memory: Resume, target: Any, dt: Any = 0.0) -> tuple[Resume, Answer]:
+        """The input for the next sample of the reference, `dt` after the last.
+
+        A target that is not finite holds the input and is out of range.
+        """
+        state, u0 = memory
+        target, dt = (jnp.asarray(value, dtype=u0.dtype) for value in (target, dt))
+        known = jnp.isfinite(target)
+        aim = jnp.where(known, target, 0.0)
+        root = self.solver.solve(state, u0, aim, dt, self.low, self.high)
+        wanted = jnp.where(known & ~jnp.isnan(root.x), root.x, u0)
+        u = jnp.clip(wanted, self.low, self.high)
+        u = jnp.where(jnp.isfinite(u), u, u0)
+        state, y = self.solver.advance(state, u0, u, dt)
+        missed = jnp.abs(y - aim) > self.tolerance
+        edge = ((u == self.low) | (u == self.high)) & known
+        status = jnp.where(root.rising, jnp.where(missed, Status.OUT_OF_RANGE, Status.OK), Status.NOT_MONOTONE)
+        if self.given:
+            status = jnp.where(missed & edge, Status.SATURATED, status)
+        status = jnp.where(known, status, Status.OUT_OF_RANGE)
+        return Resume(state, u), Answer(u, y, status)
+
+    def run(self, memory: Resume, targets: Float[Array, " T"], dt: Float[Array, " T"]) -> tuple[Resume, Answer]:
+        """All samples of a reference in one scan."""
+        return _run(self, memory, targets, dt)
+
+
+@eqx.filter_jit
+def _run(inverse: InverseStep, memory: Resume, targets: Array, dt: Array) -> tuple[Resume, Answer]:
+    return jax.lax.scan(lambda m, sample: inverse.step(m, *sample), memory, (targets, dt))
+
+
+def known_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
+    """The inputs between which a model or fit is known, and the model."""
+    if isinstance(model, AbstractHysteresis):
+        return reach(model), model
+    return known_range(model), model.model
+
+
+def known_range(fit: FitResult) -> tuple[float, float]:
+    """The inputs between which a fitted model is searched: those of its data, and a little more."""
+    low = min(float(record.u.min()) for record in fit.data)
+    high = max(float(record.u.max()) for record in fit.data)
+    return low - _WIDER * (high - low), high + _WIDER * (high - low)
+
+
+@eqx.filter_jit
+def _across(solver: AbstractStepInverse, low: Array, high: Array) -> Array:
+    state, first = solver.advance(solver.model.init(low), low, low, jnp.zeros_like(low))
+    return solver.advance(state, low, high, jnp.zeros_like(low))[1] - first
+
+
+def _travel(solver: AbstractStepInverse, low: float, high: float) -> float:
+    """By how much the output moves on a way from the lower to the upper limit; 0 where they are not finite."""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return 0.0
+    edges = jnp.asarray([low, high], dtype=jnp.result_type(float))
+    return float(_across(solver, edges[0], edges[1]))

@@ -1,0 +1,278 @@
+"""Priors of parameters in physical units: the user's own, or defaults from declarations and bounds."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.errors import ParameterError
+from hystfit.params.coordinates import BOTH, LOWER, REAL
+from hystfit.params.space import ParameterSpace
+
+_WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natural size
+# Standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way.
+_LOG_WIDE = 3.0
+_INSIDE = 0.01  # of the natural size, by which a value on its bound is moved off it
+_DRAWS = 2000  # of a prior, to see where it lies
+_NUMBERS = ("mean", "sd", "median", "spread", "edge", "lower", "upper")
+_LOG_ROOT = float(0.5 * np.log(2 * np.pi))
+
+
+def _number(value: Any) -> Array:
+    return jnp.asarray(value, dtype=jnp.result_type(float))
+
+
+class AbstractPrior(eqx.Module):
+    """A density over one parameter."""
+
+    def exact(self) -> list[Any]:
+        """Kind and fields to the last digit, which tell one prior from every other."""
+        return [
+            type(self).__name__,
+            *(np.asarray(getattr(self, field.name)).tolist() for field in dataclasses.fields(self)),
+        ]
+
+    @abc.abstractmethod
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """Log density at x; minus infinity outside the support."""
+
+    @abc.abstractmethod
+    def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """Independent draws."""
+
+
+class Normal(AbstractPrior):
+    """Gaussian. Raises ParameterError for a standard deviation that is not positive."""
+
+    mean: Array = eqx.field(converter=_number)
+    sd: Array = eqx.field(converter=_number)
+
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPrior`."""
+        return -0.5 * ((x - self.mean) / self.sd) ** 2 - jnp.log(self.sd) - _LOG_ROOT
+
+    def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """See `AbstractPrior`."""
+        return self.mean + self.sd * jax.random.normal(key, shape)
+
+    def __str__(self) -> str:
+        return f"normal, mean {float(self.mean):.3g}, sd {float(self.sd):.3g}"
+
+
+class LogNormal(AbstractPrior):
+    """side * (x - edge) is log-normal with this median; `spread` is the standard deviation of the logarithm."""
+
+    median: Array = eqx.field(converter=_number)
+    spread: Array = eqx.field(converter=_number)
+    edge: Array = eqx.field(converter=_number, default=0.0)
+    side: float = eqx.field(static=True, default=1.0)
+
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPrior`."""
+        above = self.side * (x - self.edge)
+        safe = jnp.where(above > 0, above, 1.0)
+        t = (jnp.log(safe) - jnp.log(self.median)) / self.spread
+        return jnp.where(above > 0, -0.5 * t**2 - jnp.log(self.spread) - _LOG_ROOT - jnp.log(safe), -jnp.inf)
+
+    def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """See `AbstractPrior`."""
+        return self.edge + self.side * self.median * jnp.exp(self.spread * jax.random.normal(key, shape))
+
+    def __str__(self) -> str:
+        away = "" if float(self.edge) == 0 and self.side > 0 else f" from {float(self.edge):.3g}"
+        return f"log-normal{away}, median {float(self.median):.3g}, within a factor {float(jnp.exp(self.spread)):.3g} (1 sd)"
+
+
+class HalfNormal(AbstractPrior):
+    """Gaussian about its edge, on one side of it: a weight that may be zero."""
+
+    sd: Array = eqx.field(converter=_number)
+    edge: Array = eqx.field(converter=_number, default=0.0)
+    side: float = eqx.field(static=True, default=1.0)
+
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPrior`."""
+        t = self.side * (x - self.edge) / self.sd
+        return jnp.where(t >= 0, -0.5 * t**2 + jnp.log(2.0) - jnp.log(self.sd) - _LOG_ROOT, -jnp.inf)
+
+    def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """See `AbstractPrior`."""
+        return self.edge + self.side * self.sd * jnp.abs(jax.random.normal(key, shape))
+
+    def __str__(self) -> str:
+        return f"half-normal from {float(self.edge):.3g}, sd {float(self.sd):.3g}"
+
+
+class Uniform(AbstractPrior):
+    """Constant between two limits."""
+
+    lower: Array = eqx.field(converter=_number)
+    upper: Array = eqx.field(converter=_number)
+
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPrior`."""
+        inside = (x >= self.lower) & (x <= self.upper)
+        return jnp.where(inside, -jnp.log(self.upper - self.lower), -jnp.inf)
+
+    def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """See `AbstractPrior`."""
+        return self.lower + (self.upper - self.lower) * jax.random.uniform(key, shape)
+
+    def __str__(self) -> str:
+        return f"uniform, {float(self.lower):.3g} to {float(self.upper):.3g}"
+
+
+class LogitNormal(AbstractPrior):
+    """Between two limits, the logit of the place between them Gaussian about that of `median`; `spread` is its standard deviation."""
+
+    lower: Array = eqx.field(converter=_number)
+    upper: Array = eqx.field(converter=_number)
+    median: Array = eqx.field(converter=_number)
+    spread: Array = eqx.field(converter=_number)
+
+    def _logit(self, x: Array) -> Array:
+        return jnp.log(x - self.lower) - jnp.log(self.upper - x)
+
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPrior`."""
+        inside = (x > self.lower) & (x < self.upper)
+        safe = jnp.where(inside, x, self.median)
+        t = (self._logit(safe) - self._logit(self.median)) / self.spread
+        slope = jnp.log((self.upper - self.lower) / ((safe - self.lower) * (self.upper - safe)))
+        return jnp.where(inside, -0.5 * t**2 - jnp.log(self.spread) - _LOG_ROOT + slope, -jnp.inf)
+
+    def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """See `AbstractPrior`."""
+        at = self._logit(self.median) + self.spread * jax.random.normal(key, shape)
+        return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(at)
+
+    def __str__(self) -> str:
+        limits = f"{float(self.lower):.3g} to {float(self.upper):.3g}"
+        return f"logit-normal, {limits}, median {float(self.median):.3g}, spread {float(self.spread):.3g}"
+
+
+_KINDS = {"normal": Normal, "log-normal": LogNormal, "half-normal": HalfNormal, "uniform": Uniform}
+
+
+def parse(words: str) -> AbstractPrior:
+    """A prior from words: normal(mean, sd), log-normal(median, spread), half-normal(sd), uniform(lower, upper).
+
+    Raises:
+        ParameterError: not of that form.
+    """
+    match = re.fullmatch(r"\s*([a-z-]+)\s*\(([^()]*)\)\s*", words)
+    try:
+        return _KINDS[match[1]](*(float(part) for part in match[2].split(",")))  # type: ignore[index]
+    except (KeyError, TypeError, ValueError) as error:
+        known = "normal(mean,sd), log-normal(median,spread), half-normal(sd), uniform(lower,upper)"
+        raise ParameterError(f"a prior is one of {known}; got {words!r}") from error
+
+
+def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> dict[str, AbstractPrior]:
+    """Priors about given values: a relative `spread`, of the distance to a bound or of the natural size.
+
+    About a value on a bound (a play's weight of zero) there is no such prior: it is moved inside by a hundredth of the natural
+    size, or of the way between two bounds.
+    """
+    c = space.coordinates
+    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
+    found: dict[str, AbstractPrior] = {}
+    for k, (name, kind) in enumerate(zip(space.names, c.kinds, strict=True)):
+        if kind == REAL:
+            found[name] = Normal(x[k], spread * max(0.1 * scale[k], abs(float(x[k]))))
+        elif kind == BOTH:
+            away = _INSIDE * (upper[k] - lower[k])
+            found[name] = LogitNormal(lower[k], upper[k], np.clip(x[k], lower[k] + away, upper[k] - away), 2 * spread)
+        else:
+            edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
+            distance = side * (x[k] - edge)
+            found[name] = LogNormal(distance if distance > 0 else _INSIDE * scale[k], spread, edge, side)
+    return found
+
+
+def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[str, AbstractPrior]:
+    """Weak priors from the declarations: about the natural size for positive parameters, wide normal without bounds, uniform between two.
+
+    Args:
+        space: the free parameters.
+        x: where a fit found them; an unbounded parameter far from zero (an offset of a distant sensor) widens its own prior.
+    """
+    c = space.coordinates
+    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
+    found: dict[str, AbstractPrior] = {}
+    for k, (name, info, kind) in enumerate(zip(space.names, space.infos, c.kinds, strict=True)):
+        if kind == REAL:
+            size = scale[k] if x is None else max(scale[k], abs(float(x[k])))
+            found[name] = Normal(0.0, _WIDE * size)
+        elif kind == BOTH:
+            found[name] = Uniform(lower[k], upper[k])
+        else:
+            edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
+            weight = HalfNormal(_WIDE * scale[k], edge, side)
+            found[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
+    return found
+
+
+def choose_priors(
+    space: ParameterSpace,
+    own: Mapping[str, AbstractPrior] | None,
+    x: np.ndarray | None = None,
+    others: Sequence[str] = (),
+) -> tuple[AbstractPrior, ...]:
+    """Default priors with the user's own in their places, in the order of the space.
+
+    A name without a record, such as "offset", stands for that parameter in every record. `others` are names of another space, for
+    the message on one that is in neither.
+
+    Raises:
+        ParameterError: a prior for no free parameter, or something that is no prior, one without a proper width, or one that lies
+            outside the parameter's bounds.
+    """
+    chosen = default_priors(space, x)
+    for name, prior in (own or {}).items():
+        hits = [known for known in space.names if known == name or known.split("@")[0] == name]
+        if not hits:
+            raise ParameterError(
+                f"a prior for {name!r}, which is no free parameter; those are: {', '.join([*space.names, *others])}"
+            )
+        _check(name, prior)
+        bounds = {space.infos[space.names.index(hit)].bounds for hit in hits}
+        for low, high in bounds:
+            drawn = np.asarray(prior.sample(jax.random.key(0), (_DRAWS,)))
+            if not np.any((drawn >= low) & (drawn <= high)):
+                raise ParameterError(
+                    f"the prior of {name!r} ({prior}) lies outside the parameter's bounds, {low:g} to {high:g}"
+                )
+        chosen.update(dict.fromkeys(hits, prior))
+    return tuple(chosen[name] for name in space.names)
+
+
+def _check(name: str, prior: Any) -> None:
+    """Refuse what is no prior, or not a proper one."""
+    if not isinstance(prior, AbstractPrior):
+        raise ParameterError(
+            f"the prior of {name!r} must be one of hystfit.inference.priors, got {type(prior).__name__}"
+        )
+    values = {f: float(getattr(prior, f)) for f in _NUMBERS if hasattr(prior, f)}
+    if bad := [f"{f} = {value}" for f, value in values.items() if np.isnan(value)]:
+        raise ParameterError(f"the prior of {name!r}: {', '.join(bad)} is no number")
+    if "upper" in values and values["upper"] < values["lower"]:
+        raise ParameterError(
+            f"the prior of {name!r} ({prior}): its lower limit must come first, and be below the upper one"
+        )
+    positive = ("sd", "spread") if isinstance(prior, LogitNormal) else ("sd", "spread", "median")
+    widths = [values[f] for f in positive if f in values]
+    widths += [values["upper"] - values["lower"]] if "upper" in values else []
+    if not all(np.isfinite(width) and width > 0 for width in widths) or not np.isfinite(values.get("mean", 0.0)):
+        raise ParameterError(
+            f"the prior of {name!r} ({prior}) is flat or has no width: posterior draws need a proper one"
+        )

@@ -1,0 +1,198 @@
+"""Everett tables as the inverse-Preisach paper uses them (Song et al. 2005): node values, two interpolations, an alternating sum."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from hystfit.data.record import Record
+from hystfit.errors import DataError
+from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.models.preisach.everett import cells
+from hystfit.models.preisach.staircase import compile_input
+
+Admissibility = Literal["monotone", "positive"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Moved:
+    """How far a measured table had to move to be one of a Preisach model.
+
+    Attributes:
+        rms, largest: change of node values, in percent of the table's largest value.
+        nodes: how many of them moved by more than 1e-9 of it.
+    """
+
+    rms: float
+    largest: float
+    nodes: int
+
+
+@dataclasses.dataclass(frozen=True)
+class EverettTable:
+    """X(alpha, beta) = f_alpha - f_alpha_beta on a grid: the output lost by falling from alpha to beta.
+
+    Attributes:
+        levels: grid of both arguments, rising, shape (n + 1,).
+        X: shape (n + 1, n + 1), row alpha, column beta <= alpha; zero on the diagonal and above.
+        base: output at levels[0], where the memory is empty.
+
+    Raises:
+        DataError: levels that do not rise, or a table of another shape.
+    """
+
+    levels: np.ndarray
+    X: np.ndarray
+    base: float = 0.0
+
+    def __post_init__(self) -> None:
+        levels = np.asarray(self.levels, dtype=float)
+        X = np.tril(np.asarray(self.X, dtype=float), -1)
+        if levels.ndim != 1 or levels.size < 2 or not (np.diff(levels) > 0).all():
+            raise DataError("levels of an Everett table must rise strictly, and be at least two")
+        if X.shape != (levels.size, levels.size):
+            raise DataError(f"a table on {levels.size} levels has shape {(levels.size, levels.size)}, got {X.shape}")
+        if not np.isfinite(X).all():
+            raise DataError(f"the table must be finite; {np.count_nonzero(~np.isfinite(X))} of its values are not")
+        object.__setattr__(self, "levels", levels)
+        object.__setattr__(self, "X", X)
+
+    @classmethod
+    def from_descending(cls, curves: Sequence[Record], levels: np.ndarray) -> EverettTable:
+        """From curves that rise from levels[0] to a peak and fall back: X = output at the peak less that on the way down.
+
+        Between peaks, X is interpolated linearly in the peak. The curves' remanence is taken off, so that each starts at the same output.
+
+        Raises:
+            DataError: no peaks, or levels outside those measured.
+        """
+        peaks, rows = [], []
+        for r in curves:
+            top = int(np.argmax(r.u))
+            down_u, down_y = r.u[top:], r.y[top:]
+            if down_u.size < 2 or down_u[-1] > levels[0] + 0.05 * np.ptp(levels):
+                raise DataError(f"curve {r.name!r} does not fall back to {levels[0]:g} after its peak")
+            order = np.argsort(down_u, kind="stable")
+            peaks.append(float(r.u[top]))
+            rows.append(r.y[top] - np.interp(levels, down_u[order], down_y[order]))
+        order = np.argsort(peaks)
+        peaks, table = np.array(peaks)[order], np.array(rows)[order]
+        if levels[-1] > peaks[-1] + 1e-6 * np.ptp(levels):
+            raise DataError(f"the largest level {levels[-1]:g} was never reached: the highest peak is {peaks[-1]:g}")
+        with_zero = np.append(levels[0], peaks), np.vstack([np.zeros(levels.size), table])
+        X = np.stack([np.interp(levels, with_zero[0], with_zero[1][:, j]) for j in range(levels.size)], axis=1)
+        base = float(np.mean([r.y[0] for r in curves]))
+        return cls(levels, X, base)
+
+    @classmethod
+    def from_masses(cls, levels: np.ndarray, masses: np.ndarray, base: float = 0.0) -> EverettTable:
+        """From cell masses of +-1 relays, row by row: X is twice the mass of the triangle."""
+        n = len(levels) - 1
+        square = np.zeros((n, n))
+        square[cells(n)] = masses
+        X = np.zeros((n + 1, n + 1))
+        X[1:, :-1] = 2 * np.cumsum(np.cumsum(square, axis=0)[:, ::-1], axis=1)[:, ::-1]
+        return cls(levels, X, base)
+
+    def masses(self) -> np.ndarray:
+        """Cell masses, row by row: second differences of the table, halved."""
+        n = self.levels.size - 1
+        second = self.X[1:, :-1] - self.X[:-1, :-1] - self.X[1:, 1:] + self.X[:-1, 1:]
+        return 0.5 * second[cells(n)]
+
+    def faults(self) -> tuple[str, ...]:
+        """What keeps the table from being one of a Preisach model, one sentence each; none where it is."""
+        i, j = cells(self.levels.size - 1)
+        size = float(np.abs(self.X).max()) or 1.0
+        # Down a column X rises with alpha, along a row it falls with beta, from 0 on the diagonal.
+        turned = np.concatenate([-(self.X[i + 1, j] - self.X[i, j]), self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
+        masses, found = self.masses() / size, []
+        if (turned > 1e-9).any():
+            found.append(
+                f"the table is not monotone at {np.sum(turned > 1e-9)} of {turned.size} steps (by up to {turned.max():.2g} of the "
+                "largest value): its inverse would jump; admissible('monotone') gives the nearest that is"
+            )
+        if (masses < -1e-9).any():
+            found.append(
+                f"{np.count_nonzero(masses < -1e-9)} of {masses.size} cells have negative mass; admissible('positive') gives the nearest "
+                "table without"
+            )
+        return tuple(found)
+
+    def __call__(self, alpha: np.ndarray | float, beta: np.ndarray | float) -> np.ndarray:
+        """X by eqs. (4) and (5): bilinear in a rectangle, linear in a triangle on the diagonal; arguments clamped to the grid."""
+        i, p = self._locate(alpha)
+        j, q = self._locate(beta)
+        X = self.X
+        bilinear = (1 - p) * ((1 - q) * X[i, j] + q * X[i, j + 1]) + p * ((1 - q) * X[i + 1, j] + q * X[i + 1, j + 1])
+        return np.where(i == j, np.maximum(p - q, 0.0) * X[i + 1, i], bilinear)
+
+    def _locate(self, u: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        u = np.clip(np.asarray(u, dtype=float), self.levels[0], self.levels[-1])
+        i = np.clip(np.searchsorted(self.levels, u, side="right") - 1, 0, self.levels.size - 2)
+        return np.asarray(i), np.asarray((u - self.levels[i]) / (self.levels[i + 1] - self.levels[i]))
+
+    def output(self, u: np.ndarray) -> np.ndarray:
+        """Response to an input that starts with an empty memory, by eqs. (2) and (3), shape (T,)."""
+        stairs = compile_input(np.clip(np.asarray(u, dtype=float), self.levels[0], self.levels[-1]), "negative")
+        chain = self._terms(stairs.node_value, stairs.node_parent, stairs.node_value)
+        for layer in stairs.layers()[1:]:
+            chain[layer] += chain[stairs.node_parent[layer]]
+        own = self._terms(stairs.state_value, stairs.state_parent, stairs.node_value)
+        return self.base + (np.append(chain, 0.0)[stairs.state_parent] + own)[stairs.index]
+
+    def _terms(self, value: np.ndarray, parent: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        before = np.where(parent < 0, self.levels[0], nodes[parent])
+        return np.sign(value - before) * self(np.maximum(value, before), np.minimum(value, before))
+
+    def admissible(self, kind: Admissibility = "positive") -> tuple[EverettTable, Moved]:
+        """The nearest table of a Preisach model (least squares over the nodes), and how far it had to move.
+
+        Args:
+            kind: "monotone", X rises with alpha and falls with beta, enough for an inverse; "positive", all masses are >= 0.
+        """
+        X = _monotone(self.X) if kind == "monotone" else _positive(self.X, self.levels)
+        size = float(np.abs(self.X).max()) or 1.0
+        i, j = np.tril_indices(self.levels.size, -1)
+        change = 100 * (X - self.X)[i, j] / size
+        moved = Moved(
+            float(np.sqrt(np.mean(change**2))), float(np.abs(change).max()), int((np.abs(change) > 1e-7).sum())
+        )
+        return EverettTable(self.levels, X, self.base), moved
+
+
+def _monotone(X: np.ndarray, rounds: int = 5000) -> np.ndarray:
+    """Dykstra's alternating projections on "falls with beta" and "rises with alpha", from 0 on the diagonal."""
+    n = X.shape[0]
+    Y, kept = X.copy(), [np.zeros_like(X), np.zeros_like(X)]
+    for _ in range(rounds):
+        before = Y
+        for k in (0, 1):
+            trial = Y + kept[k]
+            Y = np.zeros_like(X)
+            for line in range(1, n):
+                if k == 0:
+                    Y[line, :line] = isotonic_regression(trial[line, :line], increasing=False).x
+                else:
+                    Y[line:, line - 1] = isotonic_regression(trial[line:, line - 1]).x
+            Y = np.maximum(Y, 0.0)
+            kept[k] = trial - Y
+        if np.abs(Y - before).max() <= 1e-12 * np.abs(X).max(initial=1e-300):
+            break
+    return np.tril(Y, -1)
+
+
+def _positive(X: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    n = levels.size - 1
+    i, j = cells(n)
+    sums = ((i[None, :] <= i[:, None]) & (j[None, :] >= j[:, None])).astype(float)
+    target = X[i + 1, j]
+    A = sums.T @ sums
+    w, _ = solve_nonnegative(A, sums.T @ target, np.ones(i.size, dtype=bool))
+    out = np.zeros_like(X)
+    out[i + 1, j] = sums @ w
+    return out

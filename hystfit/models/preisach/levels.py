@@ -1,0 +1,145 @@
+"""Where to put the thresholds of a Preisach model: by the inputs that were measured, or where the output changes most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from hystfit.errors import DataError, ModelError
+from hystfit.quality.reversal_curves import ReversalFamily
+
+Spacing = Literal["quantile", "square", "uniform", "reversal-curves", "given"]
+
+
+def choose_levels(
+    inputs: Sequence[np.ndarray],
+    levels: np.ndarray,
+    center: float | None,
+    *,
+    spacing: Spacing,
+    symmetric: bool,
+    margin: bool,
+) -> tuple[np.ndarray, float]:
+    """Levels over the range of measured inputs, as many as are given.
+
+    Args:
+        inputs: inputs of the records, each of shape (T,).
+        levels: the present ones; "given" returns them.
+        center: of the demagnetized state; None takes the middle of the range.
+        spacing: "quantile", equal shares of the samples; "square", distances from the center that grow as squares; or "uniform".
+        symmetric: spread the levels evenly about the center, by quantiles of the distance from it.
+        margin: keep the outermost levels half a spacing inside the range (relays), not on its edge (cells).
+
+    Returns:
+        Levels, strictly rising, and the center.
+
+    Raises:
+        DataError: a constant input.
+    """
+    u = np.concatenate(list(inputs))
+    low, high = float(u.min()), float(u.max())
+    if low == high:
+        raise DataError(f"the input is constant ({low:g}): it gives no range for thresholds")
+    center = 0.5 * (low + high) if center is None else center
+    if spacing == "given":
+        return levels, center
+    n = levels.size
+    share = (np.arange(n) + 0.5) / n if margin else np.linspace(0, 1, n)
+    if symmetric:
+        half = max(high - center, center - low)
+        upper = np.abs(2 * share[n // 2 :] - 1)
+        distance = np.abs(u - center)
+        even = {"uniform": half * upper, "square": half * upper**2}
+        spread = even[spacing] if spacing in even else np.quantile(np.append(distance, [0.0, half]), upper)
+        right = _rising(spread, half, anchored=n % 2 == 1)
+        left = -right[::-1]
+        return center + np.concatenate([left[: n // 2], right]), center
+    if spacing == "square":
+        side = 2 * share - 1
+        values = center + np.where(side < 0, center - low, high - center) * side * np.abs(side)
+    else:
+        values = low + (high - low) * share if spacing == "uniform" else np.quantile(u, share)
+    return _rising(values, high - low), center
+
+
+def levels_of_family(family: ReversalFamily, n: int, *, relays: bool) -> np.ndarray:
+    """Levels for reversal curves, denser where the output is steep on them or on the branch that their reversal points are samples of.
+
+    Args:
+        family: reversal curves.
+        n: cells, or relay levels, along each axis.
+        relays: n levels in the middle of intervals with equal shares of the output; else n + 1 edges of cells.
+    """
+    # No curve shows the branch on which the field left saturation.
+    start = np.array([(r.u[0], r.y[0]) for r in family.curves])
+    left = 0.5 * (start[1:, 0] + start[:-1, 0]), _quotient(np.diff(start[:, 1]), np.diff(start[:, 0]))
+    back = (
+        np.concatenate([r.u for r in family.curves]),
+        np.concatenate([_quotient(np.gradient(r.y), np.gradient(r.u)) for r in family.curves]),
+    )
+    if not relays:
+        return sharp_levels([back, left], n)
+    edges = sharp_levels([back, left], n, power=1.0, even=0.05)
+    return 0.5 * (edges[1:] + edges[:-1])
+
+
+def _quotient(rise: np.ndarray, run: np.ndarray) -> np.ndarray:
+    return rise / np.where(run == 0, np.inf, run)
+
+
+def sharp_levels(
+    branches: Sequence[tuple[np.ndarray, np.ndarray]], n: int, *, power: float = 0.5, even: float = 0.2
+) -> np.ndarray:
+    """Levels denser where the output is steep: equal shares of the mean of |dy/du|^power on each kind of branch, and an even part.
+
+    With power 1 each interval has the same share of the output, so that point relays make steps of one height; cells follow straight
+    lines between levels, and need fewer of them where the output is steep but straight.
+
+    Args:
+        branches: (inputs, slopes dy/du) of samples for each kind of branch; all kinds count the same.
+        n: number of intervals.
+        power: of the slope.
+        even: size of the even part relative to the mean of the other.
+
+    Returns:
+        n + 1 levels over the range of the inputs.
+    """
+    low, high = min(u.min() for u, _ in branches), max(u.max() for u, _ in branches)
+    axis = np.linspace(low, high, 50 * n + 1)
+    middle, density = 0.5 * (axis[1:] + axis[:-1]), np.zeros(50 * n)
+    for u, slope in branches:
+        count, _ = np.histogram(u, axis)
+        total, _ = np.histogram(u, axis, weights=np.abs(slope) ** power)
+        seen = count > 0
+        part = np.interp(middle, middle[seen], total[seen] / count[seen], left=0.0, right=0.0)
+        density += part / (part.mean() or 1.0)
+    grown = np.append(0.0, np.cumsum(density + even * density.mean() + 1e-12))
+    return np.interp(np.linspace(0, grown[-1], n + 1), grown, axis)
+
+
+def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> None:
+    """Refuse levels that do not rise, or that are not symmetric where they should be.
+
+    Raises:
+        ModelError: as said.
+    """
+    if not np.isfinite(levels).all() or (np.diff(levels) <= 0).any():
+        raise ModelError(f"levels must be finite and rise strictly, got {np.array2string(levels, threshold=8)}")
+    if symmetric and center is not None:
+        gap = np.abs(levels + levels[::-1] - 2 * center).max()
+        if gap > 1e-9 * (np.ptp(levels) + abs(center)):
+            raise ModelError(
+                f"levels of a symmetric model must be symmetric about its center {center:g}; they miss by {gap:g}"
+            )
+
+
+def _rising(levels: np.ndarray, span: float, anchored: bool = False) -> np.ndarray:
+    """The same levels, moved apart where quantiles coincide: by at least a thousandth of an even spacing."""
+    if anchored:
+        levels = levels - levels[0]
+    least = 1e-3 * span / levels.size
+    out = np.maximum.accumulate(levels - least * np.arange(levels.size)) + least * np.arange(levels.size)
+    # Shifts pile up at the upper end: bring the last level back to where it was.
+    return out[0] + (out - out[0]) * ((levels[-1] - levels[0]) / (out[-1] - out[0])) if out.size > 1 else out

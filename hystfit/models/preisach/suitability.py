@@ -1,0 +1,227 @@
+"""Whether a device looks like a Preisach model: its three properties measured on records, and put in words."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.properties import (
+    NOISE,
+    Closures,
+    Congruency,
+    congruency,
+    error_by_order,
+    orders,
+    wiping_out,
+)
+from hystfit.models.preisach.solve import fit_preisach
+from hystfit.models.preisach.staircase import Rest
+
+Outcome = Literal["holds", "fails", "untested"]
+_MAJOR = 0.95  # part of the input's range from which a loop is the major one
+_KNOWN = 0.9  # part of the higher orders' states from which the first-order ones are said to determine them
+_FIRST = 1  # reversals that the memory holds on a first-order curve
+
+
+@dataclasses.dataclass(frozen=True)
+class HigherOrder:
+    """Errors of a Preisach model on states that remember more and more reversals.
+
+    Attributes:
+        held_out: it was identified on the initial and first-order curves alone; else on all samples.
+        known: part of the higher orders' states that those curves determine.
+        errors: for each order (samples, root mean square error, largest error), in percent of the output's range.
+    """
+
+    held_out: bool
+    known: float
+    errors: dict[int, tuple[int, float, float]]
+
+    @property
+    def worst(self) -> float | None:
+        """Largest root mean square error over the orders above the first; None where there are none."""
+        return max((rms for order, (_, rms, _) in self.errors.items() if order > _FIRST), default=None)
+
+
+def higher_order(record: Record, n: int = 20) -> HigherOrder | None:
+    """How well a Preisach model describes reversals of higher order (paper's Figs. 14 and 15 ask the same).
+
+    It is identified on samples that remember at most one reversal where those determine the others (reversal curves do), and
+    predicts the others; where they do not, it is fitted to all samples.
+
+    Args:
+        record: measured.
+        n: cells along an axis.
+
+    Returns:
+        Errors by order; None where no sample remembers more than one reversal, or nothing moves.
+    """
+    if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
+        return None
+    model = Preisach.of(n, initial=_rest(record))
+    order = orders(model.start([record]), record, NOISE)
+    if not (record.used & (order > _FIRST)).any():
+        return None
+    first = record.used & (order <= _FIRST)
+    known = _determined(model.start([record]), record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
+    part = record.replace(weight=np.where(first, record.weight, 0.0)) if known >= _KNOWN else record
+    fit = fit_preisach(part, model, smoothness=(1e-6,))
+    return HigherOrder(part is not record, known, error_by_order(fit.model, record, NOISE))
+
+
+def _determined(model: Preisach, u: np.ndarray, first: np.ndarray, others: np.ndarray) -> float:
+    """Part of the others' states (rms of what sets them apart from each other) that follows from those of the first samples."""
+    A, index = features(model, u)
+    A = np.column_stack([A, np.ones(len(A))])
+    seen, asked = A[np.unique(index[first])], A[np.unique(index[others])]
+    _, size, rows = np.linalg.svd(seen, full_matrices=False)
+    rows = rows[size > 1e-6 * size[0]]
+    beyond = asked - (asked @ rows.T) @ rows
+    return 1.0 - float(np.linalg.norm(beyond) / (np.linalg.norm(asked - asked.mean(axis=0)) or 1.0))
+
+
+def _rest(record: Record) -> Rest:
+    """A record that starts at an end of its input's range came from saturation, or from empty."""
+    place = (record.u[0] - record.u.min()) / (float(np.ptp(record.u)) or 1.0)
+    return "negative" if place < 0.02 else "positive" if place > 0.98 else "demagnetized"
+
+
+@dataclasses.dataclass(frozen=True)
+class PreisachCheck:
+    """Whether a record looks like a Preisach model's.
+
+    Attributes:
+        record: its name.
+        closures: of its loops.
+        loops: congruency of its minor loops.
+        higher: errors by order of reversal; None where it was not asked for, or there are none above the first.
+        outcomes: of "wiping-out", "congruency" and "higher-order".
+        notes: what they mean, one sentence each, in the same order.
+    """
+
+    record: str
+    closures: Closures
+    loops: tuple[Congruency, ...]
+    higher: HigherOrder | None
+    outcomes: dict[str, Outcome]
+    notes: tuple[str, ...]
+
+    @property
+    def tested(self) -> bool:
+        """Whether wiping-out or congruency could be tested."""
+        return any(self.outcomes[name] != "untested" for name in ("wiping-out", "congruency"))
+
+    def text(self) -> str:
+        """As lines of text, without the record's name."""
+        lines = [f"    - {note}" for note in self.notes]
+        if self.higher is not None:
+            lines += [f"      {'reversals remembered':<22}{'samples':>8}{'rms %':>9}{'largest %':>11}"]
+            for order, (count, rms, largest) in self.higher.errors.items():
+                lines.append(f"      {order:<22}{count:>8}{rms:>9.2g}{largest:>11.2g}")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers for result.json."""
+        c, h = self.closures, self.higher
+        keys = ("samples", "rms_percent", "max_percent")
+        return {
+            "outcomes": dict(self.outcomes),
+            "notes": list(self.notes),
+            "wiping_out": {
+                "at": c.at.tolist(),
+                "width": c.width.tolist(),
+                "gap": c.gap.tolist(),
+                "rms_percent": None if c.percent is None else c.percent[0],
+                "max_percent": None if c.percent is None else c.percent[1],
+            },
+            "congruency": [dataclasses.asdict(loop) for loop in self.loops],
+            "higher_order": h
+            and {
+                "held_out": h.held_out,
+                "known": h.known,
+                "errors": {str(k): dict(zip(keys, row, strict=True)) for k, row in h.errors.items()},
+            },
+        }
+
+
+def check_preisach(record: Record, limit: float = 2.0, *, model: bool = False) -> PreisachCheck:
+    """Test the two properties that a Preisach model has and nothing else has (Mayergoyz): wiping-out and congruency.
+
+    Args:
+        record: measured.
+        limit: percent of the output's range up to which a property is said to hold.
+        model: also identify a Preisach model and see how its errors grow with the order of reversal.
+    """
+    closures, loops = wiping_out(record), tuple(congruency(record))
+    minor = closures.width < _MAJOR * float(np.ptp(record.u))
+    inner = tuple(loop for loop in loops if loop.high - loop.low < _MAJOR * float(np.ptp(record.u)))
+    found = [_wiping_words(closures, minor, limit), _congruency_words(inner, limit)]
+    higher = higher_order(record) if model else None
+    if model:
+        found.append(_order_words(higher, limit))
+    names = ("wiping-out", "congruency", "higher-order")
+    outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=False))
+    return PreisachCheck(record.name, closures, loops, higher, outcomes, tuple(note for _, note in found))
+
+
+def _outcome(value: float, limit: float) -> Outcome:
+    return "holds" if value <= limit else "fails"
+
+
+def _verb(outcome: Outcome) -> str:
+    return "holds" if outcome == "holds" else "does not hold"
+
+
+def _wiping_words(closures: Closures, minor: np.ndarray, limit: float) -> tuple[Outcome, str]:
+    if not minor.any():
+        which = "no loop closes in this record"
+        if closures.percent is not None:
+            which = (
+                f"only the major loop closes ({closures.at.size} times, within {closures.percent[1]:.2g} % of the range), which "
+                "shows that the device repeats"
+            )
+        return "untested", (
+            f"{which}: wiping-out cannot be tested; drive minor loops inside larger ones, such as 0, 150, 100, 180, 120 V"
+        )
+    worst = float(np.abs(closures.gap[minor]).max() / closures.span * 100)
+    rms = float(np.sqrt(np.mean(closures.gap[minor] ** 2)) / closures.span * 100)
+    outcome = _outcome(worst, limit)
+    return outcome, (
+        f"wiping-out {_verb(outcome)}: over {int(minor.sum())} closed minor loops the output comes back within {rms:.2g} % rms, "
+        f"{worst:.2g} % at most, of the range"
+    )
+
+
+def _congruency_words(loops: tuple[Congruency, ...], limit: float) -> tuple[Outcome, str]:
+    if not loops:
+        return "untested", (
+            "no two minor branches run between the same inputs: congruency cannot be tested; drive the same minor loop after "
+            "different histories, such as 120, 80, 120, 180, 80, 120 V"
+        )
+    worst = max(loops, key=lambda c: c.percent_of_range)
+    outcome = _outcome(worst.percent_of_range, limit)
+    return outcome, (
+        f"congruency {_verb(outcome)}: branches between {worst.low:.4g} and {worst.high:.4g} differ by "
+        f"{worst.percent_of_range:.2g} % of the range ({worst.percent_of_loop:.2g} % of their travel)"
+    )
+
+
+def _order_words(higher: HigherOrder | None, limit: float) -> tuple[Outcome, str]:
+    worst = None if higher is None else higher.worst
+    if higher is None or worst is None:
+        return "untested", "no sample remembers more than one reversal: higher orders cannot be tested"
+    outcome = _outcome(worst, limit)
+    how = (
+        "a model identified on the first-order curves alone predicts"
+        if higher.held_out
+        else "a model fitted to the whole record (its first-order curves do not determine it) describes"
+    )
+    return outcome, (
+        f"higher orders {'hold' if outcome == 'holds' else 'do not hold'}: {how} reversals above the first with an error of at most "
+        f"{worst:.2g} % rms of the range in any order"
+    )

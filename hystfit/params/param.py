@@ -1,0 +1,164 @@
+"""Parameters, declared once, on the field of a model; `hystfit.params.space` collects them by name into vectors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hystfit.errors import ParameterError
+from hystfit.params.units import exponents
+
+
+@dataclasses.dataclass(frozen=True)
+class ParamInfo:
+    """What a field says about its parameter.
+
+    Attributes:
+        bounds: (lower, upper) in physical units.
+        unit: expression in u, y and s (see `hystfit.params.units`).
+        scale: typical size in multiples of the unit's natural size.
+        doc: meaning, one sentence.
+        fixed: held at its value unless freed by name.
+        per_record: every record of a fit has a value of its own.
+        linear: the output of the model is linear in it.
+    """
+
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    unit: str = "1"
+    scale: float = 1.0
+    doc: str = ""
+    fixed: bool = False
+    per_record: bool = False
+    linear: bool = False
+
+    def __post_init__(self) -> None:
+        exponents(self.unit)
+        lower, upper = self.bounds
+        if not lower < upper:
+            raise ParameterError(f"bounds must be (lower, upper) with lower < upper, got {self.bounds}")
+        if not (self.scale > 0 and math.isfinite(self.scale)):
+            raise ParameterError(f"scale must be positive and finite, got {self.scale}")
+
+
+def as_array(value: Any) -> Any:
+    """A number or array as a floating array; whatever else a tree may hold (tracers, placeholders) as it is.
+
+    Raises:
+        ParameterError: text, complex numbers, ragged lists.
+    """
+    # Python numbers in a module are static for jit: one compilation a value, and no gradient; integer arrays have none either.
+    whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
+    if whole or isinstance(value, (int, float, complex, str, list, tuple, np.ndarray, np.generic)):
+        try:
+            if jnp.iscomplexobj(value):
+                raise TypeError("complex")
+            return jnp.asarray(value, dtype=jnp.result_type(float))
+        except (TypeError, ValueError) as error:
+            raise ParameterError(f"a parameter must be a real number or an array of them, got {value!r}") from error
+    return value
+
+
+def _as_vector(value: Any) -> Any:
+    array = as_array(value)
+    return jnp.atleast_1d(array) if isinstance(array, jax.Array) else array
+
+
+def param(
+    default: Any = dataclasses.MISSING,
+    *,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+    unit: str = "1",
+    scale: float = 1.0,
+    doc: str = "",
+    fixed: bool = False,
+    per_record: bool = False,
+    linear: bool = False,
+    vector: bool = False,
+) -> Any:
+    """A field of a model that is a parameter (see `ParamInfo` for the arguments).
+
+    With `vector` it is an array of one dimension, and one number is taken for an array of one.
+
+    Raises:
+        ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is no expression.
+    """
+    info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear)
+    extra = {} if default is dataclasses.MISSING else {"default": default}
+    return eqx.field(converter=_as_vector if vector else as_array, metadata={"param": info}, **extra)
+
+
+@dataclasses.dataclass(frozen=True)
+class Leaf:
+    """One array-valued parameter of a tree: where it is and what it is called."""
+
+    index: int
+    path: tuple[str, ...]
+    info: ParamInfo
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return math.prod(self.shape)
+
+    def element(self, k: int) -> str:
+        """Suffix of one element: "" for a number, "[2]" or "[2,0]" in an array."""
+        return "" if not self.shape else "[" + ",".join(str(i) for i in np.unravel_index(k, self.shape)) + "]"
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo | None]:
+    """Readable path of a leaf, and its `ParamInfo` if its last field declares one."""
+    node, words, info = tree, [], None
+    for key in path:
+        info = None
+        if isinstance(key, jax.tree_util.GetAttrKey):
+            fields = dataclasses.fields(node) if dataclasses.is_dataclass(node) else ()  # a named tuple has none
+            info = next((f.metadata.get("param") for f in fields if f.name == key.name), None)
+            words.append(key.name)
+            node = getattr(node, key.name)
+        elif isinstance(key, jax.tree_util.SequenceKey):
+            siblings = [_snake(type(child).__name__) for child in node]
+            word = siblings[key.idx]
+            words.append(f"{word}{siblings[: key.idx].count(word) + 1}" if siblings.count(word) > 1 else word)
+            node = node[key.idx]
+        elif isinstance(key, jax.tree_util.DictKey):
+            words.append(str(key.key))
+            node = node[key.key]
+        else:
+            words.append(str(key))
+            return tuple(words), None
+    return tuple(words), info
+
+
+def leaves_of(tree: Any) -> list[Leaf]:
+    """All parameters of a tree, in the order of its leaves."""
+    found = []
+    for index, (path, value) in enumerate(jax.tree_util.tree_flatten_with_path(tree)[0]):
+        words, info = _steps(tree, path)
+        if info is not None:
+            found.append(Leaf(index, words, info, tuple(np.shape(value))))
+    return found
+
+
+def short_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
+    """The shortest ends of the paths that tell them apart."""
+    names = []
+    for path in paths:
+        for length in range(1, len(path) + 1):
+            tail = path[-length:]
+            if sum(other[-length:] == tail for other in paths) == 1:
+                break
+        names.append(".".join(tail))
+    return names

@@ -1,0 +1,245 @@
+"""Free parameters of a tree, by name and as vectors.
+
+`x` is the vector of free parameters in physical units, `z` the same in unconstrained, dimensionless coordinates (see
+`hystfit.params.coordinates`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hystfit.errors import ParameterError
+from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
+from hystfit.params.param import ParamInfo, leaves_of, short_names
+from hystfit.params.units import Scales
+
+# A start on its bound is moved inside by this part of the scale: the maps reach a bound only in the limit.
+_INSIDE = 1e-3
+
+
+def _strong(leaf: Any) -> Any:
+    # Python numbers leave a weak type behind, and compiled code would be made anew for every mixture of weak and strong.
+    weak = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.weak_type
+    return jnp.asarray(np.asarray(leaf)) if weak else leaf
+
+
+class ParameterSpace:
+    """Free parameters of a tree (a model, or (model, noise)) by name, with their maps between x and z.
+
+    Attributes:
+        template: the tree whose values the fixed parameters keep.
+        names: of the free elements, in the order of x and z.
+        infos: their declarations.
+        units: their units as printed.
+        coordinates: the traced half.
+    """
+
+    def __init__(
+        self,
+        template: Any,
+        *,
+        fix: Sequence[str] | Mapping[str, Any] = (),
+        free: Sequence[str] = (),
+        scales: Scales | None = None,
+        records: Sequence[str] = ("",),
+    ):
+        scales = scales or Scales()
+        self.leaves = leaves_of(template)
+        if not self.leaves:
+            raise ParameterError(f"{type(template).__name__} has no parameters: declare fields with hystfit.param()")
+        self._leaf_names = short_names([leaf.path for leaf in self.leaves])
+        values = fix if isinstance(fix, Mapping) else dict.fromkeys(fix)
+        self.template = self._set(template, {name: value for name, value in values.items() if value is not None})
+        masks = self._masks(values, free)
+        self.records = tuple(records)
+        self.scales = scales
+        self._collect(masks)
+
+    @classmethod
+    def of(cls, template: Any, **options: Any) -> ParameterSpace:
+        """The space of a tree; options as in the constructor.
+
+        Args:
+            template: tree with `param` fields.
+            **options: `fix` (names, or names with values), `free` (names), `scales`, `records` (names).
+
+        Raises:
+            ParameterError: an unknown or ambiguous name (the message lists the names), a name both fixed and freed, a value
+                outside its bounds, a tree without parameters.
+        """
+        return cls(template, **options)
+
+    # -- building ------------------------------------------------------------------------------------------------------
+
+    def find(self, name: str) -> tuple[int, list[int]]:
+        """Leaf number and flat positions that a name means: a leaf ("w"), one element ("w[2]"), or a longer path."""
+        match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
+        words = tuple(match["path"].split(".")) if match else ()
+        hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []
+        known = ", ".join(self._leaf_names)
+        if len(hits) > 1:
+            exact = [i for i in hits if self._leaf_names[i] == match["path"]]  # type: ignore[index]
+            hits = exact or hits
+        if len(hits) > 1:
+            raise ParameterError(
+                f"parameter {name!r} is ambiguous; say one of: {', '.join(self._leaf_names[i] for i in hits)}"
+            )
+        if not hits:
+            raise ParameterError(f"no parameter {name!r}; the parameters are: {known}")
+        leaf = self.leaves[hits[0]]
+        if match is None or match["at"] is None:
+            return hits[0], list(range(leaf.size))
+        at = tuple(int(k) for k in match["at"].split(","))
+        if len(at) != len(leaf.shape) or any(k >= n for k, n in zip(at, leaf.shape, strict=False)):
+            raise ParameterError(f"parameter {name!r}: {self._leaf_names[hits[0]]} has shape {leaf.shape}")
+        return hits[0], [int(np.ravel_multi_index(at, leaf.shape))]
+
+    def value(self, name: str) -> np.ndarray:
+        """Value of a parameter, free or fixed, in the template: of one element, or of all of an array, flat.
+
+        Raises:
+            ParameterError: see `find`.
+        """
+        number, positions = self.find(name)
+        flat = jax.tree_util.tree_leaves(self.template)
+        return np.asarray(flat[self.leaves[number].index], dtype=float).reshape(-1)[positions]
+
+    def _set(self, tree: Any, values: Mapping[str, Any]) -> Any:
+        flat, treedef = jax.tree_util.tree_flatten(tree)
+        for name, value in values.items():
+            number, positions = self.find(name)
+            leaf = self.leaves[number]
+            array = np.array(flat[leaf.index], dtype=float)
+            try:
+                array.reshape(-1)[positions] = np.asarray(value, dtype=float).reshape(-1)
+            except ValueError as error:
+                raise ParameterError(f"parameter {name!r} has {len(positions)} elements, got {value!r}") from error
+            if not np.isfinite(array).all():
+                raise ParameterError(f"parameter {name!r} must be finite, got {value!r}")
+            flat[leaf.index] = jnp.asarray(array, dtype=jnp.result_type(float))
+        return jax.tree_util.tree_unflatten(treedef, [_strong(leaf) for leaf in flat])
+
+    def _masks(self, fix: Mapping[str, Any], free: Sequence[str]) -> list[np.ndarray]:
+        masks = [np.full(leaf.size, not leaf.info.fixed) for leaf in self.leaves]
+        touched: dict[tuple[int, int], bool] = {}
+        for names, state in ((free, True), (list(fix), False)):
+            for name in names:
+                number, positions = self.find(name)
+                for k in positions:
+                    if touched.setdefault((number, k), state) != state:
+                        raise ParameterError(f"parameter {name!r} is asked to be fixed and free at once: choose one")
+                masks[number][positions] = state
+        return masks
+
+    def _collect(self, masks: list[np.ndarray]) -> None:
+        flat, treedef = jax.tree_util.tree_flatten(self.template)
+        names, infos, layout, sources = [], [], [], []
+        for number, (leaf, mask) in enumerate(zip(self.leaves, masks, strict=True)):
+            positions = tuple(int(k) for k in np.flatnonzero(mask))
+            if not positions:
+                continue
+            layout.append((leaf.index, positions, leaf.info.per_record))
+            several = leaf.info.per_record and len(self.records) > 1
+            for record in range(len(self.records)) if leaf.info.per_record else (0,):
+                for k in positions:
+                    label = f"@{self.records[record]}" if several else ""
+                    names.append(f"{self._leaf_names[number]}{leaf.element(k)}{label}")
+                    infos.append(leaf.info)
+                    sources.append((number, k, record if several else None))
+        self.names, self.infos = tuple(names), tuple(infos)
+        self.sources = tuple(sources)
+        self.units = tuple(self.scales.label(info.unit) for info in infos)
+        bounds = np.array([info.bounds for info in infos], dtype=float).reshape(-1, 2)
+        finite = np.isfinite(bounds)
+        kinds = np.where(finite.all(1), BOTH, np.where(finite[:, 0], LOWER, np.where(finite[:, 1], UPPER, REAL)))
+        scale = np.array([info.scale * self.scales.size(info.unit) for info in infos])
+        dtype = jnp.result_type(float)
+        self.coordinates = Coordinates(
+            leaves=tuple(flat),
+            lower=jnp.asarray(bounds[:, 0], dtype),
+            upper=jnp.asarray(bounds[:, 1], dtype),
+            scale=jnp.asarray(scale, dtype),
+            kinds=tuple(int(k) for k in kinds),
+            layout=tuple(layout),
+            treedef=treedef,
+            n_records=len(self.records),
+        )
+        self._check_values(flat, masks)
+
+    def _check_values(self, flat: list[Any], masks: list[np.ndarray]) -> None:
+        for leaf, name in zip(self.leaves, self._leaf_names, strict=True):
+            value = np.asarray(flat[leaf.index])
+            lower, upper = leaf.info.bounds
+            if not ((value >= lower) & (value <= upper)).all():  # also refuses NaN
+                raise ParameterError(f"parameter {name!r}: {value} is outside its bounds [{lower:g}, {upper:g}]")
+
+    # -- vectors -------------------------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def vector(self, trees: Any) -> np.ndarray:
+        """Physical vector x of a tree, or of one tree for each record."""
+        own = jax.tree_util.tree_structure(trees) == jax.tree_util.tree_structure(
+            self.template
+        )  # a tree may be a tuple
+        listed = not own and isinstance(trees, (list, tuple)) and len(trees) == len(self.records) > 1
+        several = list(trees) if listed else None
+        flats = [jax.tree_util.tree_leaves(tree) for tree in (several or [trees])]
+        x = []
+        for number, k, record in self.sources:
+            flat = flats[record or 0] if several else flats[0]
+            x.append(float(np.asarray(flat[self.leaves[number].index]).reshape(-1)[k]))
+        return np.array(x)
+
+    def unconstrained(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
+        """z from x; a value on its bound is moved a little inside.
+
+        Raises:
+            ParameterError: wrong length, not finite, or outside the bounds.
+        """
+        x = np.asarray(x, dtype=float)
+        if x.shape != (len(self),):
+            raise ParameterError(f"expected {len(self)} values ({', '.join(self.names)}), got shape {x.shape}")
+        c = self.coordinates
+        lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
+        for name, value, low, high in zip(self.names, x, lower, upper, strict=True):
+            if not (np.isfinite(value) and low <= value <= high):
+                raise ParameterError(f"parameter {name!r}: start {value:g} is outside its bounds [{low:g}, {high:g}]")
+        with np.errstate(all="ignore"):
+            over = np.log(np.where(x > lower, (x - lower) / scale, _INSIDE))
+            under = np.log(np.where(x < upper, (upper - x) / scale, _INSIDE))
+            edge = _INSIDE * (upper - lower)
+            both = np.log(np.where(x > lower, x - lower, edge)) - np.log(np.where(x < upper, upper - x, edge))
+        return np.select([kind == REAL, kind == LOWER, kind == UPPER], [x / scale, over, under], both)
+
+    def physical(self, z: Any) -> np.ndarray:
+        """x from z."""
+        return np.asarray(self.coordinates.physical(jnp.asarray(z)))
+
+    def tree(self, z: Any, record: int = 0) -> Any:
+        """The tree at z, as record number `record` sees it."""
+        return self.coordinates.tree(jnp.asarray(z), record)
+
+    def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:
+        """Covariance of x from that of z, to first order."""
+        slope = np.asarray(self.coordinates.slope(jnp.asarray(z)))
+        return slope[:, None] * np.asarray(covariance_z) * slope[None, :]
+
+    def fixed(self) -> list[tuple[str, float, ParamInfo]]:
+        """Name, value and declaration of every element that is held."""
+        flat = jax.tree_util.tree_leaves(self.template)
+        free = {(number, k) for number, k, _ in self.sources}
+        rows = []
+        for number, leaf in enumerate(self.leaves):
+            values = np.asarray(flat[leaf.index]).reshape(-1)
+            for k in range(leaf.size):
+                if (number, k) not in free:
+                    rows.append((f"{self._leaf_names[number]}{leaf.element(k)}", float(values[k]), leaf.info))
+        return rows

@@ -1,0 +1,173 @@
+"""Shape of the loop: width, circulation, closure, asymmetry, pinching, loss of strength, dependence on the rate."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.quality.drift import like_cycles
+from hystfit.quality.loops import Loop, loop_area, loop_branches
+
+_APART = 0.1  # distance, in parts of the largest stroke, between the middles of branches that are still compared
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """Shape of the largest loops.
+
+    Attributes:
+        area: mean signed area of the largest loops [unit of u times unit of y], positive counter-clockwise.
+        fullness_percent: its size over that of the loop's bounding box.
+        width: largest vertical distance between the branches [unit of y].
+        width_percent: the same in percent of the output's stroke.
+        circulation: "counter-clockwise", "clockwise" or None where the loop is not open.
+        closure_percent: output at the end of the last large closed loop less that at its start, in percent of its
+            stroke; None where no large loop closes.
+        asymmetry_percent: rms departure from point symmetry about the loop's middle, in percent of the stroke.
+        pinching: width at the middle of the input over the largest width (1: as wide as anywhere), the median over
+            the later of the large cycles.
+        loops: number of loops averaged.
+    """
+
+    area: float
+    fullness_percent: float
+    width: float
+    width_percent: float
+    circulation: str | None
+    closure_percent: float | None
+    asymmetry_percent: float
+    pinching: float
+    loops: int
+
+
+def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> Shape | None:
+    """Shape of the largest loops of a record: of its closed loops, of its widest cycles where none closes.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,); loops with missing outputs are passed over.
+        loops: see `loops.closed_loops`.
+        cycles: see `loops.cycles`.
+
+    Returns:
+        None where there is no loop of at least eight samples.
+    """
+    spans = [(loop.start, loop.stop, loop.stroke) for loop in loops if loop.start > 0] or [
+        (loop.start, loop.stop, loop.stroke) for loop in loops
+    ]
+    closed = bool(spans) and max(s[2] for s in spans) > 0.5 * np.ptp(u)
+    if not closed:
+        spans = [(int(a), int(c), abs(u[b] - u[a])) for a, b, c in cycles]
+    usable = [s for s in spans if s[1] - s[0] >= 7 and np.isfinite(y[s[0] : s[1] + 1]).all()]
+    if not usable:
+        return None
+    largest = max(s[2] for s in usable)
+    chosen = [s for s in usable if s[2] >= 0.95 * largest][-20:]
+    late = [(a, c) for a, b, c in cycles if c - a >= 7 and abs(u[b] - u[a]) > 0.4 * largest]
+    late = [
+        (a, c) for a, c in late if abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and np.isfinite(y[a : c + 1]).all()
+    ]
+    late = late[-max(3, len(late) // 2) :] or [s[:2] for s in usable if s[2] >= 0.5 * largest]
+    pinching = float(np.median([_measure(u[a : b + 1], y[a : b + 1])[4] for a, b in late]))
+    measured = np.array([_measure(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen])
+    area, stroke, width, asymmetry, _ = np.median(measured, axis=0)
+    if stroke == 0:
+        return None
+    fullness = 100 * abs(area) / (stroke * largest)
+    turning = ("counter-clockwise" if area > 0 else "clockwise") if fullness > 0.3 else None
+    last = chosen[-1]
+    return Shape(
+        area=float(area),
+        fullness_percent=float(fullness),
+        width=float(width),
+        width_percent=float(100 * width / stroke),
+        circulation=turning,
+        closure_percent=_closure(u, y, last[0], last[1]) if closed else None,
+        asymmetry_percent=float(100 * asymmetry / stroke),
+        pinching=pinching,
+        loops=len(chosen),
+    )
+
+
+def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float]:
+    """Area, stroke of y, width, asymmetry and pinching of one loop."""
+    outer = outline(u)
+    u, y = u[outer], y[outer]
+    centers, rising, falling = loop_branches(u, y)
+    gap = np.abs(rising - falling)
+    mirrored = rising + falling[::-1]
+    middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= 0.04 * np.ptp(u)
+    pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
+    return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching
+
+
+def outline(u: np.ndarray) -> np.ndarray:
+    """Samples of a loop without the minor loops inside it: those that reach further than all before, shape (K,).
+
+    The loop begins at one end of its range, goes to the other and comes back.
+    """
+    u = np.asarray(u, dtype=float)
+    x = u if u[0] < 0.5 * (u.min() + u.max()) else -u
+    turn = int(np.argmax(x))
+    best = np.concatenate([np.maximum.accumulate(x[: turn + 1]), np.minimum.accumulate(x[turn:])[1:]])
+    return np.flatnonzero(x == best)
+
+
+def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float:
+    """Output where the input is back, less that at the start, in percent: along the slope of the last 2 % of u."""
+    near = 0.02 * np.ptp(u[start : stop + 1])
+    far = np.flatnonzero(np.abs(u[start:stop] - u[stop]) > near)
+    back = start + int(far[-1]) if far.size else stop - 1
+    slope = (y[stop] - y[back]) / (u[stop] - u[back]) if u[stop] != u[back] else 0.0
+    end = y[stop] + slope * (u[start] - u[stop])
+    return float(100 * (end - y[start]) / np.ptp(y[start : stop + 1]))
+
+
+def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
+    """Secant stiffness of late branches over that of the first branch of the same stroke.
+
+    Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Those that reach
+    further than all before set the first-time stiffness, a function of the stroke; others about the same middle are
+    compared with it (a loop elsewhere in the range may be softer without any damage). A loop without damage stays near 1 or
+    above; strength lost to damage shows as less.
+
+    Returns:
+        The median of the last four comparisons; None with fewer.
+    """
+    turns = np.unique(cycles)
+    turns = turns[np.isfinite(y[turns])]
+    if turns.size < 5:
+        return None
+    stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(y[turns]))
+    middle = 0.5 * (u[turns][1:] + u[turns][:-1])
+    farthest = np.maximum.accumulate(stroke)
+    first = (stroke > 0) & np.concatenate([[True], stroke[1:] > 1.02 * farthest[:-1]])
+    if not first.any():
+        return None
+    known, repeated = stroke[first], ~first & (stroke > 0.1 * farthest[-1])
+    repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
+    before = np.interp(stroke[repeated], known, change[first] / known)
+    if not (before > 0).all():
+        return None
+    left = change[repeated] / stroke[repeated] / before
+    return float(np.median(left[-4:])) if left.size >= 4 else None
+
+
+def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
+    """Change of the loop's area from the slowest to the fastest of like cycles, as a fraction of the mean area.
+
+    None without time, or where the durations of like cycles differ by less than a factor of 1.5: one frequency says
+    nothing about rate dependence.
+    """
+    if t is None or np.ptp(u) == 0:
+        return None
+    like = [(a, c) for a, _, c in like_cycles(u, cycles) if np.isfinite(y[a : c + 1]).all() and t[c] > t[a]]
+    if len(like) < 2:
+        return None
+    lasts = np.array([t[c] - t[a] for a, c in like])
+    if lasts.max() < 1.5 * lasts.min():
+        return None
+    areas = np.array([loop_area(u[a : c + 1], y[a : c + 1]) for a, c in like])
+    slow, fast = areas[lasts > 0.9 * lasts.max()].mean(), areas[lasts < 1.1 * lasts.min()].mean()
+    return float((abs(fast) - abs(slow)) / np.mean(np.abs(areas))) if np.any(areas) else None

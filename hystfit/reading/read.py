@@ -1,0 +1,288 @@
+"""Read a measured loop from a file: `read` by the file's kind, `read_csv` for text."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import DataError
+from hystfit.reading.columns import Choice, choose, find
+from hystfit.reading.header import split_unit
+from hystfit.reading.pieces import records_of
+from hystfit.reading.raw_table import Table
+from hystfit.reading.text import read_table
+
+TEXT_SUFFIXES = frozenset({"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".data"})
+Column = str | int
+
+
+def read(
+    path: str | Path,
+    *,
+    time: Column | bool | None = None,
+    input: Column | None = None,
+    output: Column | None = None,
+    by: Column | None = None,
+    only: str | Sequence[object] | None = None,
+    where: str | Mapping[str, object] | None = None,
+    gaps: str = "error",
+    sheet: Column | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    name: str | None = None,
+) -> Record | Dataset:
+    """A record, or a data set where the file holds several curves, from a file of any kind that hystfit knows.
+
+    Args:
+        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5.
+        time, input, output: columns by name or number from 0; what is None is guessed and said in the notes;
+            `time=False` reads without time.
+        by: column whose values tell curves apart.
+        only: which curves: values ("3,4" or [3, 4]) or positions from 0 as a slice ("1::4").
+        where: rows to read, {"kind": "forc"} or "kind=forc".
+        gaps: "error" refuses a missing input within a record, "split" makes a data set of the pieces.
+        sheet: sheet of a workbook, by name or number from 0.
+        delimiter, decimal, encoding: for text, instead of what is found.
+        name: name of the record or data set; the file's name by default.
+
+    Raises:
+        DataError: the file or the request cannot be served; the message says what was found and what to do.
+        MissingExtraError: a package for this kind of file is not installed.
+    """
+    table = table_of(path, sheet=sheet, delimiter=delimiter, decimal=decimal, encoding=encoding)
+    return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
+
+
+def table_of(
+    path: str | Path,
+    *,
+    sheet: Column | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+) -> Table:
+    """The columns of a file of any kind that hystfit knows; arguments and errors as for `read`."""
+    suffix = Path(path).suffix.lower()
+    if suffix in TEXT_SUFFIXES or re.fullmatch(r"\.\d+", suffix):
+        if sheet is not None:
+            raise DataError(f"{path} is text and has no sheets; leave out sheet=")
+        return read_table(path, delimiter=delimiter, decimal=decimal, encoding=encoding)
+    from hystfit.reading.formats import read_binary
+
+    return read_binary(path, sheet=sheet)
+
+
+def read_csv(
+    path: str | Path,
+    *,
+    time: Column | bool | None = None,
+    input: Column | None = None,
+    output: Column | None = None,
+    by: Column | None = None,
+    only: str | Sequence[object] | None = None,
+    where: str | Mapping[str, object] | None = None,
+    gaps: str = "error",
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    name: str | None = None,
+) -> Record | Dataset:
+    """Like `read`, for a text file whatever its suffix."""
+    table = read_table(path, delimiter=delimiter, decimal=decimal, encoding=encoding)
+    return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
+
+
+def assemble(
+    table: Table,
+    *,
+    time: Column | bool | None = None,
+    input: Column | None = None,
+    output: Column | None = None,
+    by: Column | None = None,
+    only: str | Sequence[object] | None = None,
+    where: str | Mapping[str, object] | None = None,
+    gaps: str = "error",
+    name: str | None = None,
+) -> Record | Dataset:
+    """Record or data set from a table; arguments as for `read`."""
+    if gaps not in ("error", "split"):
+        raise DataError(f"gaps must be 'error' or 'split', got {gaps!r}")
+    stem = name or Path(table.source).stem or "record"
+    notes = list(table.notes)
+    table, taken = _filter(table, where, notes)
+    divider = None if by is None else find(table, by, "by")
+    choice = choose(table, time, input, output, taken if divider is None else [*taken, divider])
+    notes += choice.notes
+    groups, several = _groups(table, choice, divider, notes)
+    if only is not None:
+        if not several:
+            raise DataError(f"{table.source} holds one curve, so only={only!r} has nothing to choose from; give by=")
+        groups = select_curves(groups, only, table.source)
+    records: list[Record] = []
+    for label, rows in groups:
+        part = table.take(rows)
+        title = label if several else stem
+        records += records_of(part, choice, title, [*notes, *_before(table, choice, rows)], gaps)
+    if not several and len(records) == 1:
+        return records[0]
+    return Dataset(tuple(records), name=stem)
+
+
+def _filter(table: Table, where: str | Mapping[str, object] | None, notes: list[str]) -> tuple[Table, list[int]]:
+    if where is None:
+        return table, []
+    if isinstance(where, str):
+        pairs = [part.partition("=") for part in where.split(",")]
+        if not all(mark for _, mark, _ in pairs):
+            raise DataError(f"where must read column=value, got {where!r}")
+        where = {key.strip(): value.strip() for key, _, value in pairs}
+    positions = []
+    for key, value in where.items():
+        position = find(table, key, "where")
+        labels = _labels(table, position)
+        hit = labels == _text(value)
+        if not hit.any():
+            raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {_shown(labels)}")
+        notes.append(f"{int((~hit).sum())} rows where {key} is not {value} left out")
+        table = table.take(hit)
+        positions.append(position)
+    return table, positions
+
+
+def _text(value: object) -> str:
+    try:
+        return f"{float(value):.12g}"  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return str(value).strip()
+
+
+def _labels(table: Table, position: int) -> np.ndarray:
+    """The values of a column as text, "" where missing, shape (rows,)."""
+    if position in table.labels:
+        return np.array([_text(value) for value in table.labels[position]])
+    values, back = np.unique(table.columns[position], return_inverse=True)
+    return np.array(["" if np.isnan(value) else f"{value:.12g}" for value in values])[back]
+
+
+def _shown(values: Sequence[str] | np.ndarray) -> str:
+    distinct = list(dict.fromkeys(str(value) for value in values))
+    return ", ".join(distinct[:12]) + (f", ... ({len(distinct)} in all)" if len(distinct) > 12 else "")
+
+
+def _groups(
+    table: Table, choice: Choice, divider: int | None, notes: list[str]
+) -> tuple[list[tuple[str, np.ndarray]], bool]:
+    """Label and rows of every curve, and whether the file holds several."""
+    if divider is not None:
+        labels = _labels(table, divider)
+        blank = int((labels == "").sum())
+        if blank:
+            notes.append(f"left out: {blank} rows without a value of {table.names[divider]!r}")
+        order = [value for value in dict.fromkeys(labels.tolist()) if value]
+        if len(order) > 1000 and len(order) > table.rows / 2:
+            raise DataError(
+                f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not tell curves apart"
+            )
+        title = split_unit(table.names[divider])[0]
+        groups = [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
+        return _apart(groups, table, choice, notes), True
+    block = table.curve + 0
+    restart = np.flatnonzero(np.diff(table.section) > 0) + 1
+    if choice.time is not None:  # a header repeated while time goes on is a page break
+        clock = table.columns[choice.time]
+        runs_on = [k for k in restart if clock[k] > clock[k - 1]]
+        if runs_on:
+            notes.append(f"{len(runs_on)} repeated header rows within a curve passed over: time goes on there")
+        restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
+    new = np.zeros(table.rows, dtype=bool)
+    new[restart] = True
+    new[1:] |= np.diff(block) > 0
+    number = np.cumsum(new)
+    if number[-1] == 0:
+        _suggest(table, choice, notes)
+        return [("", np.arange(table.rows))], False
+    bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
+    pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
+    single = sum(piece.size == 1 for piece in pieces)
+    pieces = [piece for piece in pieces if piece.size > 1]
+    if single:
+        notes.append(f"{single} blocks of a single row (calibration points) kept apart from the curves")
+    if len(pieces) < 2:
+        if not pieces:
+            raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
+        return [("", pieces[0])], False
+    notes.append(f"{len(pieces)} curves, separated by blank lines or repeated headers")
+    return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+
+
+def _apart(
+    groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[str]
+) -> list[tuple[str, np.ndarray]]:
+    """Curves of at least two rows; the others are named in the notes."""
+    short = [(label, rows) for label, rows in groups if rows.size < 2]
+    for label, rows in short[:5]:
+        u, y = table.columns[choice.input][rows[0]], table.columns[choice.output][rows[0]]
+        notes.append(f"left out: {label} has a single row ({u:g}, {y:g})")
+    if len(short) > 5:
+        notes.append(f"left out: {len(short) - 5} more curves of a single row")
+    kept = [(label, rows) for label, rows in groups if rows.size > 1]
+    if not kept:
+        raise DataError(f"{table.source}: every curve that by= makes has a single row; choose another column")
+    return kept
+
+
+def _suggest(table: Table, choice: Choice, notes: list[str]) -> None:
+    for position, name in enumerate(table.names):
+        if position in (choice.time, choice.input, choice.output) or name.lower() not in (
+            "loop",
+            "curve",
+            "cycle",
+            "segment",
+            "run",
+        ):
+            continue
+        count = len(set(_labels(table, position).tolist()))
+        if 1 < count <= table.rows / 2:
+            notes.append(f"column {name!r} has {count} values; by={name!r} makes a record of each")
+
+
+def _before(table: Table, choice: Choice, rows: np.ndarray) -> list[str]:
+    """The calibration point (a block of one row) right before a curve, told so that it is not lost."""
+    k = int(rows[0]) - 1
+    single = k >= 0 and table.curve[k] != table.curve[rows[0]] and (k == 0 or table.curve[k - 1] != table.curve[k])
+    if not single:
+        return []
+    u, y = table.columns[choice.input][k], table.columns[choice.output][k]
+    return [f"calibration point before this curve (line {table.line[k]}): input {u:.9g}, output {y:.9g}"]
+
+
+def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:
+    """The (label, curve) pairs that `only` asks for, by value ("3,4") or position from 0 ("1::4").
+
+    Raises:
+        DataError: there is no such curve.
+    """
+    values = [label.partition("=")[2] or label for label, _ in groups]
+    if isinstance(only, str) and (found := re.fullmatch(r"\s*(-?\d*):(-?\d*)(?::(-?\d*))?\s*", only)):
+        limits = [int(part) if part else None for part in found.groups()]
+        if limits[2] == 0:
+            raise DataError(f"only={only!r}: the step of a slice must not be 0")
+        chosen = groups[slice(*limits)]
+        if not chosen:
+            raise DataError(f"{source}: only={only!r} chooses none of {len(groups)} curves (positions from 0)")
+        return chosen
+    parts = only.split(",") if isinstance(only, str) else only if isinstance(only, Sequence) else [only]
+    wanted = list(dict.fromkeys(_text(part) for part in parts))
+    unknown = [value for value in wanted if value not in values]
+    if unknown or not wanted:
+        raise DataError(
+            f"{source}: there is no curve {', '.join(unknown) or 'in an empty only='}; there are {_shown(values)}"
+        )
+    return [groups[values.index(value)] for value in wanted]

@@ -1,0 +1,3 @@
+"""What a fit returns, and how it is shown and saved."""
+
+from hystfit.results import plots as plots

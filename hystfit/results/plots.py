@@ -1,0 +1,269 @@
+"""Pictures of a fit. Every function takes axes or makes them, returns them, and neither shows nor changes anything else."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import HystfitError
+from hystfit.params.units import axis_label
+from hystfit.results.metrics import autocorrelation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from hystfit.results.result import FitResult, ParameterEstimate
+
+# Okabe and Ito's colors, told apart by everybody.
+MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"
+DARK = "#8a5a00"  # of HELD_OUT, for words
+MANY = 12  # weights of one array above which they are summed up in one row
+_POINTS, _LOOP_POINTS, _RASTER = 4000, 40_000, 6000
+_BEYOND = 2.0  # times the largest residual fitted, outside of which a few others are not drawn
+
+
+def fit(
+    result: FitResult,
+    kind: str = "loop",
+    ax: Axes | None = None,
+    *,
+    data: Record | Dataset | Sequence[Record] | None = None,
+    refit_offset: bool = False,
+) -> Axes:
+    """A picture of a fit.
+
+    Args:
+        result: the fit.
+        kind: "loop" (output over input), "series" (output over time), "residuals" (over time), "residuals-input" (over
+            the input), "autocorrelation" (of the residuals) or "parameters" (their relative standard errors).
+        ax: axes to draw on; new ones where None.
+        data: other records than those fitted, such as test data.
+        refit_offset: shift the prediction of each of those to its mean.
+
+    Raises:
+        HystfitError: no such kind.
+    """
+    if kind not in KINDS:
+        raise HystfitError(f"no picture {kind!r}; there are {', '.join(KINDS)}")
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(layout="constrained")[1]
+    assert ax is not None
+    if kind == "parameters":
+        return _parameters(result, ax)
+    KINDS[kind](_traces(result, data, refit_offset), ax)
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+class _Trace:
+    """One record as drawn: measured, predicted, and which samples were fitted."""
+
+    def __init__(self, record: Record, predicted: np.ndarray, fitted: bool, start: float):
+        self.u, self.y, self.predicted = record.u, record.y, predicted
+        self.seen = record.used & fitted
+        self.held = np.isfinite(record.y) & ~record.used if fitted else record.used
+        self.axis = (np.arange(len(record)) if record.t is None else record.t - record.t[0] * (start > 0)) + start
+        self.residual = predicted - record.y
+        self.labels = {
+            "u": axis_label(record.u_name, record.u_unit),
+            "y": axis_label(record.y_name, record.y_unit),
+            "residual": axis_label("model - measured", record.y_unit),
+            "axis": "sample" if record.t is None else f"time [{record.t_unit}]",
+        }
+
+
+def _traces(result: FitResult, data: Any, refit_offset: bool) -> list[_Trace]:
+    """Records one after another along one axis."""
+    records = list(result.data if data is None else Dataset.of(data))
+    traces, start = [], 0.0
+    for record in records:
+        predicted = result.predict(record, refit_offset=refit_offset and data is not None)
+        trace = _Trace(record, predicted, data is None, start)
+        traces.append(trace)
+        start = float(trace.axis[-1]) + (1.0 if record.t is None else float(record.dt[0]))
+    return traces
+
+
+def thin(most: int, *columns: np.ndarray) -> np.ndarray:
+    """Positions of about `most` samples that keep the ends and every stretch's extremes of each column, ascending."""
+    n = columns[0].size
+    if n <= most:
+        return np.arange(n)
+    edges = np.linspace(0, n, max(2, most // (2 * len(columns))) + 1).astype(int)
+    kept = {0, n - 1}
+    for column in columns:
+        low, high = np.where(np.isnan(column), np.inf, column), np.where(np.isnan(column), -np.inf, column)
+        for a, b in itertools.pairwise(edges):
+            kept |= {a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))}
+    return np.array(sorted(kept))
+
+
+def _line(ax: Axes, x: np.ndarray, y: np.ndarray, label: str, color: str, width: float) -> None:
+    """A line, named in the legend once, with nothing drawn where y is missing."""
+    if not np.isfinite(y).any():
+        return
+    known = ax.get_legend_handles_labels()[1]
+    ax.plot(x, y, color=color, lw=width, label=None if label in known else label, rasterized=x.size > _RASTER)
+
+
+def _loop(traces: list[_Trace], ax: Axes) -> None:
+    share = max(1, _LOOP_POINTS // len(traces))
+    for trace in traces:
+        at = thin(share, trace.u, trace.y, trace.predicted)
+        _line(ax, trace.u[at], np.where(trace.held, trace.y, np.nan)[at], "measured, not fitted", HELD_OUT, 3.8)
+        _line(ax, trace.u[at], np.where(trace.seen, trace.y, np.nan)[at], "measured", MEASURED, 2.4)
+    for trace in traces:
+        at = thin(share, trace.u, trace.y, trace.predicted)
+        _line(ax, trace.u[at], trace.predicted[at], "model", MODEL, 0.9)
+    ax.set(xlabel=traces[0].labels["u"], ylabel=traces[0].labels["y"])
+    ax.legend(frameon=False)
+
+
+def _series(traces: list[_Trace], ax: Axes) -> None:
+    share = max(1, _POINTS // len(traces))
+    for trace in traces:
+        at = thin(share, trace.y, trace.predicted)
+        for mask, label, color in ((trace.seen, "measured", MEASURED), (trace.held, "measured, not fitted", HELD_OUT)):
+            _line(ax, trace.axis[at], np.where(mask, trace.y, np.nan)[at], label, color, 2.6)
+        _line(ax, trace.axis[at], trace.predicted[at], "model", MODEL, 0.9)
+    ax.set(xlabel=_axis(traces), ylabel=traces[0].labels["y"])
+    ax.margins(x=0.01)
+    ax.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def _axis(traces: list[_Trace]) -> str:
+    several = ", records one after another" if len(traces) > 1 else ""
+    return traces[0].labels["axis"] + several
+
+
+def _residuals(traces: list[_Trace], ax: Axes) -> None:
+    share = max(1, _POINTS // len(traces))
+    for trace in traces:
+        at = thin(share, trace.residual)
+        for mask, label, color in ((trace.seen, "fitted", MODEL), (trace.held, "not fitted", HELD_OUT)):
+            _line(ax, trace.axis[at], np.where(mask, trace.residual, np.nan)[at], label, color, 0.8)
+    ax.axhline(0.0, color="black", lw=0.7)
+    if any(trace.held.any() for trace in traces) and any(trace.seen.any() for trace in traces):
+        ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    ax.set(xlabel=_axis(traces), ylabel=traces[0].labels["residual"])
+    ax.margins(x=0.01)
+    _frame(ax, traces)
+
+
+def _residuals_input(traces: list[_Trace], ax: Axes) -> None:
+    share = max(1, _POINTS // len(traces))
+    for trace in traces:
+        at = thin(share, trace.u, trace.residual)
+        for mask, color in ((trace.held, HELD_OUT), (trace.seen, MODEL)):
+            y = np.where(mask, trace.residual, np.nan)[at]
+            if np.isfinite(y).any():
+                ax.plot(trace.u[at], y, ".", ms=2, color=color, rasterized=True)
+    ax.axhline(0.0, color="black", lw=0.7)
+    ax.set(xlabel=traces[0].labels["u"], ylabel=traces[0].labels["residual"])
+    _frame(ax, traces)
+
+
+def _frame(ax: Axes, traces: list[_Trace]) -> None:
+    """Limits that show the residuals of the fit, where a few others are so large that they would flatten them."""
+    seen, held = (np.abs(np.concatenate([t.residual[getattr(t, k)] for t in traces])) for k in ("seen", "held"))
+    limit = _BEYOND * np.max(seen, initial=0.0)
+    beyond = held > limit
+    if limit > 0 and 0 < beyond.sum() <= 0.05 * held.size:
+        ax.set_ylim(-limit, limit)
+        words = f"{beyond.sum()} not fitted lie outside, up to {held.max():.3g}"
+        ax.text(0.99, 0.98, words, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
+
+
+def _autocorrelation(traces: list[_Trace], ax: Axes) -> None:
+    """Autocorrelation of the longest record's residuals, up to where it has died out, with the 95 % band of white noise."""
+    chosen = [t.residual[t.seen] if t.seen.any() else t.residual[t.held] for t in traces]
+    r = max(chosen, key=lambda part: part.size)
+    r = r[np.isfinite(r)]
+    rho = autocorrelation(r, max(1, min(r.size // 2, 5000)))
+    band = 1.96 / np.sqrt(r.size)
+    large = np.flatnonzero(np.abs(rho) > 0.2)
+    shown = rho[: max(20, min(rho.size, 2 * int(large[-1]) + 10))]
+    at = thin(_POINTS, shown)
+    ax.axhspan(-band, band, color=FAINT, alpha=0.5, lw=0, label="white noise, 95 %")
+    ax.axhline(0.0, color="black", lw=0.7)
+    if shown.size <= 60:
+        ax.vlines(at, 0, shown[at], color=MODEL, lw=1.5)
+    else:
+        ax.plot(at, shown[at], color=MODEL, lw=1.0)
+    ax.locator_params(axis="x", integer=True)
+    ax.set(xlabel="lag [samples]", ylabel="autocorrelation of residuals", ylim=(min(-0.2, 1.1 * shown.min()), 1.05))
+    ax.legend(frameon=False)
+
+
+KINDS: dict[str, Callable[..., Any]] = {
+    "loop": _loop,
+    "series": _series,
+    "residuals": _residuals,
+    "residuals-input": _residuals_input,
+    "autocorrelation": _autocorrelation,
+    "parameters": lambda result, ax: _parameters(result, ax),
+}
+
+
+def grouped(parameters: Sequence[ParameterEstimate], many: int = MANY) -> list[tuple[str, list[ParameterEstimate]]]:
+    """Parameters under the name that a report gives them: arrays (or per-record sets) of more than `many` under one."""
+    base = lambda p: re.split(r"[\[@]", p.name)[0]
+    families: dict[tuple[str, bool], list[ParameterEstimate]] = {}
+    for p in parameters:
+        families.setdefault((base(p), p.fixed), []).append(p)
+    rows: list[tuple[str, list[ParameterEstimate]]] = []
+    for p in parameters:
+        family = families[base(p), p.fixed]
+        if len(family) <= many:
+            rows.append((p.name, [p]))
+        elif p is family[0]:
+            rows.append((base(p), family))
+    return rows
+
+
+def _parameters(result: FitResult, ax: Axes) -> Axes:
+    """Standard errors in percent of the values, log scale; words where there is none."""
+    rows = [(name, family) for name, family in grouped(result.parameters) if not family[0].fixed]
+    relative = [
+        [100 * p.stderr / abs(p.value) for p in family if p.stderr is not None and p.stderr > 0 and p.value != 0]
+        for _, family in rows
+    ]
+    everything = [value for values in relative for value in values]
+    low, high = (min(everything), max(everything)) if everything else (1.0, 10.0)
+    left, right = min(10 ** (np.floor(np.log10(low)) - 0.2), 10.0), max(10 ** (np.ceil(np.log10(high)) + 0.2), 200.0)
+    for k, ((_, family), values) in enumerate(zip(rows, relative, strict=True)):
+        if not values:
+            ax.text(left * 1.1, k, _why(family), va="center", fontsize="small", color="#666666")
+        elif len(family) == 1:
+            ax.plot([left, values[0]], [k, k], color=FAINT, lw=1)
+            ax.plot(values[0], k, "o", color=MODEL, ms=6)
+        else:
+            ax.plot(values, np.full(len(values), k), "|", color=MODEL, ms=9, alpha=0.6)
+            if len(values) < len(family):
+                words = f" {len(family) - len(values)} of {len(family)} without"
+                ax.text(max(values), k, words, va="center", fontsize="small", color="#666666")
+    ax.axvline(100.0, color=HELD_OUT, lw=1, ls="--")
+    over = ax.get_xaxis_transform()
+    ax.text(100.0, 1.01, "as large as the value", transform=over, color=DARK, fontsize="small", ha="center")
+    ax.set_xscale("log")
+    ax.set(xlim=(left, right), ylim=(-0.6, len(rows) - 0.4), xlabel="standard error [% of the value]")
+    ax.set_yticks(range(len(rows)), [name if len(f) == 1 else f"{name} ({len(f)})" for name, f in rows])
+    ax.invert_yaxis()
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def _why(family: Sequence[ParameterEstimate]) -> str:
+    """Why parameters have no standard error."""
+    if all(p.at_bound for p in family):
+        return f"at its {family[0].at_bound} bound" if len(family) == 1 else "all on their bounds"
+    if any(p.identifiable is False for p in family):
+        return "not determined by these data"
+    return "no standard error"

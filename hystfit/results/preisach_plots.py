@@ -1,0 +1,111 @@
+"""Pictures of Preisach models and reversal curves, as the field draws them; axes in, axes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.models.preisach.everett import cells
+from hystfit.models.preisach.forc import ForcDiagram
+from hystfit.models.preisach.model import Preisach
+
+
+def plot_density(model: Preisach, ax: Any = None, reach: np.ndarray | None = None) -> Any:
+    """Mass per area of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data never went.
+
+    Args:
+        model: with cells.
+        ax: matplotlib axes, made if None.
+        reach: part of each weight's cells that the data switched, as a fit returns it.
+    """
+    ax = _axes(ax)
+    levels, n = np.asarray(model.levels), model.n
+    i, j = cells(n)
+    if model.elements == "relays":
+        alpha, beta = (np.asarray(t) for t in model.thresholds())
+        dots = ax.scatter(beta, alpha, c=np.asarray(model.masses()), s=12, cmap="magma_r")
+        ax.figure.colorbar(dots, ax=ax, label="weight")
+        return _label(ax)
+    width = np.diff(levels)
+    area = width[i] * width[j] * np.where(i == j, 0.5, 1.0)
+    square = np.full((n, n), np.nan)
+    square[i, j] = np.asarray(model.masses()) / area
+    top = np.nanpercentile(np.abs(square), 99.5) or 1.0
+    signed = bool((square[i, j] < -1e-3 * top).any())
+    shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top} if signed else {"cmap": "magma_r", "vmin": 0, "vmax": top}
+    mesh = ax.pcolormesh(levels, levels, square, shading="flat", rasterized=True, **shades)
+    ax.figure.colorbar(mesh, ax=ax, label="mass per area")
+    if reach is not None:
+        _hatch(ax, model, reach)
+    return _label(ax)
+
+
+def _hatch(ax: Any, model: Preisach, reach: np.ndarray) -> None:
+    from matplotlib.patches import Rectangle
+
+    from hystfit.models.preisach.everett import mirror
+
+    levels = np.asarray(model.levels)
+    seen = reach[mirror(model.n)[0]] if model.symmetric else reach
+    for i, j in zip(*(c[seen < 1e-9] for c in cells(model.n)), strict=True):
+        low, right, bottom, high = (float(levels[k]) for k in (j, j + 1, i, i + 1))
+        ax.add_patch(Rectangle((low, bottom), right - low, high - bottom, fill=False, hatch="////", lw=0, ec="0.6"))
+
+
+def _label(ax: Any) -> Any:
+    ax.set(xlabel="switching down, beta", ylabel="switching up, alpha", aspect="equal")
+    return ax
+
+
+def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None) -> Any:
+    """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative."""
+    ax = _axes(ax)
+    top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
+    x, y = diagram.coercivity, diagram.interaction
+    reversal, field = _edges(diagram.reversal)[:, None], _edges(diagram.field)[None, :]
+    shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
+    mesh = ax.pcolormesh(0.5 * (field - reversal), 0.5 * (field + reversal), diagram.density, rasterized=True, **shades)
+    ax.figure.colorbar(mesh, ax=ax, label="FORC distribution")
+    shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
+    if shown.any():
+        far, half = np.quantile([x[shown], np.abs(y[shown])], 0.99, axis=1)  # lone points at the rim are noise
+        ax.set(xlim=(0, 1.2 * far), ylim=(-1.2 * half, 1.2 * half))
+    ax.axhline(0, color="0.5", lw=0.6)
+    ax.set(xlabel="coercivity (H - Hr) / 2", ylabel="interaction (H + Hr) / 2")
+    return ax
+
+
+def _edges(middle: np.ndarray) -> np.ndarray:
+    """Edges of cells about increasing middles, shape (n + 1,)."""
+    between = 0.5 * (middle[1:] + middle[:-1])
+    return np.concatenate([[2 * middle[0] - between[0]], between, [2 * middle[-1] - between[-1]]])
+
+
+def plot_curves(
+    data: Dataset | Sequence[Record], predicted: Sequence[np.ndarray] = (), ax: Any = None, every: int = 1
+) -> Any:
+    """Reversal curves, measured as dots and predicted as lines, colored by their order of reversal."""
+    import matplotlib
+
+    ax = _axes(ax)
+    curves = list(Dataset.of(data))[::every]
+    colors = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(curves)))
+    for r, color in zip(curves, colors, strict=True):
+        ax.plot(r.u, r.y, ".", ms=2, color=color)
+    for r, y, color in zip(curves, list(predicted)[::every], colors, strict=False):
+        ax.plot(r.u, y, "-", lw=0.8, color=color)
+    first = curves[0]
+    unit = lambda name, text: f"{name} [{text}]" if text else name
+    ax.set(xlabel=unit(first.u_name, first.u_unit), ylabel=unit(first.y_name, first.y_unit))
+    return ax
+
+
+def _axes(ax: Any) -> Any:
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(layout="constrained")[1]

@@ -1,0 +1,127 @@
+"""The report on a fit as one HTML page with its pictures, and as files in a folder."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hystfit.data.record import Dataset, Record
+from hystfit.results.plots import fit as draw
+from hystfit.results.plots import grouped
+from hystfit.results.report.numbers import held, lines
+from hystfit.results.report.text import facts, headline, metric_rows, text_report
+from hystfit.results.result import FitResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    Data = Record | Dataset | Sequence[Record]
+
+_DPI = 150
+
+
+def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> dict[str, Figure]:
+    """Figures by file name, made without any global state of matplotlib."""
+    from matplotlib.figure import Figure
+
+    def sheet(width: float, height: float, count: int = 1) -> tuple[Figure, Any]:
+        figure = Figure(figsize=(width, height), layout="constrained")
+        return figure, figure.subplots(1, count)
+
+    found: dict[str, Figure] = {}
+    found["loop"], ax = sheet(6.4, 4.8)
+    draw(result, "loop", ax)
+    found["series"], ax = sheet(9.6, 3.4)
+    draw(result, "series", ax)
+    found["residuals"], axes = sheet(9.6, 3.4, 2)
+    draw(result, "residuals", axes[0])
+    draw(result, "residuals-input", axes[1])
+    found["autocorrelation"], ax = sheet(6.4, 3.2)
+    draw(result, "autocorrelation", ax)
+    count = sum(not family[0].fixed for _, family in grouped(result.parameters))
+    found["parameters"], ax = sheet(6.4, min(12.0, 1.2 + 0.3 * count))
+    draw(result, "parameters", ax)
+    if test is not None:
+        found["test"], axes = sheet(9.6, 3.8, 2)
+        draw(result, "loop", axes[0], data=test, refit_offset=refit_offset)
+        draw(result, "series", axes[1], data=test, refit_offset=refit_offset)
+    return found
+
+
+_CAPTIONS = {
+    "loop": "Measured loop and model",
+    "test": "Test data, which were not fitted",
+    "series": "Output",
+    "residuals": "Residuals",
+    "autocorrelation": "Autocorrelation of the residuals",
+    "parameters": "Relative standard errors",
+}
+
+
+def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> str:
+    """One HTML page with its pictures inside, which needs nothing else."""
+    figures = pictures(result, test=test, refit_offset=refit_offset)
+    return _page(result, {name: _png(figure) for name, figure in figures.items()})
+
+
+def _page(result: FitResult, images: dict[str, bytes]) -> str:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hystfit.results"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    shown = [
+        (caption, _width(images[name]), base64.b64encode(images[name]).decode("ascii"))
+        for name, caption in _CAPTIONS.items()
+        if name in images
+    ]
+    return environment.get_template("report.html").render(
+        title=headline(result),
+        usable=result.usable,
+        advice=result.advice,
+        metrics=metric_rows(result),
+        table=lines(result),
+        held=held(result),
+        notes=result.notes,
+        facts=facts(result),
+        pictures=shown,
+    )
+
+
+def _width(png: bytes) -> int:
+    """Width at which a picture reads well [CSS pixels]: PNG's header holds it in device pixels."""
+    return int.from_bytes(png[16:20], "big") * 96 // _DPI
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    return buffer.getvalue()
+
+
+def write(result: FitResult, folder: str | Path, *, test: Data | None = None, refit_offset: bool = False) -> Path:
+    """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
+
+    Raises:
+        HystfitError: the folder cannot be made or written.
+    """
+    from hystfit.results.saved import writing
+
+    with writing(folder) as scratch:
+        write_into(result, scratch, test=test, refit_offset=refit_offset)
+    return Path(folder)
+
+
+def write_into(result: FitResult, folder: Path, *, test: Data | None = None, refit_offset: bool = False) -> None:
+    """The files of `write` into a folder that is there."""
+    figures = pictures(result, test=test, refit_offset=refit_offset)
+    images = {name: _png(figure) for name, figure in figures.items()}
+    (folder / "report.html").write_text(_page(result, images), encoding="utf-8")
+    (folder / "report.txt").write_text(text_report(result), encoding="utf-8")
+    for name, figure in figures.items():
+        (folder / f"{name}.png").write_bytes(images[name])
+        figure.set_layout_engine("none")  # as laid out for the PNG
+        figure.savefig(folder / f"{name}.svg", dpi=_DPI)

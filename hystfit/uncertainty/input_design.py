@@ -1,0 +1,324 @@
+"""The next excitation: which input within the actuator's limits shrinks the errors most (locally D- or A-optimal design)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.config import require_seed, require_x64
+from hystfit.data.record import Record
+from hystfit.errors import ParameterError
+from hystfit.fitting.again import problem_of
+from hystfit.fitting.covariance import describe
+from hystfit.models.base import run, simulate
+from hystfit.params.coordinates import REAL, Coordinates
+from hystfit.results.result import FitResult
+
+SCHEMA = "hystfit.design/1"
+_TURNS = 14  # turning levels of the optimized input
+_LOOSE = 0.5  # relative error above which a combination counts as open
+_PRIOR = 3.0  # standard deviation in relative size that each parameter has before any measurement
+_UNKNOWN = 0.5  # part of that prior above which an error is the prior's, not the data's
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """An input and the errors it promises.
+
+    Attributes:
+        name: of its family.
+        u: input, shape (T,).
+        stderr: predicted standard errors, physical units, by parameter, together with the present data; None where that leaves a
+            parameter open.
+        score: what was minimized (mean log error of the parameters aimed at).
+    """
+
+    name: str
+    u: np.ndarray
+    stderr: dict[str, float | None]
+    score: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Design:
+    """Inputs ranked by what they promise.
+
+    Attributes:
+        result: the fit.
+        candidates: best first.
+        present: predicted errors with the present data alone; None for parameters that these leave open.
+        aim: parameters whose errors count.
+        closes: undetermined combinations, in words, that the best input determines.
+        dt: sampling interval; None where the records have no time.
+        notes: one sentence each.
+    """
+
+    result: FitResult
+    candidates: tuple[Candidate, ...]
+    present: dict[str, float | None]
+    aim: tuple[str, ...]
+    closes: tuple[str, ...]
+    dt: float | None
+    notes: tuple[str, ...]
+
+    @property
+    def status(self) -> str:
+        """ "ok", or "no-loop" where the fit saw none: what such a model promises means nothing."""
+        return "no-loop" if self.result.status == "no-loop" else "ok"
+
+    @property
+    def usable(self) -> bool:
+        """Whether the status is "ok"."""
+        return self.status == "ok"
+
+    @property
+    def best(self) -> Candidate:
+        """The input to measure next."""
+        return self.candidates[0]
+
+    def record(self, seed: int = 0, sigma: float | None = None) -> Record:
+        """What measuring the best input would give if the fitted model were true, with white noise (the fit's by default)."""
+        u = self.best.u
+        t = None if self.dt is None else np.arange(u.size) * self.dt
+        y = np.asarray(simulate(self.result.model, u, self.dt)[0])
+        sd = self.result.sigma if sigma is None else sigma
+        return Record(u=u, y=y + sd * np.random.default_rng(seed).normal(size=u.size), t=t, name="designed")
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __str__(self) -> str:
+        names = list(self.present)
+        width = max(len("present"), *(len(c.name) for c in self.candidates))
+        lines = [
+            f"{self.result.name}: next input for {', '.join(self.aim)}",
+            "predicted standard errors, present data and the new input:",
+        ]
+        units = [self.result[name].unit for name in names]
+        columns = [max(10, len(name), len(unit) + 2) for name, unit in zip(names, units, strict=True)]
+        line = lambda first, cells: (
+            f"{first:{width}}  " + "  ".join(f"{cell:>{column}}" for cell, column in zip(cells, columns, strict=True))
+        )
+        lines.append(line("", names).rstrip())
+        if any(units):
+            lines.append(line("", [f"[{unit}]" if unit else "" for unit in units]).rstrip())
+        rows = [("present", self.present)] + [(c.name, c.stderr) for c in self.candidates]
+        number = lambda error: "-" if error is None else f"{error:.3g}"
+        lines += [line(name, [number(errors[n]) for n in names]) for name, errors in rows]
+        return "\n".join(lines + [f"note: {note}" for note in self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`."""
+        rows = [{"name": c.name, "score": c.score, "stderr": c.stderr} for c in self.candidates]
+        return {
+            "schema": SCHEMA,
+            "model": self.result.name,
+            "status": self.status,
+            "aim": list(self.aim),
+            "notes": list(self.notes),
+            "present": self.present,
+            "candidates": rows,
+            "input": self.best.u.tolist(),
+            "dt": self.dt,
+            "provenance": self.result.provenance,
+        }
+
+
+def design(
+    result: FitResult,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    samples: int = 1000,
+    aim: Sequence[str] | None = None,
+    method: Literal["families", "gradient"] = "gradient",
+    steps: int = 150,
+    seed: int = 0,
+) -> Design:
+    """Propose the next excitation.
+
+    Families of signals (one and two amplitudes, decaying, growing, random reversals) and, with "gradient", turning levels
+    moved by the derivative of the simulation are compared by the errors that the linearized model predicts, with the present data's
+    information added and a wide prior. The design is right near the fitted values only: measure, fit again, design again.
+
+    Args:
+        result: the fit that knows the present uncertainty.
+        low, high: limits of the actuator; the input range of the fit by default.
+        samples: length of the proposed input, at the records' sampling interval.
+        aim: parameters whose errors count; all free ones by default.
+        method: "families" compares signals, "gradient" also optimizes one.
+        steps: of the gradient method.
+        seed: of random signals.
+
+    Raises:
+        ParameterError: limits out of order, an unknown parameter, fewer than 100 samples.
+    """
+    require_x64()
+    require_seed(seed)
+    problem, x = problem_of(result)
+    names = problem.space.names
+    chosen = tuple(aim) if aim else names
+    unknown = [name for name in chosen if name not in names]
+    if unknown:
+        raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(names)}")
+    low = min(float(r.u.min()) for r in result.data) if low is None else low
+    high = max(float(r.u.max()) for r in result.data) if high is None else high
+    if not low < high or samples < 100:
+        raise ParameterError(f"design needs low < high and at least 100 samples, got {low}, {high} and {samples}")
+    c = problem.space.coordinates
+    size = _sizes(c, x)
+    sigma = result.sigma * result.honest_ratio
+    typical = float(np.median(np.concatenate([r.dt for r in result.data])))
+    prior = jnp.eye(x.size) / _PRIOR**2
+    own = jnp.asarray([info.per_record for info in problem.space.infos])
+    setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical), own)
+    now = prior + sum(_known(*setting[:3], record, jnp.asarray(k)) for k, record in enumerate(problem.data))
+    counted = jnp.asarray([name in chosen for name in names])
+    inputs = _families(low, high, samples, seed)
+    if method == "gradient":
+        inputs["optimized turning points"] = _optimize(setting, now, counted, low, high, samples, steps, seed)
+
+    def errors(matrix: Array) -> dict[str, float | None]:
+        relative = np.sqrt(np.diag(np.linalg.inv(np.asarray(matrix))))
+        found = np.where(relative < _UNKNOWN * _PRIOR, relative * size, np.nan)
+        return {name: float(e) if np.isfinite(e) else None for name, e in zip(names, found, strict=True)}
+
+    candidates = []
+    for name, u in inputs.items():
+        matrix = now + _added(*setting, jnp.asarray(u))
+        candidates.append(Candidate(name, np.asarray(u), errors(matrix), float(_score(matrix, counted))))
+    candidates.sort(key=lambda one: one.score)
+    closes = _closed(np.asarray(now), np.asarray(now + _added(*setting, jnp.asarray(candidates[0].u))), list(names))
+    present = {name: None if result[name].stderr is None else error for name, error in errors(now).items()}
+    notes = []
+    if not result.usable:
+        notes.append(f"the fit is not usable ({result.status}): {result.advice}")
+    notes += [
+        f"the input {candidates[0].name!r} determines {words}, which the present data leave open" for words in closes
+    ]
+    if None in present.values():
+        notes.append(
+            f"each parameter is taken to be known to {_PRIOR:.0%} of its size beforehand; - where the data add nothing to that"
+        )
+    notes.append("the design is local: it holds near the fitted values")
+    dt = None if all(record.t is None for record in result.data) else typical
+    return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, tuple(notes))
+
+
+def _sizes(c: Coordinates, x: np.ndarray) -> np.ndarray:
+    """Relative size of each parameter: its own, or its scale where it may be zero."""
+    scale, kind = np.asarray(c.scale), np.asarray(c.kinds)
+    return np.where(kind == REAL, np.maximum(np.abs(x), scale), np.maximum(np.abs(x), 1e-3 * scale))
+
+
+def _known(c: Coordinates, x: Array, scale: Array, record: Record, number: Array) -> Float[Array, "p p"]:
+    """Information about x / size from a record as it was fitted: its own parameters, and the samples that counted."""
+    weight = np.where(record.used, record.weight, 0.0)
+    return _information(c, x, scale, *(jnp.asarray(v) for v in (record.u, record.dt, weight)), number)
+
+
+@eqx.filter_jit
+def _information(
+    c: Coordinates,
+    x: Array,
+    scale: Array,
+    u: Float[Array, " T"],
+    dt: Float[Array, " T"],
+    weight: Float[Array, " T"],
+    number: Array,
+) -> Float[Array, "p p"]:
+    push = lambda t: jax.jvp(lambda x: run(c.assemble(x, number), u, dt)[0], (x,), (t,))[1]
+    J = jax.vmap(push)(jnp.eye(x.shape[0])) * scale[:, None] * jnp.sqrt(weight)
+    return J @ J.T
+
+
+@eqx.filter_jit
+def _added(c: Coordinates, x: Array, scale: Array, dt: Array, own: Array, u: Float[Array, " T"]) -> Float[Array, "p p"]:
+    """Information from another record with this input, whose own parameters (`own`, such as its offset) are to be found from it too."""
+    F = _information(c, x, scale, u, jnp.full_like(u, dt), jnp.ones_like(u), jnp.asarray(0))
+    nuisance = jnp.where(own, 1.0, 0.0)
+    A = F * nuisance
+    inner = A * nuisance[:, None] + jnp.diag(jnp.where(own, _PRIOR**-2, 1.0))
+    left = F - A @ jnp.linalg.solve(inner, A.T)
+    return left * (1 - nuisance) * (1 - nuisance)[:, None]
+
+
+def _score(matrix: Array, counted: Array) -> Array:
+    """Mean log error of the parameters that count: invariant to their units, and no one of them hides behind the others."""
+    variance = jnp.diag(jnp.linalg.inv(matrix))
+    return 0.5 * jnp.sum(jnp.where(counted, jnp.log(variance), 0.0)) / jnp.sum(counted)
+
+
+def _families(low: float, high: float, samples: int, seed: int) -> dict[str, np.ndarray]:
+    """Signals of `samples` samples within the limits."""
+    phase = np.arange(samples) / samples
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    wave = lambda cycles: np.sin(2 * np.pi * cycles * phase)
+    rng = np.random.default_rng(seed)
+    return {
+        "sine over the range": middle + half * wave(8),
+        "sine over a third of the range": middle + half / 3 * wave(8),
+        "two amplitudes": middle + half * np.where(phase < 0.5, 0.4, 1.0) * wave(8),
+        "decaying sine": middle + half * (1 - phase) * wave(10),
+        "growing sine": middle + half * phase * wave(10),
+        "random reversals": _through(
+            jnp.asarray(rng.uniform(low, high, _TURNS)), samples, 0.5 * (low + high)
+        ).__array__(),
+    }
+
+
+def _through(levels: Float[Array, " k"], samples: int, start: float) -> Float[Array, " T"]:
+    """Straight ways between turning levels, of equal duration."""
+    at = jnp.linspace(0.0, levels.shape[0], samples)
+    return jnp.interp(at, jnp.arange(levels.shape[0] + 1.0), jnp.concatenate([jnp.full(1, start), levels]))
+
+
+def _optimize(
+    setting: tuple[Any, ...], now: Array, counted: Array, low: float, high: float, samples: int, steps: int, seed: int
+) -> np.ndarray:
+    """Turning levels by Adam from three random starts, through the simulation."""
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    rng = np.random.default_rng(seed)
+    starts = np.concatenate([np.tile([[1.0, -1.0]], (1, _TURNS // 2)), rng.normal(size=(2, _TURNS))])
+
+    def score(w: Array, setting: tuple[Any, ...], now: Array) -> Array:
+        u = _through(middle + half * jnp.tanh(w), samples, middle)
+        return _score(now + _added(*setting, u), counted)
+
+    @eqx.filter_jit
+    def descend(w: Array, setting: tuple[Any, ...], now: Array) -> tuple[Array, Array]:
+        def once(carry: tuple[Array, ...], k: Array) -> tuple[tuple[Array, ...], None]:
+            w, mean, square, best, least = carry
+            value, g = jax.value_and_grad(score)(w, setting, now)
+            better = value < least
+            best, least = jnp.where(better, w, best), jnp.where(better, value, least)
+            g = jnp.where(jnp.isfinite(g), g, 0.0)
+            mean, square = 0.9 * mean + 0.1 * g, 0.99 * square + 0.01 * g**2
+            step = mean / (1 - 0.9**k) / (jnp.sqrt(square / (1 - 0.99**k)) + 1e-9)
+            return (w - 0.1 * step, mean, square, best, least), None
+
+        zero = jnp.zeros_like(w)
+        begin = (w, zero, zero, w, jnp.asarray(jnp.inf))
+        _, _, _, best, least = jax.lax.scan(once, begin, jnp.arange(1.0, steps + 1))[0]
+        return best, least
+
+    found = [descend(jnp.asarray(w), setting, now) for w in starts]
+    best = min(found, key=lambda one: float(one[1]))[0]
+    return np.asarray(_through(middle + half * jnp.tanh(best), samples, middle))
+
+
+def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str]:
+    """Combinations that the data left open (a relative error above one half) and the new input determines."""
+    values, vectors = np.linalg.eigh(before)
+    return [
+        describe(v, names)
+        for value, v in zip(values, vectors.T, strict=True)
+        if value < _LOOSE**-2 and v @ np.linalg.inv(after) @ v < (0.5 * _LOOSE) ** 2
+    ]
