@@ -1,0 +1,96 @@
+"""Notes: findings about data and results, each with a code on which decisions are made."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Iterable
+from typing import Any
+
+
+class Severity(enum.StrEnum):
+    """How much a note matters to the user's numbers."""
+
+    INFO = "info"  # what was chosen, or worth knowing
+    WARNING = "warning"  # some of the numbers need a second look
+    ERROR = "error"  # the result should not be used
+
+
+class Code(enum.StrEnum):
+    """What a note is about. Decisions and tests use these codes, never the text of a note."""
+
+    # fits
+    SOLVER = "solver"  # message of a solver that did not converge
+    POOR_FIT = "poor-fit"  # the error is large beside the loop
+    MEASUREMENT_NOISE = "measurement-noise"  # the error is large, and the residuals are white
+    MODEL_MISMATCH = "model-mismatch"  # the data have a property that the model cannot reproduce
+    NO_LOOP = "no-loop"  # the input never turns back
+    NOT_DETERMINED = "not-determined"  # the data cannot separate these parameters
+    NO_INFLUENCE = "no-influence"  # a parameter does not affect the output on these data
+    AT_BOUND = "at-bound"  # a parameter lies on its bound
+    ZERO_WEIGHTS = "zero-weights"  # linear weights lie on their bound
+    REGULARIZED = "regularized"  # standard errors include the regularization
+    CORRELATED_RESIDUALS = "correlated-residuals"  # standard errors allow for autocorrelation
+    REPEATING_RESIDUALS = "repeating-residuals"  # part of the residuals recurs every loop
+    HEAVY_TAILS = "heavy-tails"  # outliers in the residuals
+    LARGE_NOISE = "large-noise"  # slow noise would have to be larger than the residuals
+    ROUNDING = "rounding"  # residuals are of the size of rounding errors
+    NOISE_MODEL = "noise-model"  # the noise model and its parameters
+    NOISE_MISMATCH = "noise-mismatch"  # the residuals are inconsistent with the noise model that was chosen
+    MODEL_ADVICE = "model-advice"  # the model's own remark on this input
+    CHOICE = "choice"  # what was chosen automatically
+    EXTRAPOLATION = "extrapolation"  # a record leaves the fitted range of inputs
+    OFFSET_REFITTED = "offset-refitted"  # the offset of a test record was refitted
+    SEQUENTIAL = "sequential"  # the result comes from a sequential identifier
+    # samplers, profiles, calibration, design
+    FIT_STATUS = "fit-status"  # the fit behind the result is not usable
+    CHAINS = "chains"  # convergence of the chains
+    DIVERGENCES = "divergences"  # divergent transitions of NUTS
+    PRIOR = "prior"  # the posterior is as wide as its prior, or inconsistent with it
+    OPEN_SIDE = "open-side"  # no confidence limit on one side
+    OTHER_OPTIMUM = "other-optimum"  # the likelihood is larger elsewhere than at the fit
+    BLOCKS = "blocks"  # block length of a robust covariance
+    REPLICATE = "replicate"  # a failed replicate
+    CLOSES = "closes"  # the proposed input determines what the present data do not
+    LOCAL = "local"  # the design holds near the fitted values
+
+
+@dataclasses.dataclass(frozen=True)
+class Note:
+    """One finding.
+
+    Attributes:
+        code: what it is about.
+        text: one sentence for people.
+        severity: how much it matters.
+    """
+
+    code: Code
+    text: str
+    severity: Severity = Severity.INFO
+
+    def __str__(self) -> str:
+        return self.text
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"code": str(self.code), "severity": str(self.severity), "text": self.text}
+
+    @classmethod
+    def of(cls, stored: Any) -> Note:
+        """The note that `to_dict` described.
+
+        Raises:
+            KeyError, ValueError, TypeError: it is no such description.
+        """
+        return cls(Code(stored["code"]), str(stored["text"]), Severity(stored["severity"]))
+
+
+def warn(code: Code, text: str) -> Note:
+    """A note of severity `WARNING`."""
+    return Note(code, text, Severity.WARNING)
+
+
+def has(notes: Iterable[Note], *codes: Code) -> bool:
+    """Whether any note has one of these codes."""
+    return any(note.code in codes for note in notes)

@@ -1,0 +1,81 @@
+"""The status of a result: one enumeration for all verbs, each member with advice."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Status(enum.StrEnum):
+    """How a verb ended. Only `OK` is usable without a second thought; `advice` says what to do about the others."""
+
+    OK = "ok"
+    NOT_CONVERGED = "not-converged"
+    POOR = "poor"
+    NO_LOOP = "no-loop"
+    POOR_FIT = "poor-fit"
+    BIASED = "biased"
+    UNDETERMINED = "undetermined"
+    DIVERGED = "diverged"
+    FAILED = "failed"
+    OPEN = "open"
+    MISCALIBRATED = "miscalibrated"
+    TOO_FEW = "too-few"
+    NO_MODEL = "no-model"
+    MISSED = "missed"
+    NOT_FINITE = "not-finite"
+    FIT_NOT_USABLE = "fit-not-usable"
+    SKIPPED = "skipped"
+
+    @property
+    def usable(self) -> bool:
+        """Whether the numbers can be used as they are; the exit status of a verb is 0 exactly then."""
+        return self is Status.OK
+
+    def advice(self, verb: str = "fit") -> str:
+        """What to do, in one sentence.
+
+        Args:
+            verb: the verb whose result this is; a chain and a solver that have not converged need different remedies.
+        """
+        return _OF_VERB.get((verb, self)) or _ADVICE[self]
+
+
+_ADVICE = {
+    Status.OK: "usable",
+    Status.NOT_CONVERGED: "the solver did not converge: use more starts, method='trf', or fix what the data do not determine",
+    Status.POOR: "the model does not describe this loop: try hystfit compare, or a model with more freedom",
+    Status.NO_LOOP: "the input never turns back, so there is no loop: measure a full cycle, or fit a curve instead",
+    Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
+    Status.BIASED: (
+        "noise biases the rate: use output-error least squares (method='lm'), or integrated_regression where the method "
+        "must be linear"
+    ),
+    Status.UNDETERMINED: (
+        "the input does not excite all parameters: add reversals at several amplitudes, or lower the polynomial orders"
+    ),
+    Status.DIVERGED: "the estimate diverged: raise the floor or lower mu (gradient correction), or decimate by input increment",
+    Status.FAILED: "nothing could be fitted: see the notes, and fix parameters that the data do not determine",
+    Status.OPEN: "the data do not bound some parameters: measure at other amplitudes (hystfit design), or fix them",
+    Status.MISCALIBRATED: (
+        "the error bars of this setup do not hold: try another noise model, or another input (hystfit design)"
+    ),
+    Status.TOO_FEW: "too few replicates for a conclusion: use 200 or more",
+    Status.NO_MODEL: "these data determine no model: measure full cycles at several amplitudes",
+    Status.MISSED: "some samples of the reference cannot be reached: see the status of each sample",
+    Status.NOT_FINITE: "the simulation is not finite: the model is unstable on this input or at this sampling rate",
+    Status.FIT_NOT_USABLE: "the fit behind this result is not usable: see its status",
+    Status.SKIPPED: "the data were not found, so nothing was run",
+}
+_OF_VERB = {
+    ("sample", Status.NOT_CONVERGED): "the chains have not converged: draw more, or fix what the data do not determine",
+    ("identify", Status.NOT_CONVERGED): (
+        "the sequential method has not converged: use more passes, a better start, or least squares (method='lm')"
+    ),
+    ("identify", Status.FAILED): (
+        "the identified rate is not positive: decimate by input increment, or use output-error least squares (method='lm')"
+    ),
+    ("identify", Status.POOR): (
+        "the free run does not follow the record: use output-error least squares (method='lm') or another model"
+    ),
+    ("calibrate", Status.OK): "the error bars of this setup hold, as far as this number of replicates can show",
+}

@@ -1,0 +1,114 @@
+"""Tables of numbers as text, HTML and JSON: the one place where a verb's table is formatted."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import math
+from collections.abc import Sequence
+from typing import Any
+
+
+def number(value: float | None, form: str = ".4g") -> str:
+    """A number as text; "-" where it is unknown."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def rounded(value: float, stderr: float | None) -> tuple[str, str]:
+    """A value and its standard error as text: two digits of the error, the value to the same decimal; "-" where unknown."""
+    if stderr is None or not math.isfinite(stderr) or stderr <= 0:
+        return f"{value:.5g}", "-"
+    exponent = math.floor(math.log10(max(abs(value), stderr)))
+    scale = 0 if -4 <= exponent < 6 else exponent
+    decimals = min(15, 1 - math.floor(math.log10(stderr)) + scale)
+    tail = f"e{scale:+03d}" if scale else ""
+    if decimals < 0:
+        return f"{round(value, decimals):z.0f}", f"{round(stderr, decimals):.0f}"
+    return f"{value / 10**scale:z.{decimals}f}{tail}", f"{stderr / 10**scale:.{decimals}f}{tail}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        head: heading, with the unit.
+        key: name in JSON; the heading by default.
+        form: format of numbers, such as ".3g".
+        left: whether cells are flush left; numbers are flush right.
+    """
+
+    head: str
+    key: str = ""
+    form: str = ".4g"
+    left: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name in JSON."""
+        return self.key or self.head
+
+
+class Table:
+    """Rows of cells below headings; a cell is text, a number, or None where a value is unknown.
+
+    Args:
+        columns: headings, or `Column`s. The first column is flush left.
+        rows: each as long as `columns`.
+    """
+
+    def __init__(self, columns: Sequence[Column | str], rows: Sequence[Sequence[Any]]):
+        made = [column if isinstance(column, Column) else Column(column) for column in columns]
+        self.columns = [dataclasses.replace(column, left=column.left or k == 0) for k, column in enumerate(made)]
+        self.rows = [list(row) for row in rows]
+        if any(len(row) != len(made) for row in self.rows):
+            raise ValueError("every row needs one cell for each column")
+
+    def cells(self) -> list[list[str]]:
+        """All cells as text, without the headings."""
+        return [[_cell(value, column) for value, column in zip(row, self.columns, strict=True)] for row in self.rows]
+
+    def text(self, indent: str = "") -> str:
+        """Aligned columns of plain text."""
+        return "\n".join(self.lines(indent))
+
+    def lines(self, indent: str = "") -> list[str]:
+        """`text`, line by line."""
+        heads = [column.head for column in self.columns]
+        rows = [heads, *self.cells()] if any(heads) else self.cells()
+        widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(self.columns))]
+        pad = [str.ljust if column.left else str.rjust for column in self.columns]
+        return [
+            (indent + "  ".join(f(cell, w) for f, cell, w in zip(pad, row, widths, strict=True))).rstrip()
+            for row in rows
+        ]
+
+    def html(self) -> str:
+        """An HTML table; numbers are flush right by the class "number"."""
+        mark = lambda column: "" if column.left else ' class="number"'
+        head = "".join(f"<th{mark(column)}>{html.escape(column.head)}</th>" for column in self.columns)
+        body = "".join(
+            "<tr>"
+            + "".join(f"<td{mark(c)}>{html.escape(text)}</td>" for c, text in zip(self.columns, row, strict=True))
+            + "</tr>\n"
+            for row in self.cells()
+        )
+        return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """Rows for JSON: numbers in full, unknown values null."""
+        return [{c.name: _plain(value) for c, value in zip(self.columns, row, strict=True)} for row in self.rows]
+
+
+def _cell(value: Any, column: Column) -> str:
+    if value is None or isinstance(value, str):
+        return "-" if value is None else value
+    if isinstance(value, bool) or (not isinstance(value, (int, float)) and not hasattr(value, "__float__")):
+        return str(value)
+    return str(value) if isinstance(value, int) else number(float(value), column.form)
+
+
+def _plain(value: Any) -> Any:
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    return float(value) if math.isfinite(float(value)) else None

@@ -1,0 +1,106 @@
+"""Registries: the one list of each kind of part that users choose by name, or bring in a file of their own."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from hystfit.errors import HystfitError, ParameterError
+
+T = TypeVar("T")
+
+
+class Registry(Mapping[str, Callable[..., T]], Generic[T]):
+    """Parts of one kind by name: noise models, estimators, identifiers, samplers.
+
+    Names are known without importing anything; a part is imported when it is asked for. A user's own part needs no entry: it is
+    named as my_file.py:MyClass, or passed as an object.
+
+    Args:
+        kind: what the parts are, for messages, such as "noise model".
+        option: the argument that chooses one, such as "noise".
+        base: "module:Class" that every part is an instance of.
+        entries: "module:attribute" by name; the attribute makes the part when it is called.
+    """
+
+    def __init__(self, kind: str, option: str, base: str, entries: Mapping[str, str]):
+        self.kind, self.option, self._base, self._entries = kind, option, base, dict(entries)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __getitem__(self, name: str) -> Callable[..., T]:
+        return _attribute(self._entries[name])
+
+    @property
+    def base(self) -> type:
+        """The class of which every part is an instance."""
+        return _attribute(self._base)
+
+    def find(self, choice: Any) -> Callable[..., T]:
+        """What makes a part: of a name, of my_file.py:MyClass, or of a class.
+
+        Raises:
+            ParameterError: no such name (the message lists the names), or a file without such a class.
+        """
+        if isinstance(choice, str):
+            if choice in self._entries:
+                return self[choice]
+            if ".py:" in choice:
+                path, _, name = choice.rpartition(":")
+                return class_from_file(path, name, self.base)
+        if isinstance(choice, type) and issubclass(choice, self.base):
+            return choice
+        raise ParameterError(f"{self.option} must be one of {', '.join(self)}, or my_file.py:MyClass; got {choice!r}")
+
+    def make(self, choice: Any) -> T:
+        """A part with its default settings; a part that is made already is returned as it is.
+
+        Raises:
+            ParameterError: see `find`.
+        """
+        return choice if isinstance(choice, self.base) else self.find(choice)()
+
+
+def _attribute(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def class_from_file(path: str, name: str, base: type, error: type[HystfitError] = ParameterError) -> type:
+    """A class from a Python file of the user's. The file is executed.
+
+    Args:
+        path: of the file.
+        name: of the class in it.
+        base: what the class must be derived from.
+        error: class of the errors raised.
+
+    Raises:
+        HystfitError: the file cannot be read or run, or holds no such class; the message lists those that it holds.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise error(f"no file {path!r} with a {base.__name__.removeprefix('Abstract')}")
+    spec = importlib.util.spec_from_file_location(f"user_file_{file.stem}", file.resolve())
+    if spec is None or spec.loader is None:
+        raise error(f"{path!r} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses and the saved description look up the module of a class there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as failure:
+        del sys.modules[spec.name]
+        raise error(f"{path} does not run: {type(failure).__name__}: {failure}") from failure
+    found = getattr(module, name, None)
+    if not (isinstance(found, type) and issubclass(found, base)):
+        classes = [k for k, v in vars(module).items() if isinstance(v, type) and issubclass(v, base) and v is not base]
+        raise error(f"{path} has no class {name!r} of this kind; it has {classes}")
+    return found
