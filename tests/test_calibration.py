@@ -16,7 +16,7 @@ import hystfit as hf
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.inference.priors import LogNormal, priors_around
 from hystfit.params.space import ParameterSpace
-from hystfit.uncertainty import chunks
+from hystfit.uncertainty import replicate_pool
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
@@ -124,23 +124,23 @@ def test_a_damaged_chunk_is_made_again(honest, damage):
 
 
 def test_a_chunk_that_breaks_is_told_and_not_kept(honest, tmp_path, monkeypatch):
-    from hystfit.uncertainty import chunks
+    from hystfit.uncertainty import replicate_pool
 
-    run_chunk = chunks.run_chunk
+    run_chunk = replicate_pool.run_chunk
 
     def breaking(study, number):
         if number == 1:
             raise MemoryError("no memory left")
         return run_chunk(study, number)
 
-    monkeypatch.setattr(chunks, "run_chunk", breaking)
+    monkeypatch.setattr(replicate_pool, "run_chunk", breaking)
     found = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
     assert len(found.failures) == 10
     assert all("chunk broke" in why for _, why in found.failures)
     assert found.broken == ("chunk 1 broke: MemoryError: no memory left",)
     assert not (tmp_path / "chunk-00001.npz").exists()
     assert found.status == "miscalibrated"  # a sixth of the replicates failed
-    monkeypatch.setattr(chunks, "run_chunk", run_chunk)
+    monkeypatch.setattr(replicate_pool, "run_chunk", run_chunk)
     again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
     np.testing.assert_array_equal(again.ranks, honest[1].ranks)
 
@@ -185,7 +185,7 @@ def test_dask_workers_that_are_not_there_end_a_study_and_keep_its_chunks(
     monkeypatch, tmp_path, workers, leave, message
 ):
     # Tasks that no worker takes wait for ever.
-    monkeypatch.setattr(chunks, "_PATIENCE", 2.0)
+    monkeypatch.setattr(replicate_pool, "_PATIENCE", 2.0)
     with dask(workers, processes=False) as cluster:
         told = lambda line: threading.Thread(target=leave, args=[cluster]).start() if line.startswith("1 of") else None
         with pytest.raises(DataError, match=message):

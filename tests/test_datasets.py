@@ -157,7 +157,7 @@ def test_bundled_records_are_looked_for_and_missed_clearly(tmp_path):
 
 
 def test_every_bundled_record_is_there_and_a_changed_one_is_refused(tmp_path):
-    source = pathlib.Path(datasets.__file__).resolve().parents[1] / "data"
+    source = pathlib.Path(datasets.__file__).resolve().parents[2] / "data"
     for name, entry in datasets.BUNDLED.items():
         record = datasets.load(name)
         assert record.u_unit == "V"
