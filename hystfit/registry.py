@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -59,6 +60,14 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         if isinstance(choice, type) and issubclass(choice, self.base):
             return choice
         raise ParameterError(f"{self.option} must be one of {', '.join(self)}, or my_file.py:MyClass; got {choice!r}")
+
+    def label(self, choice: Any) -> str:
+        """A choice as text that `find` accepts: the name of an entry, or file.py:Class of a user's own class or object."""
+        if isinstance(choice, str):
+            return choice
+        kind = choice if isinstance(choice, type) else type(choice)
+        named = [name for name, entry in self._entries.items() if entry == f"{kind.__module__}:{kind.__name__}"]
+        return named[0] if named else f"{inspect.getfile(kind)}:{kind.__name__}"
 
     def make(self, choice: Any) -> T:
         """A part with its default settings; a part that is made already is returned as it is.

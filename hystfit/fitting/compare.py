@@ -17,6 +17,7 @@ from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.structure import search_structure
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.registry import make_model
+from hystfit.outcome import Code, Note, Status
 from hystfit.quality.loops import loop_area
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.result import FitResult
@@ -52,7 +53,7 @@ class Row:
     max_error_percent: float | None
     parameters: int | None
     seconds: float
-    status: str
+    status: Status
     note: str = ""
     bic: float | None = None
 
@@ -160,7 +161,11 @@ def compare(
     if not fits:
         raise ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
     rows.sort(
-        key=lambda row: (row.status in ("failed", "no-loop"), row.score_percent is None, row.score_percent or 0.0)
+        key=lambda row: (
+            row.status in (Status.FAILED, Status.NO_LOOP),
+            row.score_percent is None,
+            row.score_percent or 0.0,
+        )
     )
     return Comparison(tuple(rows), fits[rows[0].name], fits, left_out)
 
@@ -201,7 +206,7 @@ def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, 
     except DataError:
         raise
     except HystfitError as error:
-        return Row(name, None, None, None, None, time.perf_counter() - started, "failed", str(error)), None
+        return Row(name, None, None, None, None, time.perf_counter() - started, Status.FAILED, str(error)), None
     span = _span(data)
     row = Row(
         name,
@@ -228,11 +233,11 @@ def best_structure(data: Dataset, seed: int) -> tuple[FitResult, float, str]:
     best = min((found.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
     best = best if best.score < 0.98 * found.score else found
     result = fit(best.model, data, start="model", seed=seed)
-    steps = tuple(f"structure search: {step}" for step in best.trail)
-    result = dataclasses.replace(
-        result, notes=(*result.notes, f"structure: {best.structure.words()}, {best.plays} plays", *steps)
+    texts = (
+        f"structure: {best.structure.words()}, {best.plays} plays",
+        *(f"structure search: {step}" for step in best.trail),
     )
-    return result, best.score, best.structure.words()
+    return result.with_notes(*(Note(Code.CHOICE, text) for text in texts)), best.score, best.structure.words()
 
 
 def best_levels(model: Preisach, data: Dataset, seed: int) -> tuple[FitResult, float, str]:
@@ -242,4 +247,4 @@ def best_levels(model: Preisach, data: Dataset, seed: int) -> tuple[FitResult, f
     scores = [left_out_error(each) for each in fits]
     best = int(np.argmin(scores)) if min(scores) < 0.98 * scores[0] else 0
     note = f"{fits[best].model.levels.size} levels"
-    return dataclasses.replace(fits[best], notes=(*fits[best].notes, f"structure: {note}")), scores[best], note
+    return fits[best].with_notes(Note(Code.CHOICE, f"structure: {note}")), scores[best], note

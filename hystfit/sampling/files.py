@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hystfit.errors import DataError, MissingExtraError
+from hystfit.outcome import Note, Status
+from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.raw import Evidence
 
 if TYPE_CHECKING:
     from hystfit.sampling.posterior import Posterior
 
-SCHEMA = "hystfit.sample/1"
-_PLAIN = ("sampler", "noise", "status", "priors", "seconds", "seed", "provenance")
-_LISTS = ("names", "units", "notes")
+SCHEMA = "hystfit.sample/2"
+_PLAIN = ("sampler", "noise", "priors", "seconds", "seed", "provenance")
+_LISTS = ("names", "units")
 
 
 def variable(name: str) -> str:
@@ -27,7 +28,7 @@ def variable(name: str) -> str:
 
 
 def dataset(posterior: Posterior) -> Any:
-    """Draws as an xarray Dataset with dimensions chain and draw; what is no draw stands in an attribute as JSON."""
+    """Draws as an xarray Dataset with dimensions chain and draw; all other fields are JSON in an attribute."""
     xarray = _xarray()
     chains, draws, _ = posterior.draws.shape
     place = {"chain": np.arange(chains), "draw": np.arange(draws)}
@@ -71,11 +72,13 @@ def load(folder: str | Path) -> dict[str, Any]:
         with xarray.open_dataset(file, group="sample_stats", engine="h5netcdf") as stored:
             stats = {str(k): stored[k].values for k in stored}
         kept = {k: header[k] for k in _PLAIN} | {k: tuple(header[k]) for k in _LISTS}
+        kept["status"] = Status(header["status"])
+        kept["notes"] = tuple(Note.of(note) for note in header["notes"])
         kept["convergence"] = Convergence(**{k: np.array(v, float) for k, v in header["convergence"].items()})
         kept["evidence"] = header["evidence"] and Evidence(*header["evidence"])
         kept["log_density"] = stats.pop("lp")
-    except (OSError, KeyError, ValueError) as error:
-        raise DataError(f"{os.fspath(file)!r} is no posterior that hystfit saved: {error}") from error
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise DataError(f"{os.fspath(file)!r} is not a posterior that hystfit saved: {error}") from error
     return {"result": load_fit(place / "fit"), "draws": draws, "stats": stats, **kept}
 
 
@@ -84,6 +87,8 @@ def _header(posterior: Posterior) -> dict[str, Any]:
         "schema": SCHEMA,
         **{k: getattr(posterior, k) for k in _PLAIN},
         **{k: list(getattr(posterior, k)) for k in _LISTS},
+        "status": str(posterior.status),
+        "notes": [note.to_dict() for note in posterior.notes],
         "convergence": {k: getattr(posterior.convergence, k).tolist() for k in ("rhat", "bulk", "tail")},
         "evidence": posterior.evidence,
     }

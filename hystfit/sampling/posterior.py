@@ -1,4 +1,4 @@
-"""`Posterior`: draws with their diagnostics, tables, pictures, bands and derived quantities."""
+"""`Posterior`: draws with their diagnostics, tables, plots, bands and derived quantities."""
 
 from __future__ import annotations
 
@@ -14,17 +14,12 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Column, Note, Status, Table
 from hystfit.results.result import FitResult
 from hystfit.sampling import files
+from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.predictive import predictive_draws, simulate_draws
-from hystfit.sampling.raw import Evidence
-
-ADVICE = {
-    "ok": "usable",
-    "poor-fit": "the draws have converged, on a model that does not describe these data: choose another one (hystfit compare)",
-    "not-converged": "the chains have not converged: draw more, or fix what the data do not determine",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +34,8 @@ class Posterior:
         log_density: log posterior in unconstrained coordinates, shape (chains, draws).
         stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
         convergence: R-hat and effective sizes.
-        status: "ok", "not-converged", or "poor-fit" (draws of a model that does not describe the data).
-        notes: what was chosen, what went wrong.
+        status: only `Status.OK` is usable; `Status.POOR_FIT` means draws of a model that does not describe the data.
+        notes: choices and problems.
         priors: in words, by parameter.
         seconds: wall time of sampling.
         seed: of the draws.
@@ -57,8 +52,8 @@ class Posterior:
     log_density: np.ndarray
     stats: dict[str, np.ndarray]
     convergence: Convergence
-    status: str
-    notes: tuple[str, ...]
+    status: Status
+    notes: tuple[Note, ...]
     priors: dict[str, str]
     seconds: float
     seed: int
@@ -68,7 +63,7 @@ class Posterior:
     @property
     def usable(self) -> bool:
         """Whether the chains have converged, on a model that describes the data."""
-        return self.status == "ok"
+        return self.status.usable
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Draws of one parameter, shape (chains, draws)."""
@@ -89,40 +84,45 @@ class Posterior:
             rows.append(row)
         return rows
 
-    def __str__(self) -> str:
-        width = max(len(name) for name in self.names)
-        shape = self.draws.shape
-        lines = [
-            f"{self.result.name}, noise {self.noise}, {self.sampler}: {shape[0]} chains of {shape[1]} draws: {self.status}"
-        ]
-        lines.append(
-            f"{'':{width}}  {'mean':>11} {'sd':>10} {'2.5 %':>11} {'97.5 %':>11} {'R-hat':>6} {'bulk':>6} {'tail':>6}"
+    def summary(self) -> Table:
+        """`table` for people."""
+        heads = (
+            ("mean", ".5g"),
+            ("sd", ".5g"),
+            ("2.5 %", ".5g"),
+            ("97.5 %", ".5g"),
+            ("R-hat", ".3f"),
+            ("bulk", ".0f"),
+            ("tail", ".0f"),
         )
-        number = lambda v, form: "-" if v is None else format(v, form)
-        for row in self.table():
-            values = [number(row[k], ".5g") for k in ("mean", "sd", "lower", "upper")]
-            end = [number(row["rhat"], ".3f"), number(row["bulk"], ".0f"), number(row["tail"], ".0f")]
-            lines.append(
-                f"{row['name']:{width}}  {values[0]:>11} {values[1]:>10} {values[2]:>11} {values[3]:>11} {end[0]:>6} {end[1]:>6} "
-                f"{end[2]:>6}  {row['unit']}".rstrip()
-            )
+        columns = [Column(""), *(Column(head, form=form) for head, form in heads), Column("", key="unit", left=True)]
+        keys = ("name", "mean", "sd", "lower", "upper", "rhat", "bulk", "tail", "unit")
+        return Table(columns, [[row[key] for key in keys] for row in self.table()])
+
+    def derived_table(self) -> Table:
+        """Derived quantities for people."""
+        columns = [
+            Column(""),
+            *(Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")),
+            Column("", "unit", left=True),
+        ]
+        keys = ("name", "median", "lower", "upper", "unit")
+        return Table(columns, [[row[key] for key in keys] for row in self.derived_rows])
+
+    def __str__(self) -> str:
+        chains, draws, _ = self.draws.shape
+        lines = [
+            f"{self.result.name}, noise {self.noise}, {self.sampler}: {chains} chains of {draws} draws: {self.status}"
+        ]
+        lines += self.summary().lines()
         if self.evidence is not None:
             lines.append(
-                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; for the same data only)"
+                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; comparable for the same data only)"
             )
-        lines += self._derived_words()
+        lines += self.derived_table().lines()
         lines += [f"note: {note}" for note in self.notes]
-        lines += [f"prior of {name}: {words}" for name, words in self.priors.items()]
+        lines += [f"prior of {name}: {text}" for name, text in self.priors.items()]
         return "\n".join(lines)
-
-    def _derived_words(self) -> list[str]:
-        words = lambda v: "-" if v is None else f"{v:.5g}"
-        return [
-            f"{row['name']}: {words(row['median'])} {row['unit']}, 95 % {words(row['lower'])} to {words(row['upper'])}".replace(
-                " ,", ","
-            )
-            for row in self.derived_rows
-        ]
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
@@ -130,9 +130,9 @@ class Posterior:
         return {
             "schema": files.SCHEMA,
             "model": self.result.name,
-            "status": self.status,
-            "advice": ADVICE[self.status],
-            "notes": list(self.notes),
+            "status": str(self.status),
+            "advice": self.status.advice("sample"),
+            "notes": [note.to_dict() for note in self.notes],
             "sampler": self.sampler,
             "noise": self.noise,
             "chains": self.draws.shape[0],
@@ -154,9 +154,7 @@ class Posterior:
 
     def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
         """The models of `thinned` draws, as the first record sees them: simulate or invert each."""
-        from hystfit.fitting.again import problem_of
-
-        coordinates = problem_of(self.result)[0].space.coordinates
+        coordinates = self.result.problem.space.coordinates
         for row in self.thinned(count, seed):
             yield coordinates.assemble(jnp.asarray(row), 0)
 
@@ -172,7 +170,7 @@ class Posterior:
         """(lower, median, upper) of the output over a record's input, each (T,).
 
         Args:
-            record: gives the input.
+            record: provides the input.
             level: of the pointwise band.
             count: draws used.
             seed: of their choice and of the noise.

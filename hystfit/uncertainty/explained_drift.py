@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.errors import DataError, ModelError
-from hystfit.fitting.again import problem_of
 from hystfit.models.creep import LinearCreep, LogCreep
 from hystfit.models.free_run import free_run
 from hystfit.quality.drift import cycle_means, drift
@@ -88,12 +87,12 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
 
     run = result.predict(record)
     still = free_run(jax.tree.map(_quiet, model, is_leaf=_creeps), record.u, record.dt)
-    problem, x = problem_of(result)
+    problem, x = result.problem, result.x
     return DriftExplained(
         measured=found.per_decade,
         r2=found.r2_log,
         modeled=slope(run),
-        stderr=_error(lambda at: slope(problem.predict_at(at)[number]), x, result.covariance),
+        stderr=_error(lambda at: slope(problem.predict(at)[number]), x, result.covariance),
         without_creep=slope(still),
         left=slope(y - run),
         cycles=found.cycles,

@@ -62,7 +62,7 @@ def facts(result: FitResult) -> dict[str, list[str]]:
         how.append(f"{len(result.free_names)} free parameters")
     how.append(f"{number(result.compile_s, '.2f')} s compiling, {number(result.run_s, '.2f')} s running")
     spread = [f"standard deviation {number(result.sigma)} {unit}".rstrip()]
-    if result.correlation_time > 1 or result.honest_ratio != 1:
+    if result.correlation_time > 1 or result.error_ratio != 1:
         spread.append(f"correlated over {result.correlation_time:.3g} samples (integrated autocorrelation time)")
     else:
         spread.append("no correlation found")
@@ -130,7 +130,7 @@ def text_report(result: FitResult) -> str:
             )
         )
     if result.notes:
-        out += ["", "Verdict"] + [_item(note) for note in result.notes]
+        out += ["", "Verdict"] + [_item(str(note)) for note in result.notes]
     for heading, items in facts(result).items():
         out += ["", heading] + [_item(item) for item in items if item]
     return "\n".join(out) + "\n"

@@ -1,4 +1,4 @@
-"""Noise without memory: Gaussian, or with heavy tails."""
+"""Independent Gaussian noise."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.inference.noise.base import LOG_2PI, AbstractNoise
+from hystfit.inference.noise.base import LOG_2PI, AbstractNoise, ResidualScales
 from hystfit.inference.noise.setting import Setting
 from hystfit.params.param import param
 
@@ -18,7 +18,6 @@ class White(AbstractNoise):
     """Independent Gaussian noise."""
 
     name: ClassVar[str] = "iid"
-    gaussian: ClassVar[bool] = True
     by_squares: ClassVar[bool] = True
     noise_white: Float[Array, ""] = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of independent noise"
@@ -27,6 +26,16 @@ class White(AbstractNoise):
     def init(self) -> Float[Array, " state"]:
         """No state."""
         return jnp.zeros((0,))
+
+    @classmethod
+    def start(cls, scales: ResidualScales) -> White:
+        """All residuals are independent noise."""
+        return cls(noise_white=scales.total)
+
+    @classmethod
+    def of_size(cls, size: float) -> White:
+        """See `AbstractNoise.of_size`."""
+        return cls(noise_white=size)
 
     def step(
         self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
@@ -56,24 +65,3 @@ class White(AbstractNoise):
     def _sd(self, setting: Setting) -> Array:
         on = setting.weight > 0
         return jnp.where(on, self.noise_white / jnp.sqrt(jnp.where(on, setting.weight, 1.0)), 0.0)
-
-
-class StudentT(White):
-    """Independent noise with heavy tails, Student's t of `noise_dof` degrees of freedom: outliers count little."""
-
-    name: ClassVar[str] = "student-t"
-    gaussian: ClassVar[bool] = False
-    by_squares: ClassVar[bool] = False
-    noise_dof: Float[Array, ""] = param(
-        5.0, bounds=(1.0, np.inf), scale=4.0, doc="degrees of freedom; few mean heavy tails, many a Gaussian"
-    )
-
-    def density(self, e: Float[Array, "..."], log_variance: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Student's t with scale `noise_white`."""
-        nu = self.noise_dof
-        lead = jax.lax.lgamma(0.5 * (nu + 1)) - jax.lax.lgamma(0.5 * nu) - 0.5 * jnp.log(nu * jnp.pi)
-        return lead - 0.5 * log_variance - 0.5 * (nu + 1) * jnp.log1p(e**2 / nu)
-
-    def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
-        """See `AbstractNoise.draw`."""
-        return jax.random.t(key, self.noise_dof, setting.weight.shape) * self._sd(setting)

@@ -1,4 +1,4 @@
-"""Slow noise of exponential covariance, with independent noise on top or without."""
+"""Slow noise of exponential covariance by a scalar Kalman filter: what `ou`, `ar1` and `discrepancy` share."""
 
 from __future__ import annotations
 
@@ -12,13 +12,22 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
-from hystfit.params.param import param
+from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.outcome import Code
 
-_NOTHING = 1e100  # variance of the measurement where there is none
+_MISSING = 1e100  # variance of the white part where there is no measurement
 
 
 class AbstractSlow(AbstractNoise):
-    """Noise with a slow Gaussian part of exponential covariance, by a scalar Kalman filter."""
+    """Noise with a slow Gaussian part of exponential covariance."""
+
+    covers: ClassVar[frozenset[Code]] = frozenset({Code.CORRELATED_RESIDUALS, Code.HEAVY_TAILS})
+
+    @classmethod
+    def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
+        """A correlation time between one sample and a third of the record: slower noise is a constant, which the offset already is."""
+        slowest = max(longest / 3, 10.0)
+        return {"noise_time": LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)}  # two sd each way
 
     @property
     @abc.abstractmethod
@@ -40,7 +49,7 @@ class AbstractSlow(AbstractNoise):
     def step(
         self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
-        """Predict over the gap, then learn."""
+        """Predict over the gap, then update with the sample."""
         decay, gain, total, after = self._gain(state[1], gap, weight)
         mean = decay * state[0]
         v = r - mean
@@ -49,20 +58,20 @@ class AbstractSlow(AbstractNoise):
     def whiten(
         self, setting: Setting, rows: Float[Array, "R T k"]
     ) -> tuple[Float[Array, "R T k"], Float[Array, "R T"]]:
-        """Two scans with small bodies, the gains and then the means: they stay compiled into one piece under differentiation."""
+        """Two scans with small bodies, gains and then means, so that XLA compiles each into one native loop when differentiated."""
         gap = jnp.broadcast_to(setting.gap, setting.weight.shape)
         even = setting.gap.ndim == 0
 
         def record(signals: Array, gap: Array, weight: Array) -> tuple[Array, Array]:
             on = weight > 0
-            white = jnp.where(on, self.white_variance / jnp.where(on, weight, 1.0), _NOTHING)
+            white = jnp.where(on, self.white_variance / jnp.where(on, weight, 1.0), _MISSING)
             decay = jnp.exp(-(gap[0] if even else gap) / self.noise_time)
             fresh = (1 - decay**2) * self.noise_slow**2
 
             def variances(after: Array, at: tuple[Array, ...]) -> tuple[Array, Array]:
-                own, square, add = (*at, decay**2, fresh) if even else at
+                noise, square, add = (*at, decay**2, fresh) if even else at
                 before = square * after + add
-                return before * (own / (before + own)), before
+                return before * (noise / (before + noise)), before
 
             rest = (white,) if even else (white, decay**2, fresh)
             _, before = jax.lax.scan(variances, self.noise_slow**2, rest)
@@ -90,45 +99,3 @@ class AbstractSlow(AbstractNoise):
         on = setting.weight > 0
         sd = jnp.sqrt(self.white_variance / jnp.where(on, setting.weight, 1.0))
         return slow + sd * jax.random.normal(third, gap.shape)
-
-
-class OrnsteinUhlenbeck(AbstractSlow):
-    """Slow noise, an Ornstein-Uhlenbeck process, and independent noise on top, by a scalar Kalman filter.
-
-    The usual state of affairs: a sensor's noise, and drift or model error that takes many samples to change.
-    """
-
-    name: ClassVar[str] = "ou"
-    gaussian: ClassVar[bool] = True
-    noise_white: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of independent noise"
-    )
-    noise_slow: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of slow noise"
-    )
-    noise_time: Float[Array, ""] = param(
-        10.0, bounds=(0.0, np.inf), unit="sample", scale=10.0, doc="correlation time of slow noise"
-    )
-
-    @property
-    def white_variance(self) -> Float[Array, ""]:
-        """Of the sensor."""
-        return self.noise_white**2
-
-
-class Ar1(AbstractSlow):
-    """First-order autoregressive noise without a white part: honest only where the sensor itself is quiet."""
-
-    name: ClassVar[str] = "ar1"
-    gaussian: ClassVar[bool] = True
-    noise_slow: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the noise"
-    )
-    noise_time: Float[Array, ""] = param(
-        10.0, bounds=(0.0, np.inf), unit="sample", scale=10.0, doc="correlation time of the noise"
-    )
-
-    @property
-    def white_variance(self) -> Float[Array, ""]:
-        """Next to nothing: two samples at one time must not contradict each other for certain."""
-        return (1e-6 * self.noise_slow) ** 2
