@@ -10,7 +10,6 @@ from hystfit.data.record import Dataset
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.preisach.model import Preisach
 from hystfit.quality.quality import check
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.verdict import degrades
@@ -72,8 +71,7 @@ def status_of(
     data: Dataset, model: AbstractHysteresis, estimate: Estimate, train: Metrics, rows: Sequence[np.ndarray]
 ) -> tuple[str, list[str]]:
     """Status of a fit that leaves the residuals `rows` (of each record), and why."""
-    from_saturation = isinstance(model, Preisach) and model.spacing == "reversal-curves"
-    if not (from_saturation or turns_back(data)):
+    if not (model.from_saturation or turns_back(data)):
         family = recognize_family(data)
         if family is None:
             return "no-loop", [

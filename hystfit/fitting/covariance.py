@@ -11,11 +11,10 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.fitting.estimate import Estimate
+from hystfit.fitting.smooth_weights import responses
 from hystfit.inference.noise.serial import least_squares_root
 from hystfit.inference.problem import Objective, Problem
 from hystfit.inference.residuals import Leftover
-from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.solve import responses
 from hystfit.params.coordinates import BOTH, REAL
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
@@ -69,9 +68,9 @@ def _misfit(objective: Objective, x: Array) -> Array:
 
 def _residual_and_jacobian(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (R T,) and their derivatives (R T, p); hundreds of relays have theirs from distinct states, not a scan for each."""
-    if isinstance(problem.model, Preisach) and problem.objective.loss == "linear":
+    if problem.model.estimator == "preisach" and problem.objective.loss == "linear":
         weight = np.sqrt(np.asarray(problem.objective.batch.weight)).reshape(-1, 1) / problem.scales.y
-        return np.asarray(_misfit(problem.objective, jnp.asarray(x))), weight * responses(problem)
+        return np.asarray(_misfit(problem.objective, jnp.asarray(x))), weight * responses(problem, x)
     residual, jacobian = _linearize(problem.objective, jnp.asarray(x))
     return np.asarray(residual), np.asarray(jacobian)
 

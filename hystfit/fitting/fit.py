@@ -20,15 +20,13 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.released import refine_released
+from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.fitting.timing import Stopwatch
 from hystfit.fitting.trust_region import TrustRegion
 from hystfit.inference.noise import NOISES
 from hystfit.inference.problem import Loss, Problem, check_fittable
 from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.compose import has_rest, with_rest
-from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.solve import PreisachWeights
 from hystfit.models.registry import make_model
 from hystfit.params.space import ParameterSpace
 from hystfit.results.metrics import Metrics
@@ -42,7 +40,7 @@ ESTIMATORS: dict[str, AbstractEstimator] = {
     "lbfgsb": BoundedDescent(),
     "projected-gradient": BoundedDescent(method="projected-gradient"),
     "convex": Convex(),
-    "preisach": PreisachWeights(),
+    "preisach": SmoothWeights(),
 }
 _ROUNDING = 1e-8  # residuals below this part of the output's size are rounding
 _MANY = 4  # weights on a bound from which the convex solve is the default
@@ -106,7 +104,7 @@ def fit(
         model = model.start(list(data))
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = _choose(problem, method)
-    if name == "convex" and start == "data" and has_rest(model):
+    if name == "convex" and start == "data" and model.has_rest:
         problem, chosen = _choose_rest(problem, fix, free, loss)
     estimate = solve(problem, name, starts, seed)
     if noise in NOISES and noise != "iid":
@@ -170,8 +168,8 @@ def _choose(problem: Problem, method: str) -> str:
     weights = sum(info.linear and info.bounds[0] == 0.0 for info in problem.space.infos)
     if method != "auto":
         return method
-    if isinstance(problem.model, Preisach) and problem.objective.loss == "linear":
-        return "preisach"
+    if problem.model.estimator is not None and problem.objective.loss == "linear":
+        return problem.model.estimator
     return "convex" if weights >= _MANY and problem.objective.loss == "linear" else "lm"
 
 
@@ -207,7 +205,7 @@ def _choose_rest(
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
         return problem, []
-    other = Problem(with_rest(problem.model, "first"), problem.data, fix=fix, free=free, loss=loss)
+    other = Problem(problem.model.with_rest("first"), problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
         x = _settled(candidate, candidate.space.vector(candidate.model))

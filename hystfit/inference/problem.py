@@ -17,8 +17,6 @@ from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis, run
-from hystfit.models.free_run import free_run, has_short_cut
-from hystfit.models.preisach.model import Preisach
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.space import ParameterSpace
@@ -127,7 +125,7 @@ class Problem:
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=names)
         batch = Batch.of(self.data)
         # The weights of a Preisach model are many and smooth: their number says little about what data determine.
-        if batch.count < len(self.space) and not isinstance(model, Preisach):
+        if batch.count < len(self.space) and model.estimator != "preisach":
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="
             )
@@ -144,9 +142,9 @@ class Problem:
 
     def predict_at(self, x: Any) -> list[np.ndarray]:
         """Free-run output of every record at physical x, shapes (T_r,)."""
-        if has_short_cut(self.model):
+        if self.model.short_cut:
             models = [self.space.coordinates.assemble(jnp.asarray(x), k) for k in range(len(self.data))]
-            return [free_run(model, r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
+            return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
         rows = np.asarray(_predict_physical(self.objective, jnp.asarray(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 

@@ -15,7 +15,6 @@ import numpy as np
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.free_run import free_run
 from hystfit.models.registry import model_name
 from hystfit.results.metrics import Metrics
 
@@ -138,7 +137,7 @@ class FitResult:
         """
         names = [own.name for own in self.data]
         model = self.models[names.index(record.name)] if record.name in names else self.model
-        y = free_run(model, record.u, None if record.t is None else record.dt)
+        y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
