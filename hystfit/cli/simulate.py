@@ -230,7 +230,6 @@ def _model_record(
     import numpy as np
 
     from hystfit.data.record import Record
-    from hystfit.models.free_run import free_run
     from hystfit.models.registry import make_model
     from hystfit.results.saved import load_fit
 
@@ -243,7 +242,7 @@ def _model_record(
     if values:
         model = _changed(model, values)
     blank = Record(u=u, y=np.zeros_like(u), t=t, name=f"{what}-{signal}", source="simulated", **units)
-    y = free_run(model, u, blank.dt)
+    y = model.free_run(u, blank.dt)
     if not np.isfinite(y).all():
         raise DataError(f"{what} is not finite on this signal: sample it faster (--rate) or change --set")
     return blank.replace(y=y + noise * np.random.default_rng(seed).standard_normal(y.size))

@@ -12,7 +12,6 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.preisach.model import Preisach
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.quality.quality import check
@@ -81,8 +80,7 @@ def status_of(
         train: its error.
         rows: residuals of each record, samples that count only [y].
     """
-    from_saturation = isinstance(model, Preisach) and model.spacing == "reversal-curves"
-    if not (from_saturation or turns_back(data)):
+    if not (model.from_saturation or turns_back(data)):
         return Status.NO_LOOP, [_no_loop(data)]
     error = lambda code, text: Note(code, text, Severity.ERROR)
     percent = train.nrmse_percent if train.nrmse_percent is not None else np.inf

@@ -26,8 +26,6 @@ from hystfit.inference.objective import Loss
 from hystfit.inference.problem import LOSSES, Problem, check_fittable
 from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.compose import has_rest, with_rest
-from hystfit.models.preisach.model import Preisach
 from hystfit.models.registry import make_model
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
@@ -97,7 +95,7 @@ def fit(
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
     notes: list[Note] = []
-    if name == "convex" and start == "data" and has_rest(model):
+    if name == "convex" and start == "data" and model.has_rest:
         problem, notes = _choose_rest(problem, fix, free, loss)
     estimate = solve(problem, name, starts, seed)
     if noise in ("auto", "iid"):
@@ -173,8 +171,8 @@ def choose_method(problem: Problem) -> str:
     """The estimator that suits a model: a closed form for its weights where there are many, else Levenberg-Marquardt."""
     if problem.objective.loss != "linear":
         return "lm"
-    if isinstance(problem.model, Preisach):
-        return "preisach"
+    if problem.model.estimator is not None:
+        return problem.model.estimator
     weights = sum(info.linear and info.bounds[0] == 0.0 for info in problem.space.infos)
     return "convex" if weights >= _MANY else "lm"
 
@@ -216,7 +214,7 @@ def _choose_rest(
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
         return problem, []
-    other = Problem(with_rest(problem.model, "first"), problem.data, fix=fix, free=free, loss=loss)
+    other = Problem(problem.model.with_rest("first"), problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
         x = _settled(candidate, candidate.space.vector(candidate.model))

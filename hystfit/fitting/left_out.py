@@ -9,12 +9,10 @@ import numpy as np
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis
-from hystfit.models.preisach.equations import PreisachSystem
-from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
 from hystfit.results.result import FitResult
 
 Scheme = Literal["blocks", "future"]
@@ -39,9 +37,8 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
     problem, x = result.problem, result.x
     if scheme == "future":
         return _refitted(result.method, problem, x, _futures(problem))
-    if isinstance(problem.model, Preisach) and result.method == "preisach":
-        system = PreisachSystem.of(problem.model, list(problem.data))
-        return float(fit_smooth(system, SMOOTHNESS).left_out.min()) * system.size
+    if result.method == "preisach":
+        return left_out_score(problem, x)
     if result.method == "convex" and len(linear_positions(problem)):
         system = LinearSystem.of(problem, x)
         return fit_ridge(system, Convex().strengths).score

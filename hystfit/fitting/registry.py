@@ -14,6 +14,6 @@ ESTIMATORS = Registry(
         "lbfgsb": f"{_HERE}.bounded:BoundedDescent",
         "projected-gradient": f"{_HERE}.bounded:projected_gradient",
         "convex": f"{_HERE}.convex:Convex",
-        "preisach": f"{_HERE}.preisach:PreisachWeights",
+        "preisach": f"{_HERE}.smooth_weights:SmoothWeights",
     },
 )

@@ -22,10 +22,9 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import Loss, Objective, bend_slope
 from hystfit.inference.priors import AbstractPrior, choose_priors
+from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.free_run import free_run, has_short_cut
-from hystfit.models.preisach.model import Preisach
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.coordinates import BOTH
 from hystfit.params.space import ParameterSpace
@@ -85,8 +84,8 @@ class Problem:
         records = [record.name for record in self.data]
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
         batch = Batch.of(self.data)
-        # The weights of a Preisach model are many and smooth: their number says little about what data determine.
-        if batch.count < len(self.space) and not isinstance(model, Preisach):
+        # Smooth weights are many, and their number is no measure of what the data must determine.
+        if batch.count < len(self.space) and model.estimator != "preisach":
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="
             )
@@ -182,9 +181,9 @@ class Problem:
 
     def predict(self, x: Any) -> list[np.ndarray]:
         """Free-run output of every record at physical x, shapes (T_r,)."""
-        if has_short_cut(self.model):
+        if self.model.short_cut:
             models = [self.space.coordinates.assemble(jnp.asarray(x), k) for k in range(len(self.data))]
-            return [free_run(model, r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
+            return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
         rows = np.asarray(_predict(self.objective, jnp.asarray(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 
@@ -197,11 +196,9 @@ class Problem:
 
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
-        if isinstance(self.model, Preisach):
-            from hystfit.fitting.preisach import responses
-
-            jacobian = responses(self) * self.used.reshape(-1, 1)
-            return self.residuals(x), jacobian.reshape(*self.used.shape, -1)
+        if self.model.estimator == "preisach":
+            jacobian = responses(self.space, self.objective, list(self.data), np.asarray(x))
+            return self.residuals(x), jacobian * self.used[..., None]
         residual, jacobian = _linearize(self.objective, jnp.asarray(x))
         return np.asarray(residual), np.asarray(jacobian)
 

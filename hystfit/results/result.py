@@ -18,7 +18,6 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.free_run import free_run
 from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
@@ -183,7 +182,7 @@ class FitResult:
             DataError: an offset is to be refitted and no output counts.
         """
         model = self.models[self.record_number(record)]
-        y = free_run(model, record.u, None if record.t is None else record.dt)
+        y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")

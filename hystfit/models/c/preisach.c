@@ -46,6 +46,12 @@ static double @f@_single(double u)
            legendre(@f@_b, @M@_B, (u - @M@_CENTER) / @M@_HALF);
 }
 
+/* The other end of the interval that a first extremum spans. */
+static double @f@_opposite(double extremum)
+{
+    return @M@_INITIAL ? @M@_INITIAL * INFINITY : 2 * @M@_CENTER - extremum;
+}
+
 static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
 {
     const double *extrema = s + 1, *height = s + 1 + @M@_DEPTH;
@@ -55,7 +61,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     (void)dt;
     while (kept > 0) {
         const double last = extrema[kept - 1];
-        const double other = kept > 1 ? extrema[kept - 2] : @M@_OTHER(extrema[0]);
+        const double other = kept > 1 ? extrema[kept - 2] : @f@_opposite(extrema[0]);
         if (fmin(last, other) < u1 && u1 < fmax(last, other))
             break;
         kept--;

@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.control.bracketed import Root, solve_rising
-from hystfit.control.step_inverse import AbstractStepInverse
-from hystfit.models.preisach.everett import Place
-from hystfit.models.preisach.memory import CellMemory
-from hystfit.models.preisach.model import Preisach
+from hystfit.models.base import AbstractStepInverse
+from hystfit.models.bracketed import Root, solve_rising
+from hystfit.models.preisach.everett import CellMemory, Place
+from hystfit.models.preisach.plane import AbstractPlane
 
 
 class PreisachStep(AbstractStepInverse):
@@ -28,7 +27,7 @@ class PreisachStep(AbstractStepInverse):
         excursion: what a first excursion adds, at the knots and half-way between them.
     """
 
-    model: Preisach
+    model: AbstractPlane
     memory: CellMemory
     knots: Float[Array, " k"]
     straight: Float[Array, " k"]
@@ -36,7 +35,7 @@ class PreisachStep(AbstractStepInverse):
     needs_limits: bool = eqx.field(static=True, default=True)
 
     @classmethod
-    def of(cls, model: Preisach) -> PreisachStep:
+    def of(cls, model: AbstractPlane) -> PreisachStep:
         """Tables of a model (host side)."""
         levels, center = np.asarray(model.levels), float(model.center)
         knots = levels
@@ -47,7 +46,7 @@ class PreisachStep(AbstractStepInverse):
 
     def advance(self, state: Array, u0: Array, u1: Array, dt: Array) -> tuple[Array, Array]:
         """The model's step with the tables at hand."""
-        state = self.model._remember(state, u1)
+        state = self.model.remember(state, u1)
         moves = self._moved(state[1:], state[:-1])
         return state, self.memory.rest + self._first(state[0]) + jnp.sum(moves) + self._single(u1)
 
@@ -77,7 +76,7 @@ class PreisachStep(AbstractStepInverse):
         return self.memory.pair(self._place(u), self._place(base), u > base)
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the class."""
+        """See the base class."""
         memory, model = self.memory, self.model
         moves = self._moved(state[1:], state[:-1])
         # height[k]: output of the relays with e_0 .. e_{k-1} remembered and the input on e_{k-1}.
@@ -116,8 +115,8 @@ class PreisachStep(AbstractStepInverse):
 
 
 @eqx.filter_jit
-def _tables(model: Preisach, knots: Array) -> tuple[CellMemory, Array, Array, Array]:
-    memory = CellMemory.of(model)
+def _tables(model: AbstractPlane, knots: Array) -> tuple[CellMemory, Array, Array, Array]:
+    memory = model.memory()
     plain = eqx.tree_at(lambda m: (m.b, m.offset), model, (jnp.zeros(0), jnp.zeros(())))
     dense = jnp.sort(jnp.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
     return memory, knots, plain.single_valued(knots), memory.first(dense)
