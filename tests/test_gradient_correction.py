@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -123,7 +125,7 @@ def test_constant_step_is_bounded():
     at = 700
     before, after, phi, target = one_row(good, at)
     np.testing.assert_allclose(after - before, 1e-3 * weights * phi * (target - phi @ before), rtol=1e-9)
-    wild = good.replace(step=jnp.asarray(100.0))  # beyond the bound on-line: the normalized step instead
+    wild = dataclasses.replace(good, step=jnp.asarray(100.0))  # beyond the bound on-line: the normalized step instead
     before, after, phi, target = one_row(wild, at)
     assert abs(target - phi @ after) < 1e-12
 

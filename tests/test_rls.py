@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import equinox as eqx
@@ -58,7 +59,7 @@ def test_final_estimate_is_the_batch_solution_with_its_prior(form):
     data = record(decaying(401), noise=0.01)
     start = 1e-3 * np.arange(8.0)
     for prior in (1e-2, 1.0, 1e4):
-        rls = Rls.of(Duhem(), data, prior=prior, form=form).replace(theta0=jnp.asarray(start))
+        rls = dataclasses.replace(Rls.of(Duhem(), data, prior=prior, form=form), theta0=jnp.asarray(start))
         rows = rls.regressor.rows(data)
         stacked = np.vstack([rows.phi, np.eye(8) / np.sqrt(prior)])
         expected = np.linalg.lstsq(stacked, np.concatenate([rows.target, start / np.sqrt(prior)]), rcond=None)[0]

@@ -257,7 +257,8 @@ def test_two_hundred_random_starts_stay_finite():
     rng = np.random.default_rng(7)
     starts = np.asarray(ukf.z0) + rng.uniform(-2.0, 2.0, (200, 5)) * [1, 1, 1, 1, 0.2]
     stream = Sample.stream([record])
-    run = jax.jit(jax.vmap(lambda z0: run_stream(ukf.replace(z0=z0), ukf.replace(z0=z0).init(), stream)))
+    started = lambda z0: dataclasses.replace(ukf, z0=z0)
+    run = jax.jit(jax.vmap(lambda z0: run_stream(started(z0), started(z0).init(), stream)))
     states, info = run(jnp.asarray(starts))
     assert np.isfinite(np.asarray(states.mean)).all()
     assert np.isfinite(np.asarray(states.root)).all()
@@ -275,7 +276,7 @@ def test_near_the_truth_its_covariance_is_fair():
         base = Ukf.of(
             bouc_wen(), record, start="model", noise=0.005, prior=0.003, walk=0.0, caution=0.0, state_prior=0.0
         )
-        shifted = base.replace(z0=base.z0 + 0.003 * np.random.default_rng(seed).standard_normal(5))
+        shifted = dataclasses.replace(base, z0=base.z0 + 0.003 * np.random.default_rng(seed).standard_normal(5))
         state, _ = run_stream(shifted, shifted.init(), Sample.stream([record]))
         covariance = np.asarray(shifted.covariance(state))[1:, 1:]
         values.append(nees(np.asarray(state.mean[1:] - base.z0), covariance))

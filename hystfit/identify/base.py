@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify.identification import Identification, free_runs
+from hystfit.identify.identification import Identification, free_runs, run_metrics
 from hystfit.inference.problem import scales_of
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
@@ -177,7 +176,7 @@ class AbstractIdentifier(eqx.Module):
         space = free_only(models[0], (*self.names, *self.solved), data) if models else None
         runs = free_runs(models, data)
         finite = bool(runs) and all(np.isfinite(run).all() for run in runs)
-        metrics = _metrics(runs, data) if finite else None
+        metrics = run_metrics(runs, data) if finite else None
         status, notes, equation_error = self.judge(Run(data, state, history, metrics))
         notes = list(notes)
         problem = _simulation_problem(metrics, simulated=bool(runs))
@@ -209,10 +208,6 @@ class AbstractIdentifier(eqx.Module):
         models = [self.model(theta, record) for record in data]
         valid = [model for model in models if model is not None]
         return tuple(valid) if len(valid) == len(models) else ()
-
-    def replace(self, **changes: Any) -> Any:
-        """Copy with some fields changed."""
-        return dataclasses.replace(self, **changes)
 
 
 @eqx.filter_jit
@@ -259,10 +254,6 @@ def _counts(stream: Sample, used: np.ndarray) -> dict[str, int]:
     still = ~first & ~missing & (np.diff(u, prepend=u[0]) == 0)
     counts = {"total": u.size, "used": used.sum(), "still": still.sum(), "missing": missing.sum(), "first": first.sum()}
     return {name: int(value) for name, value in counts.items()}
-
-
-def _metrics(runs: Sequence[np.ndarray], data: Dataset) -> Metrics:
-    return Metrics.of([r.y[r.used] for r in data], [run[r.used] for run, r in zip(runs, data, strict=True)])
 
 
 def _simulation_problem(metrics: Metrics | None, *, simulated: bool) -> Note | None:

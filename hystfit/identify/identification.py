@@ -110,6 +110,11 @@ def free_runs(models: tuple[AbstractHysteresis, ...], data: Dataset) -> list[np.
     return [np.asarray(simulate(model, r.u, None if r.t is None else r.dt)[0]) for model, r in pairs]
 
 
+def run_metrics(runs: list[np.ndarray], data: Dataset) -> Metrics:
+    """Errors of runs, one array (T_r,) a record, over the samples that count."""
+    return Metrics.of([r.y[r.used] for r in data], [run[r.used] for run, r in zip(runs, data, strict=True)])
+
+
 def as_fit(identification: Identification, seed: int, watch: Any) -> FitResult:
     """The identification as a fit without standard errors.
 

@@ -61,13 +61,11 @@ class Refinement:
     Attributes:
         model: the identified model.
         converged: whether the iteration converged.
-        iterations: their number.
         notes: why the iteration stopped where it did not converge.
     """
 
     model: Duhem
     converged: bool
-    iterations: int
     notes: tuple[Note, ...] = ()
 
 
@@ -102,7 +100,7 @@ def integrated_regression(
         candidate = regressor.model(solved[1:], float(solved[0]))
         if candidate is None:
             text = f"stopped after {count} iterations: the rate would not be positive; the model is that of the previous one"
-            return Refinement(best, False, count, (warn(Code.INVALID_MODEL, text),))
+            return Refinement(best, False, (warn(Code.INVALID_MODEL, text),))
         best = with_first_output(candidate, record)
         now = np.asarray(simulate(best, record.u)[0])
         change, last = float(np.max(np.abs(now - last))) / size, now
@@ -111,9 +109,9 @@ def integrated_regression(
                 f"the simulation is not finite after {count} iterations of integrated regression: use method='lm'"
             )
         if change < tolerance:
-            return Refinement(best, True, count)
+            return Refinement(best, True)
     text = f"not converged after {iterations} iterations: the simulation changes by {change:.1e} of its half range"
-    return Refinement(best, False, iterations, (warn(Code.NOT_SETTLED, text),))
+    return Refinement(best, False, (warn(Code.NOT_SETTLED, text),))
 
 
 @jax.jit
@@ -136,4 +134,4 @@ def bias_compensated(model: Duhem, record: Record) -> Refinement:
     if compensated is None:
         reason = bias.note(record.y_unit) or "the identified rate is not positive: use method='lm'"
         raise DataError(f"record {record.name!r}: {reason}")
-    return Refinement(compensated, True, 1)
+    return Refinement(compensated, True)

@@ -39,4 +39,5 @@ def identify(
     unknown = [name for name in settings if name not in known]
     if unknown:
         raise ParameterError(f"method {method!r} has no setting {unknown[0]!r}; it has {', '.join(known) or 'none'}")
+    data = Dataset.of(data)
     return identifier.of(Duhem() if model is None else model, data, **settings).fit(data, passes=passes)

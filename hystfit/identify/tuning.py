@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +13,8 @@ from jaxtyping import Array
 
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.identify.identification import free_runs, run_metrics
+from hystfit.models.base import AbstractHysteresis
 from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import noise_rms
@@ -68,13 +68,9 @@ def state_ranges(model: AbstractHysteresis, data: Dataset) -> np.ndarray:
 
 def initial_error(space: ParameterSpace, data: Dataset) -> float:
     """Three times the RMS simulation error of the template [y]."""
-    square, count = 0.0, 0
-    for number, record in enumerate(data):
-        model = space.tree(space.unconstrained(space.vector(space.template)), number)
-        y = np.asarray(simulate(model, jnp.asarray(record.u), jnp.asarray(record.dt))[0])
-        square += float(np.sum((record.y - y)[record.used] ** 2))
-        count += int(record.used.sum())
-    return 3.0 * math.sqrt(square / count)
+    z = space.unconstrained(space.vector(space.template))
+    models = tuple(space.tree(z, number) for number in range(len(data)))
+    return 3.0 * run_metrics(free_runs(models, data), data).rmse
 
 
 def parameter_root(

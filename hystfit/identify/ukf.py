@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -317,7 +318,7 @@ class Ukf(AbstractIdentifier):
         if run.free_run is None:
             return Judgment(Status.DIVERGED, notes, equation_error)
         measured = np.concatenate([record.y[record.used] for record in run.data])
-        excess = np.sqrt(max(0.0, run.free_run.rmse**2 - float(self.noise) ** 2)) / np.ptp(measured)
+        excess = math.sqrt(max(0.0, run.free_run.rmse**2 - float(self.noise) ** 2)) / float(np.ptp(measured))
         notes.append(
             Note(
                 Code.SIMULATION_ERROR,

@@ -41,10 +41,6 @@ class Kinematics(eqx.Module):
         turn = jnp.broadcast_to(0.5 / self.arm, psi.shape)
         return (2 * self.amplification / 3) * jnp.stack([jnp.cos(psi), jnp.sin(psi), turn])
 
-    def extensions(self, pose: Float[Array, "*T 3"]) -> Float[Array, "*T 3"]:
-        """Actuator extensions [um] of poses, shape (..., 3)."""
-        return pose @ self.inverse_jacobian().T
-
     def pose(self, extensions: Float[Array, "*T 3"]) -> Float[Array, "*T 3"]:
         """Poses of extensions [um], shape (..., 3), without dynamics."""
         return extensions @ self.jacobian().T

@@ -16,7 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
 from hystfit.params.space import ParameterSpace
-from hystfit.stage.actuator import Amplifier, Sensor, piezo, population
+from hystfit.stage.actuator import Amplifier, Sensor, piezo
 from hystfit.stage.kinematics import AXES, UNITS, Kinematics
 
 RATE = 10_000.0  # samples/s of the simulated controller
@@ -215,19 +215,6 @@ class Stage(eqx.Module):
         """Default sensors: 5 nm of noise and 1 nm of resolution at the probes and the gauges."""
         arm = float(self.kinematics.arm)
         return {"x": Sensor(), "y": Sensor(), "theta": Sensor(0.005 / arm, 0.001 / arm), "gauge": Sensor()}
-
-    def scattered(self, count: int, *, spread: Mapping[str, float], seed: int) -> Stage:
-        """`count` stages whose actuators scatter about the first one: one stage with a leading axis on every parameter.
-
-        Args:
-            count: number of stages.
-            spread, seed: as in `population`.
-        """
-        first = jax.tree.map(lambda leaf: leaf[0], self.actuators)
-        many = population(first, 3 * count, spread=spread, seed=seed)
-        grouped = jax.tree.map(lambda leaf: leaf.reshape(count, 3, *leaf.shape[1:]), many)
-        repeated = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), self)
-        return eqx.tree_at(lambda stage: stage.actuators, repeated, grouped)
 
 
 _run = eqx.filter_jit(lambda stage, u, dt: stage.run(u, dt))
