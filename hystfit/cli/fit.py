@@ -137,9 +137,8 @@ def _changed(given: dict[str, Any]) -> list[str]:
 
 def _sequential(train: Dataset, model: str, method: str, given: dict[str, Any], seed: int) -> FitResult:
     """A sample-by-sample identification as a fit."""
-    from hystfit.cli.sequential import as_fit
     from hystfit.fitting.timing import Stopwatch
-    from hystfit.identify import identify
+    from hystfit.identify import as_fit, identify
     from hystfit.models.registry import make_model
 
     if unused := _changed(given):

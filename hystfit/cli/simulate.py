@@ -146,10 +146,10 @@ def _voltages(t: np.ndarray, u: np.ndarray, drive: str) -> tuple[np.ndarray, np.
     """Times and voltages (T, 3) of the three actuators."""
     import numpy as np
 
-    from hystfit.stage import in_turn
+    from hystfit.stage import drive_in_turn
 
     if drive == "in-turn":
-        return in_turn(t, u)
+        return drive_in_turn(t, u)
     if drive == "together":
         return t, np.stack([u] * 3, axis=1)
     if drive not in ("1", "2", "3"):

@@ -11,31 +11,31 @@ from jaxtyping import Array, Float
 
 from hystfit.errors import ParameterError
 
-_UNROLLED = 24  # columns up to which the factorization is written out; beyond, compiling it would take seconds
+_UNROLLED = 24  # columns up to which the factorization is unrolled; beyond, compiling it would take seconds
 
 
 def triangular(rows: Float[Array, "m n"]) -> Float[Array, "n n"]:
     """Lower-triangular L with L L^T = rows^T rows, m >= n: the transposed R of a QR factorization.
 
-    By modified Gram-Schmidt, whose R is as accurate as Householder's. Written out, because one call of LAPACK keeps the CPU
-    compiler from making one loop of the whole filter, which then takes more than twice the time.
+    By modified Gram-Schmidt, whose R is as accurate as Householder's. Unrolled, because a call of LAPACK prevents the CPU
+    compiler from compiling the filter into one loop, which then takes more than twice the time.
     """
     n = rows.shape[1]
     if n > _UNROLLED:
         return jnp.linalg.qr(rows, mode="r").T
-    left, columns = rows.T, []
+    remaining, columns = rows.T, []
     for k in range(n):
-        norm = jnp.sqrt(jnp.sum(left[0] ** 2))
-        unit = left[0] / jnp.where(norm > 0, norm, 1.0)
-        along = left @ unit
+        norm = jnp.sqrt(jnp.sum(remaining[0] ** 2))
+        unit = remaining[0] / jnp.where(norm > 0, norm, 1.0)
+        along = remaining @ unit
         columns.append(jnp.concatenate([jnp.zeros(k, rows.dtype), along]))
-        left = left[1:] - along[1:, None] * unit
+        remaining = remaining[1:] - along[1:, None] * unit
     return jnp.stack(columns, axis=1)
 
 
 @dataclasses.dataclass(frozen=True)
 class Unscented:
-    """Scaled sigma points of n coordinates (Merwe's alpha, beta, kappa; Minase et al. 2010, section 3.3 of the restored text).
+    """Scaled sigma points of n coordinates (Merwe's alpha, beta, kappa; Minase et al. 2010, section 3.3).
 
     With alpha = 1, beta >= 0 and kappa >= 0 no weight is negative, so that a covariance root comes from a QR factorization and
     cannot lose positive definiteness.
@@ -79,12 +79,12 @@ class Unscented:
         return self.central_weight >= 0
 
     def points(self, mean: Float[Array, " n"], root: Float[Array, "n n"]) -> Float[Array, "m n"]:
-        """2 n + 1 points, shape (2 n + 1, n): the mean, then the columns of the root to either side."""
+        """2 n + 1 points, shape (2 n + 1, n): the mean, then the mean plus and minus the scaled columns of the root."""
         columns = math.sqrt(self.spread) * root.T
         return mean + jnp.concatenate([jnp.zeros_like(mean)[None], columns, -columns])
 
     def weights(self, center: float, like: Array) -> Float[Array, " m"]:
-        """Weights of all points, shape (2 n + 1,), that of the central one given. One vector costs a scan half of what slices do."""
+        """Weights of all points, shape (2 n + 1,), `center` for the central one. In a scan one vector costs half as much as slices."""
         return jnp.asarray(np.r_[center, np.full(2 * self.n, 0.5 / self.spread)], dtype=like.dtype)
 
     def mean(self, values: Float[Array, "m ..."]) -> Float[Array, "..."]:
@@ -98,7 +98,7 @@ class Unscented:
     def root(self, deviations: Float[Array, "m n"], noise: Float[Array, "k n"]) -> Float[Array, "n n"]:
         """Lower-triangular L with L L^T = weighted deviations^T deviations + noise^T noise.
 
-        Where the central weight is negative the sum itself is factorized, which fails (NaN) where it is not positive definite.
+        With a negative central weight the sum itself is factorized, which gives NaN where it is not positive definite.
         """
         weights = self.weights(self.central_weight, deviations)[:, None]
         if self.safe:
