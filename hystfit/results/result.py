@@ -171,7 +171,7 @@ class FitResult:
             "model": self.name,
             "status": self.status,
             "advice": self.advice,
-            "notes": list(self.notes),
+            "notes": [note if isinstance(note, str) else note.to_dict() for note in self.notes],
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "free_names": list(self.free_names),
             "covariance": [[float(v) if np.isfinite(v) else None for v in row] for row in self.covariance],
