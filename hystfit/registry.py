@@ -61,6 +61,11 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
             return choice
         raise ParameterError(f"{self.option} must be one of {', '.join(self)}, or my_file.py:MyClass; got {choice!r}")
 
+    def holds(self, choice: Any) -> bool:
+        """Whether a class or an object is a part of this kind."""
+        kind = choice if isinstance(choice, type) else type(choice)
+        return issubclass(kind, self.base)
+
     def label(self, choice: Any) -> str:
         """A choice as text that `find` accepts: the name of an entry, or file.py:Class of a user's own class or object."""
         if isinstance(choice, str):

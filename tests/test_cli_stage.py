@@ -111,6 +111,7 @@ def test_a_model_has_no_axes(tmp_path, capsys):
 
 def test_a_fit_may_be_told_where_the_device_rested(tmp_path):
     from hystfit.cli.loading import train_and_test
+
     from hystfit.cli.options import Reading, Split
 
     out = tmp_path / "x.csv"

@@ -160,7 +160,11 @@ def compare(
     if not fits:
         raise ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
     rows.sort(
-        key=lambda row: (row.status in (Status.FAILED, Status.NO_LOOP), row.score_percent is None, row.score_percent or 0.0)
+        key=lambda row: (
+            row.status in (Status.FAILED, Status.NO_LOOP),
+            row.score_percent is None,
+            row.score_percent or 0.0,
+        )
     )
     return Comparison(tuple(rows), fits[rows[0].name], fits, left_out)
 
@@ -216,7 +220,10 @@ def best_structure(data: Dataset, seed: int) -> tuple[FitResult, float, str]:
     best = min((found.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
     best = best if best.score < 0.98 * found.score else found
     result = fit(best.model, data, start="model", seed=seed)
-    texts = (f"structure: {best.structure.words()}, {best.plays} plays", *(f"structure search: {step}" for step in best.trail))
+    texts = (
+        f"structure: {best.structure.words()}, {best.plays} plays",
+        *(f"structure search: {step}" for step in best.trail),
+    )
     return result.with_notes(*(Note(Code.CHOICE, text) for text in texts)), best.score, best.structure.words()
 
 

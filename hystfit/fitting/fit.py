@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -18,8 +19,10 @@ from hystfit.fitting.covariance import Uncertainty, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.noise_refinement import refine
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.timing import Stopwatch
+from hystfit.identify.identification import as_fit
+from hystfit.identify.sequential import identify
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.objective import Loss
@@ -50,15 +53,17 @@ def fit(
     loss: Loss = "linear",
     noise: str | type[AbstractNoise] = "auto",
     test: Record | Dataset | Sequence[Record] | None = None,
+    **settings: Any,
 ) -> FitResult:
-    """Fit a model to measured loops by least squares on its free run.
+    """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
 
     Args:
         model: a model, or its name (see `hystfit models`).
         data: one record or several; windows are set by `Record.window`.
         method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
             (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
-            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm".
+            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
+            "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
         fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
             the records where `start` is "data" and the model is given by name.
         free: parameters to fit that the model holds by default.
@@ -72,6 +77,7 @@ def fit(
             class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
             standard errors under a repeating misfit need "discrepancy" (the notes say when).
         test: records to report the error on, never fitted.
+        **settings: of a sequential identifier, see `hystfit.identify`.
 
     Returns:
         A result with a status; look at `usable` and `notes` before using its numbers.
@@ -84,10 +90,16 @@ def fit(
     named = isinstance(model, str)
     model = make_model(model) if named else model
     data = Dataset.of(data)
-    _check_settings(method, starts, loss, noise, start)
-    watch = Stopwatch()
     if not isinstance(model, AbstractHysteresis):
         raise ModelError(f"expected a hystfit model or its name, got {type(model).__name__}")
+    watch = Stopwatch()
+    if is_sequential(method):
+        _refuse_batch_settings(method, fix=fix, free=free, start=start, starts=starts, loss=loss, noise=noise)
+        result = as_fit(identify(data, method, model, **settings), seed, watch)
+        return result if test is None else with_test(result, test)
+    if settings:
+        raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
+    _check_settings(method, starts, loss, noise, start)
     check_fittable(model, data)
     if start == "data":
         fix = fix if named else _held(model, fix)
@@ -109,6 +121,14 @@ def fit(
     label = ESTIMATORS.label(name)
     result = conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
     return result if test is None else with_test(result, test)
+
+
+def _refuse_batch_settings(method: Any, **given: Any) -> None:
+    """Refuse arguments that a sequential identifier does not use."""
+    defaults = {name: p.default for name, p in inspect.signature(fit).parameters.items()}
+    for name, value in given.items():
+        if (value or None) != (defaults[name] or None):
+            raise ParameterError(f"{name}= has no effect with method={method!r}: leave it out")
 
 
 def _held(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:

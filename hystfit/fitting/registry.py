@@ -1,6 +1,9 @@
-"""The batch estimators by name."""
+"""The estimators by name, and which methods are sequential."""
 
-from hystfit.registry import Registry
+from typing import Any
+
+from hystfit.identify.registry import IDENTIFIERS
+from hystfit.registry import Registry, class_from_file
 
 _HERE = "hystfit.fitting"
 ESTIMATORS = Registry(
@@ -17,3 +20,11 @@ ESTIMATORS = Registry(
         "preisach": f"{_HERE}.smooth_weights:SmoothWeights",
     },
 )
+
+
+def is_sequential(method: Any) -> bool:
+    """Whether a method is a sequential identifier rather than a batch estimator; my_file.py:MyClass is loaded to see."""
+    if isinstance(method, str) and ".py:" in method:
+        path, _, name = method.rpartition(":")
+        method = class_from_file(path, name, object)
+    return method in IDENTIFIERS if isinstance(method, str) else IDENTIFIERS.holds(method)

@@ -9,11 +9,13 @@ import numpy as np
 
 from hystfit.data.record import Dataset
 from hystfit.errors import ModelError
+from hystfit.inference.autocorrelation import autocorrelation_time
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.outcome import Code, Note, Status
 from hystfit.params.space import ParameterSpace
-from hystfit.results.metrics import Metrics, autocorrelation_time
-from hystfit.results.result import FitResult, ParameterEstimate, provenance
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,23 +142,23 @@ def as_fit(identification: Identification, seed: int, watch: Any) -> FitResult:
     ]
     if not identification.usable:
         notes.insert(0, Note(Code.SEQUENTIAL, f"{method}: {identification.status}; {advice}"))
+    models = list(identification.models)
+    problem = Problem(models[0], data)
     residuals = [(y - r.y)[r.used] for y, r in zip(identification.predict(), data, strict=True)]
     correlation = max(autocorrelation_time(r) for r in residuals)
     compile_s, run_s = watch.read()
     return FitResult(
-        model=identification.models[0],
-        models=identification.models,
-        data=data,
+        problem=problem,
+        x=problem.space.vector(models if len(models) > 1 else models[0]),
         status=identification.status if identification.status in _FIT_STATUSES else Status.NOT_CONVERGED,
-        notes=tuple(map(str, notes)),
+        notes=tuple(notes),
         parameters=identification.parameters,
-        free_names=space.names,
-        covariance=np.full((len(space), len(space)), np.nan),
+        covariance=np.full((len(problem.space), len(problem.space)), np.nan),
         train=identification.free_run,
         test=None,
         sigma=identification.free_run.rmse,
         correlation_time=correlation,
-        honest_ratio=float(np.sqrt(correlation)),
+        error_ratio=float(np.sqrt(correlation)),
         rank=None,
         condition=None,
         method=method,
@@ -164,6 +166,7 @@ def as_fit(identification: Identification, seed: int, watch: Any) -> FitResult:
         in_best_basin=1,
         compile_s=compile_s,
         run_s=run_s,
+        noise=NoiseEstimate("auto"),
         provenance=provenance(data, seed, samples=identification.counts),
     )
 

@@ -63,6 +63,10 @@ class Code(enum.StrEnum):
     REPLICATE = "replicate"  # a failed replicate
     CLOSES = "closes"  # the proposed input determines what the present data do not
     LOCAL = "local"  # the design holds near the fitted values
+    # predictions, inverses and simulated records
+    NOT_FINITE = "not-finite"  # the simulation is not finite
+    MISSED = "missed"  # samples of a reference that cannot be followed
+    RECORD = "record"  # a remark on how a record was read or made
 
 
 @dataclasses.dataclass(frozen=True)
