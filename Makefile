@@ -32,6 +32,7 @@ test: lint types tests package notebooks experiments  ## all checks, in the quic
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache
 
 types: setup
 	$(BIN)/basedpyright
