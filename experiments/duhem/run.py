@@ -2,7 +2,7 @@
 
     python experiments/duhem/run.py [--quick] [--out FOLDER]
 
-Writes figures and results.json to out/ and the page RESULTS.md here; status 1 where a number misses expected.json.
+Writes figures and results.json to out/ and the page RESULTS.md here; exit status: see experiments/common.py.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from common import Results, arguments, table
 from estimators import costs, gradient_correction, outcome, output_error
 
 import hystfit as hf
-from hystfit.errors import DataError
 from hystfit.identify import GradientCorrection, Rls, identify
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
@@ -164,12 +163,10 @@ def sampling(results: Results) -> str:
 
 def measured(results: Results) -> tuple[str | None, dict]:
     """The same Duhem model by three methods on measured loops; None where the data are not available."""
-    try:
-        piezo = hf.datasets.load("piezo_dbo/model", download=not results.quick)
-        steel = hf.datasets.load("steel_resspylab/example_1", download=not results.quick)
-    except DataError as error:
-        print(f"  measured loops are skipped: {error}")
+    loaded = results.load(("piezo", "steel"), "piezo_dbo/model", "steel_resspylab/example_1")
+    if loaded is None:
         return None, {}
+    piezo, steel = loaded
     lag = 2  # delay of this sensor in samples, removed in the second case
     prompt = hf.Record(u=piezo.u[:-lag], y=piezo.y[lag:], t=np.asarray(piezo.t)[:-lag], u_unit="V", y_unit="um")
     pairs = {
@@ -221,7 +218,8 @@ def main() -> None:
             seconds * (1e6 if "update" in name else 1),
         )
     page.figures(results.out, outcomes, loops)
-    page.write(HERE if options.out is None and not options.quick else results.out, parts, timing, outcomes, results)
+    complete = not (options.out or options.quick or results.skipped)
+    page.write(HERE if complete else results.out, parts, timing, outcomes, results)
     results.finish()
 
 

@@ -39,13 +39,12 @@ class Measured:
 
 
 def measured(results: Results) -> Measured | None:
-    """All of it; None where the records are not at hand and cannot be fetched."""
-    try:
-        wires = [_counting(r) for r in hf.datasets.load("mag_forc_pyforc/FeCo")]
-        model, test = hf.datasets.load("piezo_dbo/model"), hf.datasets.load("piezo_dbo/test")
-    except hf.HystfitError as error:
-        results.skip("measured", str(error))
+    """Reversal curves and minor loops; None where a data set is not found."""
+    loaded = results.load("measured", "mag_forc_pyforc/FeCo", "piezo_dbo/model", "piezo_dbo/test")
+    if loaded is None:
         return None
+    curves, model, test = loaded
+    wires = [_counting(record) for record in curves]
     held, predicted, fit = reversal_curves(results, wires)
     runs = minor_loops(results, model, test)
     return Measured(held, predicted, fit, forc_diagram(wires), test, runs)

@@ -236,7 +236,7 @@ def main() -> None:
     figures.predictions(results.out, [(record, predict(model, record)) for record in predicted])
     figures.tracked(results.out, trios, last)
     figures.frequencies(results.out, rows)
-    target = results.out / "report.md" if args.quick or args.out else HERE / "RESULTS.md"
+    target = results.out / "report.md" if args.quick or args.out or results.skipped else HERE / "RESULTS.md"
     target.write_text(page(results), encoding="utf-8")
     results.finish()
 

@@ -20,23 +20,12 @@ REST = 0.0  # V
 SETTINGS = {"walkers": 64, "draws": 120_000}  # it stops when the chains hold 50 autocorrelation times
 
 
-def records() -> hf.Record | None:
-    """The whole record; None where it cannot be had."""
-    try:
-        whole = hf.datasets.load("piezo_dbo/model", download=False)
-    except hf.HystfitError as error:
-        print(f"  measured loops are left out: {error}")
-        return None
-    t = np.asarray(whole.t)[::EVERY]
-    thin = hf.Record(t=t, u=whole.u[::EVERY], y=whole.y[::EVERY], u_unit="V", y_unit="um", t_unit="s", name="piezo_dbo")
-    return thin.resting_on(REST)
-
-
 def run(results: Results) -> dict[str, str] | None:
-    """Coverage of 90 % bands on the cycles held back, for each noise model."""
-    record = records()
-    if record is None:
+    """Coverage of 90 % bands on the held-out cycles, for each noise model; None where the record is not found."""
+    loaded = results.load("piezo", "piezo_dbo/model")
+    if loaded is None:
         return None
+    record = thinned(loaded[0]).resting_on(REST)
     fit = fitted(record)
     results.add("piezo: correlation time of the residuals, samples", fit.correlation_time)
     results.add("piezo: honest over independent errors", fit.honest_ratio)
@@ -45,6 +34,13 @@ def run(results: Results) -> dict[str, str] | None:
     head = ["noise model", "90 % predictive bands cover, %", "mean width, um", "error of the median, % of range",
             "credible bands cover, %", *(f"sd of {n}" for n in fit.free_names), "status"]  # fmt: skip
     return {"bands": table(head, rows), "notes": "\n".join(f"- {note}" for note in fit.notes) + "\n"}
+
+
+def thinned(record: hf.Record) -> hf.Record:
+    """Every fourth sample."""
+    t = np.asarray(record.t)[::EVERY]
+    labels = {"u_unit": "V", "y_unit": "um", "t_unit": "s", "name": "piezo_dbo"}
+    return hf.Record(t=t, u=record.u[::EVERY], y=record.y[::EVERY], **labels)
 
 
 def fitted(record: hf.Record) -> hf.FitResult:
