@@ -38,12 +38,12 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return len(self._entries)
 
     def __getitem__(self, name: str) -> Callable[..., T]:
-        return _attribute(self._entries[name])
+        return attribute(self._entries[name])
 
     @property
     def base(self) -> type:
         """The class of which every part is an instance."""
-        return _attribute(self._base)
+        return attribute(self._base)
 
     def find(self, choice: Any) -> Callable[..., T]:
         """What makes a part: of a name, of my_file.py:MyClass, or of a class.
@@ -83,7 +83,8 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return choice if isinstance(choice, self.base) else self.find(choice)()
 
 
-def _attribute(place: str) -> Any:
+def attribute(place: str) -> Any:
+    """What "module:name" refers to, imported now."""
     module, _, name = place.partition(":")
     return getattr(importlib.import_module(module), name)
 

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 import hystfit as hf
 from hystfit import priors
 from hystfit.errors import DataError, ParameterError
-from hystfit.sampling.posterior import load_posterior
+from hystfit.sampling.files import load_posterior
 from hystfit.sampling.sample import sample
 from hystfit.sampling.setup import prepare
 

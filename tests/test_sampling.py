@@ -23,7 +23,8 @@ from hystfit import priors
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
-from hystfit.sampling.posterior import Posterior, load_posterior
+from hystfit.sampling.files import load_posterior
+from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.sample import beside_priors, sample
 from hystfit.sampling.setup import prepare
 

@@ -117,7 +117,7 @@ def finish_table(text: str, content: dict[str, Any], output: Output, name: str, 
     if out is None or out.is_dir() or not out.suffix:
         save = lambda folder: write_csv(folder / name, columns, ".10g")
         return finish(Status.OK, text, content, output, save)
-    from hystfit.results.saved import writing
+    from hystfit.results.folders import writing
 
     if not out.parent.is_dir():
         raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")

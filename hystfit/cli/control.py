@@ -88,7 +88,7 @@ def _target(path: str, reading: Reading) -> Record:
 
 def _bands(folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None) -> InverseBands:
     from hystfit.control.bands import inverse_bands
-    from hystfit.sampling.posterior import load_posterior
+    from hystfit.sampling.files import load_posterior
 
     with progress("inverting by draws"):
         return inverse_bands(load_posterior(folder), reference, dt, limits=limits)

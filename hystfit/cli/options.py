@@ -110,7 +110,8 @@ class Output:
         """
         if self.out is None:
             return
-        from hystfit.results.saved import check_writable, holds_fit
+        from hystfit.results.folders import check_writable
+        from hystfit.results.saved import holds_fit
 
         check_writable(self.out)
         if not fit and holds_fit(self.out):

@@ -37,7 +37,7 @@ def finish(
         save: writes the other files into the folder that it is called with.
     """
     if output.out is not None:
-        from hystfit.results.saved import dump_json, writing
+        from hystfit.results.folders import dump_json, writing
 
         with progress("writing"), writing(output.out) as scratch:
             dump_json(scratch / "result.json", content)

@@ -21,6 +21,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
+from hystfit.registry import attribute
 from hystfit.results.metrics import Metrics
 
 SCHEMA = "hystfit.fit/2"
@@ -247,29 +248,18 @@ class FitResult:
         Raises:
             HystfitError: the folder cannot be made or written.
         """
-        from hystfit.results.report import write_into
-        from hystfit.results.saved import write_fit, writing
-
-        target = Path(folder)
-        with writing(target) as scratch:
-            write_fit(self, scratch)
-            if report:
-                write_into(self, scratch)
-        return target
+        return _view("saved:save_fit")(self, folder, report=report)
 
     def report(self) -> str:
         """The report as text."""
-        from hystfit.results.report import text_report
-
-        return text_report(self)
+        return _view("report:text_report")(self)
 
     def __str__(self) -> str:
         return self.report()
 
     def __repr__(self) -> str:
-        from hystfit.results.report import headline
-
-        return f"<FitResult: {headline(self)}; print it for the report>"
+        headline = _view("report:headline")(self)
+        return f"<FitResult: {headline}; print it for the report>"
 
     def plot(
         self,
@@ -287,9 +277,12 @@ class FitResult:
             data: other records than those fitted.
             refit_offset: as in `predict`.
         """
-        from hystfit.results import plots
+        return _view("plots:fit")(self, kind, ax=ax, data=data, refit_offset=refit_offset)
 
-        return plots.fit(self, kind, ax=ax, data=data, refit_offset=refit_offset)
+
+def _view(name: str) -> Any:
+    """A function of a result that its methods call; bound late, because those modules import this one."""
+    return attribute(f"hystfit.results.{name}")
 
 
 def provenance(data: Dataset, seed: int | None, **more: Any) -> dict[str, Any]:

@@ -5,19 +5,18 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Note, Status
+from hystfit.results.folders import dump_json, writing
+from hystfit.results.saved import load_fit
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.posterior import SCHEMA, Posterior
 
-if TYPE_CHECKING:
-    from hystfit.sampling.posterior import Posterior
-
-SCHEMA = "hystfit.sample/2"
 _PLAIN = ("sampler", "noise", "priors", "seconds", "seed", "provenance")
 _LISTS = ("names", "units")
 
@@ -44,8 +43,6 @@ def dataset(posterior: Posterior) -> Any:
 
 def save(posterior: Posterior, folder: str | Path) -> Path:
     """Write posterior.nc, result.json, and the fit in fit/: see `Posterior.save`."""
-    from hystfit.results.saved import dump_json, writing
-
     xarray = _xarray()
     target = Path(folder)
     stats = {"lp": posterior.log_density, **posterior.stats}
@@ -59,10 +56,13 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     return target
 
 
-def load(folder: str | Path) -> dict[str, Any]:
-    """Fields of the `Posterior` that `save` wrote: see `load_posterior`."""
-    from hystfit.results.saved import load_fit
+def load_posterior(folder: str | Path) -> Posterior:
+    """What `Posterior.save` wrote.
 
+    Raises:
+        DataError: the folder holds no such file, or one that is damaged.
+        MissingExtraError: xarray or h5netcdf is not installed.
+    """
     xarray, place = _xarray(), Path(folder)
     file = place / "posterior.nc"
     try:
@@ -79,7 +79,7 @@ def load(folder: str | Path) -> dict[str, Any]:
         kept["log_density"] = stats.pop("lp")
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise DataError(f"{os.fspath(file)!r} is not a posterior that hystfit saved: {error}") from error
-    return {"result": load_fit(place / "fit"), "draws": draws, "stats": stats, **kept}
+    return Posterior(result=load_fit(place / "fit"), draws=draws, stats=stats, **kept)
 
 
 def _header(posterior: Posterior) -> dict[str, Any]:

@@ -15,11 +15,17 @@ from hystfit.data.record import Record
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table
+from hystfit.registry import attribute
 from hystfit.results.result import FitResult
-from hystfit.sampling import files
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.predictive import predictive_draws, simulate_draws
+
+SCHEMA = "hystfit.sample/2"
+
+
+def _view(name: str) -> Any:
+    """A function of a posterior that its methods call; bound late, because those modules import this one."""
+    return attribute(f"hystfit.sampling.{name}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +134,7 @@ class Posterior:
         """The contents of `result.json`."""
         diverging = self.stats.get("diverging")
         return {
-            "schema": files.SCHEMA,
+            "schema": SCHEMA,
             "model": self.result.name,
             "status": str(self.status),
             "advice": self.status.advice("sample"),
@@ -162,7 +168,7 @@ class Posterior:
 
     def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
         """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
-        return simulate_draws(self.result, record, self.thinned(count, seed))
+        return _view("predictive:simulate_draws")(self.result, record, self.thinned(count, seed))
 
     def bands(
         self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, kind: str = "predictive"
@@ -182,41 +188,35 @@ class Posterior:
         """
         if kind not in ("credible", "predictive") or not 0 < level < 1:
             raise ParameterError(f"kind must be credible or predictive and 0 < level < 1, got {kind!r} and {level}")
-        draw = predictive_draws if kind == "predictive" else Posterior.predict
+        draw = _view("predictive:predictive_draws") if kind == "predictive" else Posterior.predict
         y = draw(self, record, count, seed)
         edges = np.quantile(y, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
         return edges[0], edges[1], edges[2]
 
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
         """Posterior draws of derived quantities, each (count,): see `hystfit.sampling.derived.QUANTITIES`."""
-        from hystfit.sampling.derived import derive
-
-        return derive(self, quantities, count)
+        return _view("derived:derive")(self, quantities, count)
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:
         """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
-        from hystfit.sampling.derived import QUANTITIES, units
-
         finite = lambda v: float(v) if np.isfinite(v) else None
-        rows, unit = [], units(self)
+        rows, unit, about = [], _view("derived:units")(self), _view("derived:QUANTITIES")
         for name, values in self.derived().items():
             low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
             row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}
-            rows.append(row | {"upper": finite(high), "about": QUANTITIES[name]})
+            rows.append(row | {"upper": finite(high), "about": about[name]})
         return rows
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:
         """A picture: "corner", "trace", "rank" or "bands"; returns the matplotlib figure."""
-        from hystfit.sampling import plots
-
-        return plots.draw(self, kind, **options)
+        return _view("plots:draw")(self, kind, **options)
 
     # -- files ---------------------------------------------------------------------------------------------------------
 
     def dataset(self) -> Any:
         """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them."""
-        return files.dataset(self)
+        return _view("files:dataset")(self)
 
     def to_arviz(self) -> Any:
         """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
@@ -225,7 +225,8 @@ class Posterior:
         except ImportError as error:
             raise MissingExtraError("arviz", "bayes", "to_arviz") from error
         stats = {"lp": self.log_density, **self.stats}
-        posterior = {files.variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
+        variable = _view("files:variable")
+        posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
         if hasattr(arviz, "InferenceData"):
             return arviz.from_dict(posterior=posterior, sample_stats=stats)
         return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
@@ -237,14 +238,4 @@ class Posterior:
             MissingExtraError: xarray or h5netcdf is not installed.
             HystfitError: the folder cannot be written.
         """
-        return files.save(self, folder)
-
-
-def load_posterior(folder: str | Path) -> Posterior:
-    """What `Posterior.save` wrote.
-
-    Raises:
-        DataError: the folder holds no such file, or one that is damaged.
-        MissingExtraError: xarray or h5netcdf is not installed.
-    """
-    return Posterior(**files.load(folder))
+        return _view("files:save")(self, folder)

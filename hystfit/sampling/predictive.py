@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,9 +17,7 @@ from hystfit.inference.noise.setting import Setting
 from hystfit.models.base import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
-
-if TYPE_CHECKING:
-    from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.posterior import Posterior
 
 
 @eqx.filter_jit

@@ -115,7 +115,7 @@ def write(result: FitResult, folder: str | Path, *, test: Data | None = None, re
     Raises:
         HystfitError: the folder cannot be made or written.
     """
-    from hystfit.results.saved import writing
+    from hystfit.results.folders import writing
 
     with writing(folder) as scratch:
         write_into(result, scratch, test=test, refit_offset=refit_offset)
