@@ -8,9 +8,9 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.fitting.fit import ESTIMATORS
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
+from hystfit.fitting.registry import ESTIMATORS
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 

@@ -18,6 +18,7 @@ from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNois
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import CHANCE, ResidualAnalysis
 from hystfit.inference.whitened import restricted
+from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import predictive_draws
@@ -230,7 +231,7 @@ def test_a_repeating_error_is_predicted_as_a_dense_gaussian_process_does():
     nothing = Convergence(*(np.ones(row.size) for _ in range(3)))
     draws = np.tile(row, (1, 4000, 1))
     posterior = Posterior(
-        fit, "nuts", "discrepancy", names, ("",) * row.size, draws, np.zeros((1, 4000)), {}, nothing, "ok", (), {}, 0.0, 0, {}
+        fit, "nuts", "discrepancy", names, ("",) * row.size, draws, np.zeros((1, 4000)), {}, nothing, Status.OK, (), {}, 0.0, 0, {}
     )  # fmt: skip
     ahead = hf.Record(u=0.8 * np.sin(2 * np.pi * np.arange(60) / 60), y=np.zeros(60))
     got = predictive_draws(posterior, ahead, 4000, 0)
