@@ -216,9 +216,9 @@ def _span(data: Dataset) -> float:
 
 def best_structure(data: Dataset, seed: int) -> tuple[FitResult, float, str]:
     """The Prandtl-Ishlinskii model whose terms and number of plays blocks left out choose: (fit, left-out error, terms in words)."""
-    found = search_structure(data)
-    best = min((found.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
-    best = best if best.score < 0.98 * found.score else found
+    search = search_structure(data)
+    best = min((search.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
+    best = best if best.score < 0.98 * search.score else search
     result = fit(best.model, data, start="model", seed=seed)
     texts = (
         f"structure: {best.structure.words()}, {best.plays} plays",

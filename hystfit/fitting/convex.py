@@ -239,12 +239,12 @@ class Convex(AbstractEstimator):
             return float(np.log(fit.score + 1e-300))
 
         options = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
-        found = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
+        solution = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
         z = z.copy()
-        z[others] = found.x
+        z[others] = solution.x
         message = (
             "converged"
-            if found.success
-            else f"the search over nonlinear parameters stopped after {found.nfev} evaluations"
+            if solution.success
+            else f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
         )
-        return np.array(problem.space.physical(z)), int(found.nfev), bool(found.success), message
+        return np.array(problem.space.physical(z)), int(solution.nfev), bool(solution.success), message

@@ -93,13 +93,15 @@ class SmoothWeights(AbstractEstimator):
 
         # Tolerances a small part of the standard errors: the cost of n samples rises by 1 / n over one of them.
         options = {"maxfev": self.max_evaluations, "xatol": 1e-5, "fatol": 1e-7}
-        found = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
+        solution = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
         z = z.copy()
-        z[others] = found.x
+        z[others] = solution.x
         message = (
-            "converged" if found.success else f"the search over other parameters stopped after {found.nfev} evaluations"
+            "converged"
+            if solution.success
+            else f"the search over other parameters stopped after {solution.nfev} evaluations"
         )
-        return np.array(problem.space.physical(z)), int(found.nfev), bool(found.success), message
+        return np.array(problem.space.physical(z)), int(solution.nfev), bool(solution.success), message
 
 
 def left_out_score(problem: Problem, x: np.ndarray) -> float:

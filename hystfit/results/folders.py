@@ -15,7 +15,7 @@ from hystfit.errors import HystfitError
 class writing:
     """Context manager that yields a scratch folder beside the target and moves its files in place when all are written.
 
-    After an error (or an interrupt) nothing is left: no scratch folder, no target that was not there before.
+    After an error or an interrupt nothing remains: no scratch folder, and no target that did not exist before.
 
     Raises:
         HystfitError: the target cannot be made or written; the message names the folder and the reason.
@@ -26,7 +26,7 @@ class writing:
 
     def __enter__(self) -> Path:
         """Make the scratch folder."""
-        self.made = not self.target.exists()
+        self.created = not self.target.exists()
         try:
             self.target.mkdir(exist_ok=True)
             self.scratch = Path(tempfile.mkdtemp(prefix=".hystfit-", dir=self.target))
@@ -43,7 +43,7 @@ class writing:
             raise self._refused(failure) from failure
         finally:
             shutil.rmtree(self.scratch, ignore_errors=True)
-            if self.made and kind is not None:
+            if self.created and kind is not None:
                 shutil.rmtree(self.target, ignore_errors=True)
         if isinstance(error, OSError):
             raise self._refused(error) from error
@@ -77,7 +77,7 @@ def check_writable(target: str | Path) -> None:
     attempt = writing(target)
     attempt.__enter__()
     shutil.rmtree(attempt.scratch, ignore_errors=True)
-    if attempt.made:
+    if attempt.created:
         attempt.target.rmdir()
 
 

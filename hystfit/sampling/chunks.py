@@ -42,9 +42,9 @@ def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarr
         name: of the file.
         make: computes the arrays; a damaged file is computed again.
     """
-    found = None if folder is None else load(folder / name)
-    if found is not None:
-        return found
+    kept = None if folder is None else load(folder / name)
+    if kept is not None:
+        return kept
     arrays = make()
     if folder is not None:
         keep(folder / name, arrays)

@@ -51,12 +51,12 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
         raise ParameterError(f"{posterior.result.name} does not depend on time: it has no creep")
     low = min(float(r.u[r.used].min()) for r in posterior.result.data)
     high = max(float(r.u[r.used].max()) for r in posterior.result.data)
-    found: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     if any("creep" not in name for name in names):
-        found |= _loop(posterior, low, high, count)
+        values |= _loop(posterior, low, high, count)
     if any("creep" in name for name in names):
-        found["creep_percent_per_decade"] = _creep(posterior, low, high, count)
-    return {name: found[name] for name in names}
+        values["creep_percent_per_decade"] = _creep(posterior, low, high, count)
+    return {name: values[name] for name in names}
 
 
 def _record(u: np.ndarray, t: np.ndarray) -> Record:

@@ -34,11 +34,11 @@ def dataset(posterior: Posterior) -> Any:
     variables = {
         variable(name): (("chain", "draw"), posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)
     }
-    made = xarray.Dataset(variables, coords=place)
+    table = xarray.Dataset(variables, coords=place)
     for name, unit in zip(posterior.names, posterior.units, strict=True):
-        made[variable(name)].attrs["units"] = unit
-    made.attrs["hystfit"] = json.dumps(_header(posterior))
-    return made
+        table[variable(name)].attrs["units"] = unit
+    table.attrs["hystfit"] = json.dumps(_header(posterior))
+    return table
 
 
 def save(posterior: Posterior, folder: str | Path) -> Path:

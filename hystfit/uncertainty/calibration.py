@@ -63,8 +63,8 @@ class Calibration:
     def p_values(self) -> np.ndarray:
         """Uniformity of the ranks by the largest distance of their ECDF from the straight line; small means miscalibrated."""
         ideal = _ideal_distances(len(self.ranks), self.of)
-        own = _distance(self.ranks.T, self.of)
-        return (1 + np.sum(ideal >= own[:, None] - 1e-12, axis=1)) / (ideal.size + 1)
+        distances = _distance(self.ranks.T, self.of)
+        return (1 + np.sum(ideal >= distances[:, None] - 1e-12, axis=1)) / (ideal.size + 1)
 
     def coverage(self, level: float = 0.95) -> np.ndarray:
         """Part of the replicates whose central interval of this level holds the truth, by parameter."""

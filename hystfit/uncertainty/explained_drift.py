@@ -25,7 +25,7 @@ class DriftExplained:
         modeled: the same slope in the fit's free run.
         stderr: of `modeled`, from the fit's covariance; None where that is not known.
         without_creep: the slope when the creep is taken out of the fitted model: what its hysteresis settles by.
-        left: slope of what the fit leaves of the means.
+        left: slope of the residual means.
         cycles: number of cycles compared.
         unit: of y.
     """

@@ -53,7 +53,7 @@ def follow_all(
         def walk(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
             z, step, before, done = carry
             ahead = z.at[k].add(sign * step)
-            found, value, _ = jax.lax.cond(
+            refit, value, _ = jax.lax.cond(
                 done,
                 lambda a: (a, least, jnp.ones((), bool)),
                 lambda a: descend(cost, normal, a, others, _FITS, 1e-4),
@@ -62,9 +62,9 @@ def follow_all(
             root = jnp.sqrt(jnp.maximum(2 * (value - least), 0.0)) / wider
             rise = jnp.maximum(root - before, 1e-3)
             change = jnp.clip(_STRIDE / rise, 0.4, 3.0)
-            kept = jnp.where(done, z, found)
-            over = (root**2 > 1.3 * limit) | (jnp.abs(found[k] - start[k]) > _FAR)
-            out = (found[k], root**2, ~done)
+            kept = jnp.where(done, z, refit)
+            over = (root**2 > 1.3 * limit) | (jnp.abs(refit[k] - start[k]) > _FAR)
+            out = (refit[k], root**2, ~done)
             return (kept, jnp.minimum(step * change, 2.0), jnp.where(done, before, root), done | over), out
 
         begin = (start, first, jnp.zeros(()), jnp.zeros((), bool))

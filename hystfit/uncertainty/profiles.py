@@ -192,9 +192,9 @@ def profile(
     profiles: dict[str, Profile] = {}
     notes = []
     for k, name in enumerate(chosen):
-        made = _collect(problem.space, int(at[k]), [v[2 * k : 2 * k + 2] for v in traced], limit)
-        profiles[name] = made
-        for bound in (made.open_lower, made.open_upper):
+        curve = _collect(problem.space, int(at[k]), [v[2 * k : 2 * k + 2] for v in traced], limit)
+        profiles[name] = curve
+        for bound in (curve.open_lower, curve.open_upper):
             if bound:
                 text = f"the data do not bound {name} towards {bound}: a symmetric error bar is meaningless"
                 notes.append(warn(Code.OPEN_SIDE, text))

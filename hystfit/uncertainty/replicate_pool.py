@@ -46,14 +46,14 @@ def collect(
     done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
     missing = [k for k in range(count) if k not in done]
     broken = []
-    for k, found in _computed(study, missing, workers, scheduler):
-        if isinstance(found, Exception):
-            broken.append(f"chunk {k} broke: {type(found).__name__}: {found}")
+    for k, outcome in _computed(study, missing, workers, scheduler):
+        if isinstance(outcome, Exception):
+            broken.append(f"chunk {k} broke: {type(outcome).__name__}: {outcome}")
             done[k] = broken_chunk(study)
         else:
-            done[k] = found
+            done[k] = outcome
             if place is not None:
-                keep(_file(place, k), found)
+                keep(_file(place, k), outcome)
         if progress:
             progress(f"{len(done)} of {count} chunks of {CHUNK} replicates")
     return [done[k] for k in sorted(done)], broken
@@ -65,8 +65,8 @@ def _file(place: Path, k: int) -> Path:
 
 def _load(file: Path) -> Chunk | None:
     """A stored chunk; None where there is none, or a damaged one."""
-    found = load(file)
-    return found if found is not None and set(found) == {"ranks", "errors", "reason"} else None
+    outcome = load(file)
+    return outcome if outcome is not None and set(outcome) == {"ranks", "errors", "reason"} else None
 
 
 def _computed(study: Study, numbers: Sequence[int], workers: int, scheduler: str | None) -> Iterator[Outcome]:
@@ -153,7 +153,7 @@ def _claim(folder: Path, study: Study) -> Path:
     from hystfit.models.storage import to_json
 
     values = {k: np.asarray(v).tolist() for k, v in vars(study.truth).items() if hasattr(v, "shape")}
-    own = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "free", "seed")}
+    described = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "free", "seed")}
     priors = {k: v.exact() for k, v in study.priors.items()}
-    described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **own}
+    described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **described}
     return claim(folder, "study.json", described | {"inputs": [record.digest() for record in study.data]})

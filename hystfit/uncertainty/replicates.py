@@ -154,11 +154,11 @@ def _replicates(
 ) -> tuple[Array, Array, Array]:
     def one(key: Array) -> tuple[Array, ...]:
         first, second = jax.random.split(key)
-        x, own = _simulated(target, truth, priors, first)
-        own, reason = _whitened(own)
+        x, whitened = _simulated(target, truth, priors, first)
+        whitened, reason = _whitened(whitened)
         normal = method == "laplace"
-        q = jax.random.normal(second, (RANKS, own.center.shape[0])) if normal else _short_chain(own, second)
-        return *_ranked(x, own, q), reason
+        q = jax.random.normal(second, (RANKS, whitened.center.shape[0])) if normal else _short_chain(whitened, second)
+        return *_ranked(x, whitened, q), reason
 
     return jax.lax.map(one, keys)
 
@@ -167,14 +167,14 @@ def _short_chain(target: Target, key: Array) -> Float[Array, "draws d"]:
     """Thinned draws of a whitened NUTS chain from a draw of the Gaussian that whitening assumes."""
     first, second = jax.random.split(key)
     q, count = jax.random.normal(first, target.center.shape), _WARM + RANKS * _THIN
-    found, _ = advance(target, q, Tuning.about(0.6), second, jnp.arange(count) < _WARM, jnp.asarray(0.8), _DEPTH, count)
-    return found[0][_WARM + _THIN - 1 :: _THIN]
+    out, _ = advance(target, q, Tuning.about(0.6), second, jnp.arange(count) < _WARM, jnp.asarray(0.8), _DEPTH, count)
+    return out[0][_WARM + _THIN - 1 :: _THIN]
 
 
 @eqx.filter_jit
 def _prepared(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Target, Array]:
-    x, own = _simulated(target, truth, priors, key)
-    return x, *_whitened(own)
+    x, whitened = _simulated(target, truth, priors, key)
+    return x, *_whitened(whitened)
 
 
 _rank = eqx.filter_jit(_ranked)
@@ -182,10 +182,10 @@ _rank = eqx.filter_jit(_ranked)
 
 def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Array, Array]:
     """One replicate; a draw is the last place of a walker, so that no draw follows from another."""
-    x, own, reason = _prepared(target, truth, priors, key)
-    d, seed = own.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
-    begun = start(own, RANKS + 1, seed)
-    if not np.isfinite(begun.log_prob).all():
+    x, whitened, reason = _prepared(target, truth, priors, key)
+    d, seed = whitened.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
+    first_state = start(whitened, RANKS + 1, seed)
+    if not np.isfinite(first_state.log_prob).all():
         return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
-    last: Any = walk(own, RANKS + 1).run_mcmc(begun, _STEPS, skip_initial_state_check=True)
-    return *_rank(x, own, jnp.asarray(last.coords[:RANKS])), reason
+    last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, _STEPS, skip_initial_state_check=True)
+    return *_rank(x, whitened, jnp.asarray(last.coords[:RANKS])), reason

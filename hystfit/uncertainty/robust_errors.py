@@ -94,12 +94,12 @@ class StandardErrors:
         number = lambda value: float(value) if np.isfinite(value) else None
         rows = {}
         for k, name in enumerate(self.result.free_names):
-            own = {rule: number(error[k]) for rule, error in self.errors.items()}
+            errors_of = {rule: number(error[k]) for rule, error in self.errors.items()}
             over = {rule: number(ratio[k]) for rule, ratio in self.ratios.items()}
             rows[name] = {
                 "value": self.result[name].value,
                 "unit": self.result[name].unit,
-                "stderr": own,
+                "stderr": errors_of,
                 "ratio": over,
             }
         return {

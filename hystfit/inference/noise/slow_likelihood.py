@@ -1,7 +1,7 @@
-"""Slow and independent noise on the host: Ornstein-Uhlenbeck and white noise by tridiagonal algebra, O(T), nothing to compile.
+"""Slow and independent noise on the host: Ornstein-Uhlenbeck and white noise by tridiagonal algebra, O(T), without compilation.
 
-The likelihood is that of `OrnsteinUhlenbeck`; what `fit` needs of it by default must not cost a compilation. Everything
-here is in weighted coordinates: a residual times the square root of its weight.
+The likelihood is that of `OrnsteinUhlenbeck`; every default fit needs it, and should not wait for a compilation. All residuals here
+are weighted: multiplied by the square root of their weight.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from hystfit.inference.noise.setting import Setting
 _RATIOS = (1e-2, 1.0, 1e2)  # of white to slow variance, tried before the search
 _LEAST, _MOST = 1e-6, 1e6  # of that ratio
 _SHORTEST = 0.2  # correlation time, samples
-_VAGUE = 1.0  # standard deviation of the logarithm of the prior variance of shapes
-_WIDEST = 1.0  # standard deviation of the logarithms of ratio and time, at most, over which is averaged
+_VAGUE = 1.0  # prior standard deviation of the log variance of the shapes
+_WIDEST = 1.0  # largest standard deviation of the logs of ratio and time in the average
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Samples:
     """The samples that count, record after record.
 
     Attributes:
-        on: which they are, shape (R, T), bool.
+        on: mask of these samples, shape (R, T), bool.
         gap: time since the one before, in typical sampling intervals; infinite at the first of a record. Shape (n,), like what follows.
         weight: of each.
         place: input in parts of its range.
@@ -68,7 +68,7 @@ class SlowNoise:
         samples: where.
         white, slow: standard deviations, in the unit of the residuals.
         time: correlation time of the slow part, typical sampling intervals.
-        shapes: columns with independent weights of standard deviation `loop`, shape (n, k); none of them with k = 0.
+        shapes: columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0.
         loop: see `shapes`.
     """
 
@@ -82,8 +82,8 @@ class SlowNoise:
     @property
     def parameters(self) -> dict[str, float]:
         """By the names of `hystfit.inference.noise`."""
-        own = {"noise_white": self.white, "noise_slow": self.slow, "noise_time": self.time}
-        return own | ({"noise_loop": self.loop} if self.shapes.shape[1] else {})
+        values = {"noise_white": self.white, "noise_slow": self.slow, "noise_time": self.time}
+        return values | ({"noise_loop": self.loop} if self.shapes.shape[1] else {})
 
     def solve(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """The inverse covariance, without the shapes', times each column."""
@@ -112,11 +112,11 @@ def _solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[np.n
 
 @dataclasses.dataclass(frozen=True)
 class SlowNoiseFit:
-    """Slow and independent noise learned from residuals.
+    """Slow and independent noise estimated from residuals.
 
     Attributes:
         noise: the most probable one.
-        others: noises about it, with `shares`, their posterior weights: what residuals leave open about it.
+        others: noises about it, with their posterior weights `shares`.
     """
 
     noise: SlowNoise
@@ -124,7 +124,7 @@ class SlowNoiseFit:
     shares: Float[np.ndarray, " m"]
 
     def projected(self, basis: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
-        """basis' Sigma basis, averaged over what is left open."""
+        """basis' Sigma basis, averaged over the uncertainty of the noise."""
         basis = np.asfortranarray(basis)
         parts = [share * basis.T @ noise.apply(basis) for share, noise in zip(self.shares, self.others, strict=True)]
         return np.sum(parts, axis=0)
@@ -132,16 +132,15 @@ class SlowNoiseFit:
 
 @dataclasses.dataclass(frozen=True)
 class Contrasts:
-    """The restricted likelihood of slow and independent noise (Patterson and Thompson 1971): what a fit took out of its residuals is
-    allowed for.
+    """The restricted likelihood of slow and independent noise (Patterson and Thompson 1971), which allows for the fitted parameters.
 
     Attributes:
         samples: the samples.
         residual: of the fit, shape (n,).
         basis: orthonormal columns that span its derivatives: contrasts to them alone are used.
         shapes: see `SlowNoise`.
-        power: mean square of what the shapes make of the residuals; the prior of their variance is log-normal about what makes
-            that on average, since shapes that are too smooth for the residuals would else grow without reason.
+        power: mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about
+            the value that gives this on average, because shapes too smooth for the residuals would otherwise grow without limit.
     """
 
     samples: Samples
@@ -158,8 +157,8 @@ class Contrasts:
     @functools.cached_property
     def expected(self) -> float:
         """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
-        left = self.shapes - self.basis @ (self.basis.T @ self.shapes)
-        return self.power * self.residual.size / float(np.sum(left**2))
+        rest = self.shapes - self.basis @ (self.basis.T @ self.shapes)
+        return self.power * self.residual.size / float(np.sum(rest**2))
 
     def at(self, ratio: float, time: float) -> tuple[float, float, float]:
         """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at a ratio of white to slow variance.
@@ -198,12 +197,12 @@ def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
     first = min((np.array([np.log(ratio), time]) for ratio in _RATIOS for time in times), key=value)
     simplex = first + np.array([[0, 0], [1.0, 0], [0, 0.7]])
     options = {"xatol": 0.02, "fatol": 0.01, "initial_simplex": simplex}
-    found = scipy.optimize.minimize(value, first, method="Nelder-Mead", options=options)
-    center = np.clip(found.x, low, high)
+    solution = scipy.optimize.minimize(value, first, method="Nelder-Mead", options=options)
+    center = np.clip(solution.x, low, high)
     nodes, ideal = _nodes()
     about = center + nodes @ _spread(value, center).T
     values = [contrasts.at(*inside(at)) for at in about]
-    above = np.array([v for v, _, _ in values]) - found.fun
+    above = np.array([v for v, _, _ in values]) - solution.fun
     shares = ideal * np.exp(0.5 * (np.sum(nodes**2, axis=1) - above))
 
     def noise(at: np.ndarray, slow: float, loop: float) -> SlowNoise:
@@ -235,7 +234,7 @@ def _spread(function: Callable[[np.ndarray], float], center: np.ndarray) -> Floa
 def least_squares_root(fit: SlowNoiseFit, jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
     """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'.
 
-    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions which J leaves open stay open in R.
+    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
     """
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0] = 1.0
