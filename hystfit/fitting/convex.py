@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -232,19 +232,34 @@ class Convex(AbstractEstimator):
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
         strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
 
-        def cost(inner: np.ndarray) -> float:
-            trial = z.copy()
-            trial[others] = inner
-            fit = fit_ridge(LinearSystem.of(problem, problem.space.physical(trial)), (strength,))
-            return float(np.log(fit.score + 1e-300))
+        def cost(x: np.ndarray) -> float:
+            return float(np.log(fit_ridge(LinearSystem.of(problem, x), (strength,)).score + 1e-300))
 
-        options = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
-        solution = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
-        z = z.copy()
-        z[others] = solution.x
-        message = (
-            "converged"
-            if solution.success
-            else f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
-        )
-        return np.array(problem.space.physical(z)), int(solution.nfev), bool(solution.success), message
+        return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-2, fatol=1e-4)
+
+
+def search_nonlinear(
+    problem: Problem, cost: Callable[[np.ndarray], float], z: np.ndarray, others: np.ndarray, **options: float
+) -> tuple[np.ndarray, int, bool, str]:
+    """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
+
+    Args:
+        problem: what is fitted.
+        cost: of physical parameters, shape (p,).
+        z: unconstrained start, shape (p,).
+        others: positions of the nonlinear parameters.
+        **options: of the simplex search.
+
+    Returns:
+        Physical parameters at the lowest cost, the number of evaluations, whether it converged, and a message.
+    """
+
+    def at(inner: np.ndarray) -> np.ndarray:
+        trial = z.copy()
+        trial[others] = inner
+        return np.array(problem.space.physical(trial))
+
+    solution = scipy.optimize.minimize(lambda v: cost(at(v)), z[others], method="Nelder-Mead", options=options)
+    stopped = f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
+    message = "converged" if solution.success else stopped
+    return at(solution.x), int(solution.nfev), bool(solution.success), message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -93,46 +94,58 @@ def uncertainty(
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
         J, variance, unit = root * relative, 1.0, 1 / plain
-    covariance = np.full((x.size, x.size), np.nan)
-    determined = live.copy()
-    directions: list[str] = []
-    reaching: tuple[str, ...] = ()
-    rank, condition = 0, None
-    if live.any():
-        ridge = None if estimate.penalty is None else (unit * estimate.penalty * relative**2)[live]
-        values, vectors = _spectrum(J[:, live], ridge)
-        names = [name for name, on in zip(space.names, live, strict=True) if on]
-        floor = _RANK * values[0]
-        open_ = (values < floor) | (np.sqrt(variance) > _OPEN * values)
-        rank = int(np.sum(~open_))
-        condition = float(values[0] / values[-1]) if values[-1] > floor else None
-        directions = [describe(vectors[:, k], names) for k in np.flatnonzero(open_)]
-        kept = values > floor
-        inner = (vectors[:, kept] / values[kept] ** 2) @ vectors[:, kept].T * variance
-        touched = (np.abs(vectors[:, open_]) > _TOUCHED).any(axis=1)
-        scale = relative[live]
-        full = inner * scale[:, None] * scale[None, :]
-        near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
-        reaching = tuple(names[k] for k in np.flatnonzero(near))
-        touched |= near
-        full[touched] = np.nan
-        full[:, touched] = np.nan
-        at = np.flatnonzero(live)
-        covariance[np.ix_(at, at)] = full
-        determined[at[touched]] = False
+    ridge = None if estimate.penalty is None else unit * estimate.penalty
+    inner = _determined(problem, x, J, variance, live, ridge)
     return Uncertainty(
-        covariance,
-        determined,
-        inactive,
-        tuple(directions),
-        reaching,
-        rank,
-        condition,
-        time,
-        ratio,
-        float(np.sqrt(plain)) * y,
-        analysis,
+        **inner,
+        inactive=inactive,
+        correlation_time=time,
+        ratio=ratio,
+        sigma=float(np.sqrt(plain)) * y,
+        residuals=analysis,
     )
+
+
+def _determined(
+    problem: Problem, x: np.ndarray, J: np.ndarray, variance: float, live: np.ndarray, ridge: np.ndarray | None
+) -> dict[str, Any]:
+    """What an SVD shows: covariance, and which parameters and directions the data determine.
+
+    Args:
+        problem: what was fitted.
+        x: where it ended, physical, shape (p,).
+        J: Jacobian in relative coordinates, or the square root of the information, shape (n, p).
+        variance: of its rows.
+        live: parameters on no bound and with influence, shape (p,), bool.
+        ridge: what regularization adds to the normal matrix of x, diagonal, shape (p,).
+    """
+    relative = _relative_size(problem, x)
+    covariance, determined = np.full((x.size, x.size), np.nan), live.copy()
+    if not live.any():
+        return {
+            "covariance": covariance, "determined": determined, "directions": (), "reaching": (), "rank": 0, "condition": None
+        }  # fmt: skip
+    names = [name for name, on in zip(problem.space.names, live, strict=True) if on]
+    values, vectors = _spectrum(J[:, live], None if ridge is None else (ridge * relative**2)[live])
+    floor = _RANK * values[0]
+    undetermined, kept = (values < floor) | (np.sqrt(variance) > _OPEN * values), values > floor
+    scale = relative[live]
+    full = (vectors[:, kept] / values[kept] ** 2) @ vectors[:, kept].T * variance * scale[:, None] * scale[None, :]
+    touched = (np.abs(vectors[:, undetermined]) > _TOUCHED).any(axis=1)
+    near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
+    touched |= near
+    full[touched], full[:, touched] = np.nan, np.nan
+    at = np.flatnonzero(live)
+    covariance[np.ix_(at, at)] = full
+    determined[at[touched]] = False
+    return {
+        "covariance": covariance,
+        "determined": determined,
+        "directions": tuple(describe(vectors[:, k], names) for k in np.flatnonzero(undetermined)),
+        "reaching": tuple(names[k] for k in np.flatnonzero(near)),
+        "rank": int(np.sum(~undetermined)),
+        "condition": float(values[0] / values[-1]) if values[-1] > floor else None,
+    }
 
 
 def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:

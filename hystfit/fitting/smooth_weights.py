@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
-import scipy.optimize
 
 from hystfit.errors import ModelError
+from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
@@ -85,23 +85,12 @@ class SmoothWeights(AbstractEstimator):
             )
         strength = fit_smooth(first.system, self.smoothness, held=first.held).smoothness
 
-        def cost(inner: np.ndarray) -> float:
-            trial = z.copy()
-            trial[others] = inner
-            now = split(problem.space.physical(trial))
+        def cost(x: np.ndarray) -> float:
+            now = split(x)
             return float(np.log(fit_smooth(now.system, (strength,), held=now.held).cost + 1e-300))
 
-        # Tolerances a small part of the standard errors: the cost of n samples rises by 1 / n over one of them.
-        options = {"maxfev": self.max_evaluations, "xatol": 1e-5, "fatol": 1e-7}
-        solution = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
-        z = z.copy()
-        z[others] = solution.x
-        message = (
-            "converged"
-            if solution.success
-            else f"the search over other parameters stopped after {solution.nfev} evaluations"
-        )
-        return np.array(problem.space.physical(z)), int(solution.nfev), bool(solution.success), message
+        # The tolerances are small beside the standard errors: the cost of n samples rises by 1 / n over one of them.
+        return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
 def left_out_score(problem: Problem, x: np.ndarray) -> float:

@@ -184,12 +184,12 @@ class Problem:
         if self.model.short_cut:
             models = [self.space.coordinates.assemble(jnp.asarray(x), k) for k in range(len(self.data))]
             return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
-        rows = np.asarray(_predict(self.objective, jnp.asarray(x)))
+        rows = np.asarray(_run(self.objective, "predict", jnp.asarray(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 
     def residuals(self, x: Any) -> Float[np.ndarray, "R T"]:
         """Prediction less measurement at physical x, output units, 0 where a sample does not count."""
-        return np.asarray(_residual(self.objective, jnp.asarray(x)))
+        return np.asarray(_run(self.objective, "residual", jnp.asarray(x)))
 
     def linearize(self, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
         """`residuals` and their derivatives with respect to physical x, by one compiled program for all uses.
@@ -199,12 +199,12 @@ class Problem:
         if self.model.estimator == "preisach":
             jacobian = responses(self.space, self.objective, list(self.data), np.asarray(x))
             return self.residuals(x), jacobian * self.used[..., None]
-        residual, jacobian = _linearize(self.objective, jnp.asarray(x))
+        residual, jacobian = _run(self.objective, "linearize", jnp.asarray(x))
         return np.asarray(residual), np.asarray(jacobian)
 
     def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
         """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""
-        return np.asarray(_misfit(self.objective, jnp.asarray(x)))
+        return np.asarray(_run(self.objective, "misfit", jnp.asarray(x)))
 
     def linearize_misfit(self, x: Any) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n p"]]:
         """`misfit` and its derivatives with respect to physical x."""
@@ -247,7 +247,7 @@ class Problem:
 
     def log_likelihood(self, z: Any) -> float:
         """Log density of the data at unconstrained z."""
-        return float(_log_likelihood(self.density, jnp.asarray(z)))
+        return float(_run(self.density, "log_likelihood", jnp.asarray(z)))
 
     def log_prior(self, z: Any) -> float:
         """Log prior density over z."""
@@ -255,37 +255,13 @@ class Problem:
 
     def log_posterior(self, z: Any) -> float:
         """Log posterior density over z, up to a constant."""
-        return float(_log_posterior(self.density, jnp.asarray(z)))
+        return float(_run(self.density, "log_density", jnp.asarray(z)))
 
 
 @eqx.filter_jit
-def _predict(objective: Objective, x: Array) -> Array:
-    return objective.predict(x)
-
-
-@eqx.filter_jit
-def _residual(objective: Objective, x: Array) -> Array:
-    return objective.residual(x)
-
-
-@eqx.filter_jit
-def _linearize(objective: Objective, x: Array) -> tuple[Array, Array]:
-    return objective.linearize(x)
-
-
-@eqx.filter_jit
-def _misfit(objective: Objective, x: Array) -> Array:
-    return objective.misfit(x)
-
-
-@eqx.filter_jit
-def _log_likelihood(density: Density, z: Array) -> Array:
-    return density.log_likelihood(z)
-
-
-@eqx.filter_jit
-def _log_posterior(density: Density, z: Array) -> Array:
-    return density.log_density(z)
+def _run(traced: Any, method: str, argument: Array) -> Any:
+    """A method of an objective or density, compiled once for each method and shape."""
+    return getattr(traced, method)(argument)
 
 
 def scales_of(data: Dataset) -> Scales:
