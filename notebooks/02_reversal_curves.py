@@ -34,7 +34,6 @@ import hystfit as hf
 from hystfit.control import Controller, design, export_c, run_loop
 
 from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.models.free_run import free_run
 from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
 from hystfit.models.preisach import check_preisach, fit_forc, forc_diagram
 from hystfit.models.preisach.properties import through
@@ -55,7 +54,7 @@ NOISE = 0.04  # um
 
 def measure(u: np.ndarray, name: str, seed: int) -> hf.Record:
     """Sensor output for a slow input that starts at negative saturation."""
-    y = free_run(bender, np.append(-100.0, u))[1:]
+    y = bender.free_run(np.append(-100.0, u))[1:]
     noise = NOISE * np.random.default_rng(seed).standard_normal(u.size)
     return hf.Record(u=u, y=y + noise, name=name, u_name="voltage", y_name="displacement", u_unit="V", y_unit="um")
 
@@ -89,7 +88,7 @@ fit = fit_forc(family[::2], 16 if QUICK else 32)
 held = family[1::2]
 error = np.concatenate([fit.predict(r.u) - r.y for r in held])
 span = np.ptp(np.concatenate([r.y for r in family]))
-print(f"fitted curves    {fit.train.nrmse_percent:.3f} % of the range")
+print(f"fitted curves    {fit.nrmse_percent:.3f} % of the range")
 print(f"the other curves {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
 print(f"sensor noise     {100 * NOISE / span:.3f} %")
 for note in fit.notes:

@@ -29,7 +29,7 @@ import numpy as np
 
 import hystfit as hf
 from hystfit.identify import Phase, Ukf, identify_in_stages
-from hystfit.stage import Sensor, perturbed, piezo, refine
+from hystfit.stage import Sensor, perturbed, piezo, upsample
 from hystfit.stage.adaptive import track_adaptively
 
 hf.enable_x64()  # double precision, required by every fit
@@ -108,8 +108,8 @@ stages = [
     Phase(slow, ("gamma", "offset"), {"hold": "none"}),
     Phase([fast, slow], settings={"prior": 0.05, "hold": "none"}),
 ][: 2 if QUICK else 3]
-model, found = identify_in_stages(hf.Series(start, hf.LogCreep(gamma=0.005)), stages)
-for number, stage in enumerate(found, start=1):
+model, results = identify_in_stages(hf.Series(start, hf.LogCreep(gamma=0.005)), stages)
+for number, stage in enumerate(results, start=1):
     print(f"stage {number}: {stage.status:<14} free run {stage.free_run.nrmse_percent:.3f} % of the range")
 
 # %% [markdown]
@@ -127,7 +127,7 @@ for name, label in (("c", "c"), ("mu", "mu"), ("bouc_wen.tau", "tau"), ("rho", "
     p, true = fitted[name], TRUE[label]
     numbers = f"{true:>10.5f}{float(filtered[label]):>10.5f}{p.value:>15.5f}{p.stderr:>10.1g}"
     print(f"{label:<8}{numbers}{(p.value - true) / p.stderr:>25.1f}")
-last = found[-1].free_run.nrmse_percent
+last = results[-1].free_run.nrmse_percent
 print(f"\nsimulation error, RMS: filter {last:.3f} %, least squares {fitted.train.nrmse_percent:.3f} % of the range")
 
 # %% [markdown]
@@ -156,7 +156,7 @@ dt = float(t[1] - t[0])
 
 def drive(device, u):
     """Displacement of a device, which runs ten times finer, the voltage linear between samples."""
-    fine, steps = refine(np.asarray(u), np.full(len(u), dt), 10)
+    fine, steps = upsample(np.asarray(u), np.full(len(u), dt), 10)
     steps[0] = 0.0
     return np.asarray(hf.simulate(device, jnp.asarray(fine), jnp.asarray(steps))[0])[::10]
 

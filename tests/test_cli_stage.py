@@ -8,7 +8,7 @@ import pytest
 import hystfit as hf
 from hystfit import signals
 from hystfit.cli import run
-from hystfit.stage import Kinematics, calibrate
+from hystfit.stage import Kinematics, identify_jacobian
 
 
 @pytest.mark.parametrize("name", sorted(signals.SIGNALS))
@@ -48,7 +48,7 @@ def test_three_axes_are_enough_to_calibrate_from(tmp_path):
     assert header == "t_s,u1_V,u2_V,u3_V,extension1_um,extension2_um,extension3_um,x_um,y_um,theta_mrad"
     table = np.loadtxt(tmp_path / "data.csv", delimiter=",", skiprows=1)
     assert table.shape == (3 * 400, 10)
-    found = calibrate(table[:, 4:7], table[:, 7:])
+    found = identify_jacobian(table[:, 4:7], table[:, 7:])
     # the 630 Hz modes ring where a turn begins, so that pulls are those of more than the sensors' noise
     np.testing.assert_allclose(found.jacobian, Kinematics().jacobian(), rtol=0.01, atol=0.01)
     content = json.loads((tmp_path / "result.json").read_text())
@@ -111,6 +111,7 @@ def test_a_model_has_no_axes(tmp_path, capsys):
 
 def test_a_fit_may_be_told_where_the_device_rested(tmp_path):
     from hystfit.cli.loading import train_and_test
+
     from hystfit.cli.options import Reading, Split
 
     out = tmp_path / "x.csv"

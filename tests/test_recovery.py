@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.covariance import near_bound, uncertainty
-from hystfit.fitting.fit import ESTIMATORS
+from hystfit.fitting.covariance import uncertainty
+from hystfit.fitting.registry import ESTIMATORS
 
 REPLICATES = 100
 T = np.linspace(0.0, 5.0, 500)
@@ -104,9 +104,9 @@ def test_parameters_are_recovered_within_their_errors(case):
         else:
             z = problem.space.unconstrained(x)
             off = rng.choice([-1.0, 1.0], (6, z.size)) * rng.uniform(0.5, 1.0, (6, z.size))
-            estimate = ESTIMATORS["lm"].estimate(problem, z + off)
-        errors = uncertainty(problem, estimate, honest=False)
-        inside = np.array([side is None for side in near_bound(problem, estimate.x)]) & errors.determined
+            estimate = ESTIMATORS.make("lm").estimate(problem, z + off)
+        errors = uncertainty(problem, estimate, correlated=False)
+        inside = np.array([side is None for side in problem.at_bound(estimate.x)]) & errors.determined
         pulls.append(np.where(inside, (estimate.x - x) / np.sqrt(np.diag(errors.covariance)), np.nan))
     check_pulls(problem.space.names, np.array(pulls))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -14,7 +15,9 @@ from jaxtyping import Array
 
 from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.problem import Objective, Problem
+from hystfit.inference.objective import Objective
+from hystfit.inference.problem import Problem
+from hystfit.outcome import Code, Note
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 0))
 _BLOCKS = 5
@@ -24,7 +27,7 @@ _BLOCKS = 5
 def _respond(objective: Objective, x: Array, at: Array) -> tuple[Array, Array]:
     """Prediction with the linear parameters at zero, (R T,), and the response to each of them, (R T, p)."""
     x = x.at[at].set(0.0)
-    predict = lambda w: objective.predict_physical(x.at[at].set(w)).reshape(-1)
+    predict = lambda w: objective.predict(x.at[at].set(w)).reshape(-1)
     zero = jnp.zeros(at.shape[0], x.dtype)
     return predict(zero), jax.jacfwd(predict)(zero)
 
@@ -193,6 +196,7 @@ class Convex(AbstractEstimator):
         max_evaluations: of the outer search.
     """
 
+    needs_starts: ClassVar[bool] = False
     strengths: tuple[float, ...] = eqx.field(static=True, default=STRENGTHS)
     max_evaluations: int = eqx.field(static=True, default=80)
 
@@ -223,7 +227,7 @@ class Convex(AbstractEstimator):
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried: the model hardly helps to predict what was left out"
         cost = 0.5 * fit.rss / size**2
-        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, (note,))
+        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, (Note(Code.CHOICE, note),))
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
         strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength

@@ -1,6 +1,5 @@
 """Hysteresis models, one file each: a new model is one file and one line here."""
 
-from hystfit.models.base import AbstractFilter as AbstractFilter
 from hystfit.models.base import AbstractHysteresis as AbstractHysteresis
 from hystfit.models.base import Resume as Resume
 from hystfit.models.base import simulate as simulate

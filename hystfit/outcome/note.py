@@ -41,7 +41,17 @@ class Code(enum.StrEnum):
     CHOICE = "choice"  # what was chosen automatically
     EXTRAPOLATION = "extrapolation"  # a record leaves the fitted range of inputs
     OFFSET_REFITTED = "offset-refitted"  # the offset of a test record was refitted
+    # identifiers
     SEQUENTIAL = "sequential"  # the result comes from a sequential identifier
+    NOISE_BIAS = "noise-bias"  # output noise biases the estimate
+    INVALID_MODEL = "invalid-model"  # the identified parameters are no valid model
+    DIVERGED = "diverged"  # the estimate or its simulation is not finite
+    ONE_STEP_ERROR = "one-step-error"  # the one-step error is far above the least that is possible
+    STEP_SIZE = "step-size"  # the step size of a gradient method is not bounded
+    INNOVATIONS = "innovations"  # size of the innovations relative to their prediction
+    NOT_SETTLED = "not-settled"  # parameters change until the end of the record
+    SIMULATION_ERROR = "simulation-error"  # error of the model driven by the input only
+    SKIPPED_SAMPLES = "skipped-samples"  # samples that were missing, or that the filter could not use
     # samplers, profiles, calibration, design
     FIT_STATUS = "fit-status"  # the fit behind the result is not usable
     CHAINS = "chains"  # convergence of the chains
@@ -53,6 +63,10 @@ class Code(enum.StrEnum):
     REPLICATE = "replicate"  # a failed replicate
     CLOSES = "closes"  # the proposed input determines what the present data do not
     LOCAL = "local"  # the design holds near the fitted values
+    # predictions, inverses and simulated records
+    NOT_FINITE = "not-finite"  # the simulation is not finite
+    MISSED = "missed"  # samples of a reference that cannot be followed
+    RECORD = "record"  # a remark on how a record was read or made
 
 
 @dataclasses.dataclass(frozen=True)

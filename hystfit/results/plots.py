@@ -11,8 +11,8 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError
+from hystfit.inference.autocorrelation import autocorrelation
 from hystfit.params.units import axis_label
-from hystfit.results.metrics import autocorrelation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

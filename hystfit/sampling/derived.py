@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
-
-if TYPE_CHECKING:
-    from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.posterior import Posterior
 
 _CYCLES, _POINTS = 3, 400
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata
 
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.params.units import axis_label
-
-if TYPE_CHECKING:
-    from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
 _BINS = 20

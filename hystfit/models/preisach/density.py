@@ -6,7 +6,7 @@ The plane is described by coercivity h = (alpha - beta) / 2 and interaction m = 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ class ParametricPreisach(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    short_cut: ClassVar[bool] = True
 
     saturation: Float[Array, ""] = param(
         1.0, bounds=(0.0, np.inf), unit="y", linear=True, doc="half the jump between saturations"
@@ -130,3 +131,7 @@ class ParametricPreisach(AbstractHysteresis):
         )
         arrays = (*values, out.center, levels, place.center)
         return eqx.tree_at(fields, self, tuple(jnp.asarray(value, dtype=self.levels.dtype) for value in arrays))
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """As `Preisach.free_run`."""
+        return self.preisach().free_run(u, dt)

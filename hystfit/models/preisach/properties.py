@@ -10,7 +10,6 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.models.free_run import free_run
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.staircase import compile_input, turning_points
 
@@ -179,7 +178,7 @@ def error_by_order(model: Preisach, record: Record, noise: float = 0.0) -> dict[
     Returns:
         For each order (number of samples, root mean square error, largest error), the errors in percent of the record's range.
     """
-    error = free_run(model, record.u) - record.y
+    error = model.free_run(record.u) - record.y
     order = orders(model, record, noise)
     span = float(np.ptp(record.y[record.used])) or 1.0
     out = {}

@@ -1,0 +1,108 @@
+"""The linear weights of a problem: their design matrices, and derivatives without a pass for each of hundreds of weights."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.inference.objective import Objective
+from hystfit.models.design import DesignMatrix
+from hystfit.models.preisach.smooth import LeftOut, Offsets, SmoothSystem
+from hystfit.params.space import ParameterSpace
+
+
+@dataclasses.dataclass(frozen=True)
+class Split:
+    """The free parameters of a problem, split into the weights of its design matrices and the others.
+
+    Attributes:
+        designs: one for each record.
+        system: equations of all weights, the held ones included.
+        place: position of each free parameter among the weights, shape (p,); -1 for parameters that are no weights.
+        held: values of the weights that are not free, NaN for the free ones.
+    """
+
+    designs: list[DesignMatrix]
+    system: SmoothSystem
+    place: np.ndarray
+    held: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        space: ParameterSpace,
+        records: Sequence[Record],
+        x: np.ndarray,
+        *,
+        left_out: LeftOut = "auto",
+        offsets: Offsets = "each",
+    ) -> Split:
+        """Split at given values of the other parameters.
+
+        Args:
+            space: the free parameters.
+            records: what is fitted.
+            x: physical parameters, shape (p,); those that are weights do not matter.
+            left_out: see `SmoothSystem.of`.
+            offsets: see `SmoothSystem.of`.
+        """
+        c = space.coordinates
+        models = [c.assemble(jnp.asarray(x), k) for k in range(len(records))]
+        designs = [model.design_matrix(r.u, r.dt) for model, r in zip(models, records, strict=True)]
+        system = SmoothSystem.of(designs, records, left_out=left_out, offsets=offsets)
+        first = {block.leaf: start for block, start in zip(system.blocks, system.starts, strict=False)}
+        width = {block.leaf: block.columns.shape[1] for block in system.blocks}
+        ends = dict(zip(first, system.starts[1:], strict=True))
+        place: list[int] = []
+        for leaf, positions, several in c.layout:
+            for number in range(len(records) if several else 1):
+                shift = number * width[leaf] if leaf in first and ends[leaf] - first[leaf] > width[leaf] else 0
+                place += [first[leaf] + shift + k if leaf in first else -1 for k in positions]
+        values = jax.tree_util.tree_leaves(space.template)
+        held = np.zeros(system.starts[-1])
+        for leaf, start in first.items():
+            held[start : ends[leaf]] = np.resize(np.asarray(values[leaf], dtype=float), ends[leaf] - start)
+        where = np.array(place, dtype=int)
+        held[where[where >= 0]] = np.nan
+        return cls(designs, system, where, held)
+
+
+def responses(
+    space: ParameterSpace, objective: Objective, records: Sequence[Record], x: np.ndarray
+) -> Float[np.ndarray, "R T p"]:
+    """Derivatives of every sample with respect to every free parameter of a model with design matrices.
+
+    Exact columns for the weights, forward differentiation of the simulation for the few others.
+
+    Args:
+        space: the free parameters.
+        objective: the traced half of the problem.
+        records: its records.
+        x: physical parameters, shape (p,).
+    """
+    now = Split.of(space, records, x)
+    rows = np.zeros((*objective.batch.u.shape, x.size))
+    weights = now.place >= 0
+    for number, (record, design) in enumerate(zip(records, now.designs, strict=True)):
+        for block, start, end in zip(now.system.blocks, now.system.starts, now.system.starts[1:], strict=False):
+            width = block.columns.shape[1]
+            first = start + number * width if end - start > width else start
+            mine = np.flatnonzero((now.place >= first) & (now.place < first + width))
+            source = next(b for b in design.blocks if b.leaf == block.leaf).columns
+            rows[number, : len(record), mine] = source[:, now.place[mine] - first][design.index].T
+    if not weights.all():
+        others = np.flatnonzero(~weights)
+        rows[..., others] = np.asarray(_slopes(objective, jnp.asarray(x), jnp.asarray(others)))
+    return rows
+
+
+@eqx.filter_jit
+def _slopes(objective: Objective, x: Array, at: Array) -> Array:
+    return jax.jacfwd(lambda v: objective.predict(x.at[at].set(v)))(x[at])
