@@ -52,11 +52,10 @@ def test_fit_needs_no_guess_and_reports_units(fitted):
 @pytest.mark.parametrize("method", ["dogleg", "trf", "lbfgsb", "projected-gradient"])
 def test_estimators_reach_one_optimum(fitted, piezo, method):
     other = hf.fit(hf.BoucWen(), piezo, method=method, starts=8 if method == "dogleg" else 1)
-    loose = (
-        2.0 if method == "projected-gradient" else 0.02
-    )  # a first-order method stops early along the flat directions
+    # A first-order method stops early along the flat directions. The start is off by thirty standard errors.
+    part = 0.2 if method == "projected-gradient" else 0.02
     for name in TRUTH:
-        assert abs(other[name].value - fitted[name].value) < loose * fitted[name].stderr
+        assert abs(other[name].value - fitted[name].value) < part * fitted[name].stderr
 
 
 def test_errors_equal_linear_regression():
@@ -81,9 +80,16 @@ def test_correlated_residuals_widen_the_errors(piezo):
         slow[k] = 0.95 * slow[k - 1] + rng.normal(0, 0.01)
     noisy = piezo.replace(y=piezo.y + slow)
     honest, naive = hf.fit(hf.BoucWen(), noisy), hf.fit(hf.BoucWen(), noisy, noise="iid")
-    expected = np.sqrt((1 + 0.95) / (1 - 0.95))  # of an AR(1) process alone; the white part dilutes it
-    ratio = honest["c"].stderr / naive["c"].stderr
-    assert 0.3 * expected < ratio < 1.5 * expected
+    # Least squares under the dense covariance of the noise that was added: white of sd 0.01, AR(1) with innovations of sd 0.01.
+    names = ["c", "mu", "tau", "rho", "offset"]
+    output = lambda x: hf.simulate(hf.BoucWen(**dict(zip(names, x, strict=True))), sweep())[0]
+    inverse = np.linalg.pinv(np.asarray(jax.jacfwd(output)(jnp.asarray([TRUTH[name] for name in names]))))
+    lag = np.abs(np.subtract.outer(np.arange(T.size), np.arange(T.size)))
+    covariance = 0.01**2 * np.eye(T.size) + 0.01**2 / (1 - 0.95**2) * 0.95**lag
+    expected = np.sqrt(np.diag(inverse @ covariance @ inverse.T))
+    for k, name in enumerate(names[:4]):  # the offset depends on the slowest noise, which one record hardly shows
+        assert honest[name].stderr == pytest.approx(expected[k], rel=0.2)
+        assert naive[name].stderr < 0.5 * expected[k]
     assert has(honest.notes, Code.CORRELATED_RESIDUALS)
 
 
@@ -217,6 +223,9 @@ def compiled():
             events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
+    jax.jit(lambda x: x + len(events))(1.0)
+    assert events  # a new program is counted
+    events.clear()
     return events
 
 

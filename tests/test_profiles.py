@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
@@ -16,12 +18,19 @@ from hystfit.uncertainty.profiles import _whitened, profile
 from hystfit.uncertainty.robust_errors import covariance
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+NAMES = ("c", "mu", "tau", "rho", "offset")
 
 
 def loop(amplitude: float = 1.0, sigma: float = 0.01, T: int = 600, seed: int = 0) -> hf.Record:
     u = amplitude * np.sin(2 * np.pi * 3 * np.arange(T) / T)
     y = np.asarray(hf.simulate(TRUTH, u)[0]) + sigma * np.random.default_rng(seed).normal(size=T)
     return hf.Record(u=u, y=y)
+
+
+def jacobian(u: np.ndarray, values: dict[str, float]) -> np.ndarray:
+    """Derivatives of the output by the parameters of `NAMES`, shape (samples, 5)."""
+    output = lambda x: hf.simulate(hf.BoucWen(**dict(zip(NAMES, x, strict=True))), u)[0]
+    return np.asarray(jax.jacfwd(output)(jnp.asarray([values[name] for name in NAMES])))
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +86,14 @@ def test_an_open_side_is_named_and_no_error_is_finite_there(faint):
     assert opened
     assert not found.usable
     assert has(found.notes, Code.OPEN_SIDE)
+    squares = lambda result: result.train.n * result.train.rmse**2
+    for p in (found["mu"], found["tau"], found["rho"]):
+        # Refits with the parameter fixed at both ends of its path: an open side stays likely, beyond a limit it is not.
+        for end, limit in ((p.x[0], p.lower), (p.x[-1], p.upper)):
+            fixed = hf.fit(TRUTH, faint.data, starts=4, noise="iid", fix={p.name: float(end)})
+            likely = (squares(fixed) - squares(faint)) / faint.sigma**2 < 1.96**2
+            assert likely == (limit is None), p
     for p in opened:
-        assert p.lower is None or p.upper is None
         assert faint[p.name].stderr is None or faint[p.name].identifiable is False, p.name
     assert has(faint.notes, Code.NOT_DETERMINED)
 
@@ -105,8 +120,11 @@ def test_predicted_errors_are_those_of_a_fit_to_the_designed_record(fitted):
 
 
 def test_design_aims_at_one_parameter(fitted):
-    aimed = design(fitted, samples=300, aim=["rho"], method="families")
-    assert aimed.best.stderr["rho"] == min(c.stderr["rho"] for c in aimed.candidates)
+    plain = design(fitted, samples=300, method="families")
+    for name in ("c", "tau", "rho"):
+        aimed = design(fitted, samples=300, aim=[name], method="families")
+        assert aimed.best.stderr[name] == min(c.stderr[name] for c in plain.candidates)
+    assert design(fitted, samples=300, aim=["c"], method="families").best.name != plain.best.name
 
 
 def test_sandwich_is_the_plain_double_sum_and_both_agree_with_iid_on_white_noise(fitted):
@@ -200,8 +218,16 @@ def test_correlated_noise_widens_sandwich_and_bootstrap():
     for k in range(1, 600):
         e[k] = 0.9 * e[k - 1] + 0.01 * rng.normal()
     result = hf.fit(TRUTH, base.replace(y=base.y + e), starts=1)
+    # Least squares under the dense covariance of the noise that was added.
+    inverse = np.linalg.pinv(jacobian(base.u, {name: float(getattr(TRUTH, name)) for name in NAMES}))
+    lag = np.abs(np.subtract.outer(np.arange(600), np.arange(600)))
+    dense = inverse @ (0.01**2 * np.eye(600) + 0.01**2 / (1 - 0.9**2) * 0.9**lag) @ inverse.T
     for kind in ("sandwich", "bootstrap"):
-        assert covariance(result, kind, block=60).ratio.mean() > 1.5
+        found = covariance(result, kind, block=60)  # ten blocks: the errors themselves are known to a quarter
+        assert found.names == NAMES
+        assert np.abs(np.log(found.stderr / np.sqrt(np.diag(dense)))).max() < 0.5
+        assert np.abs(np.log(found.stderr / np.sqrt(np.diag(dense)))).mean() < 0.3
+        assert found.ratio.min() > 1.5
 
 
 @pytest.mark.usefixtures("as_users_run")
@@ -237,8 +263,13 @@ def test_weights_count_in_errors_as_in_the_fit(fitted):
     uneven = hf.fit(
         TRUTH, record.replace(weight=np.where(np.arange(len(record)) < 200, 9.0, 1.0)), starts=1, noise="iid"
     )
-    own = [uneven[name].stderr for name in uneven.free_names]
-    np.testing.assert_allclose(covariance(uneven, "iid").stderr, own, rtol=1e-3)
+    values = {name: uneven[name].value for name in NAMES}
+    J, weight = jacobian(record.u, values), uneven.data[0].weight
+    residual = np.asarray(hf.simulate(hf.BoucWen(**values), record.u)[0]) - record.y
+    variance = np.sum(weight * residual**2) / (len(record) - len(NAMES))
+    expected = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ (weight[:, None] * J))))
+    np.testing.assert_allclose([uneven[name].stderr for name in NAMES], expected, rtol=1e-4)
+    np.testing.assert_allclose(covariance(uneven, "iid").stderr, expected, rtol=1e-3)
 
 
 def test_a_profile_takes_a_kernel_in_parts_of_the_range_that_it_was_learned_on():

@@ -107,7 +107,6 @@ def test_least_squares_nuts_and_emcee_agree_on_a_well_determined_problem(fitted,
         assert posterior[name].std() == pytest.approx(width, rel=0.1)
         assert ensemble[name].std() == pytest.approx(posterior[name].std(), rel=0.1)
         assert abs(ensemble[name].mean() - posterior[name].mean()) < 0.15 * width
-    assert "emcee.moves.DESnookerMove" not in str(ensemble)
 
 
 @pytest.mark.slow
@@ -201,7 +200,7 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
     record, model = loop(seed=9)
     low, _, high = posterior.bands(record, 0.9)
     inside = np.mean((record.y > low) & (record.y < high))
-    assert 0.8 < inside < 0.97
+    assert inside == pytest.approx(0.9, abs=0.045)  # three standard deviations of 500 samples, and the fit's own error
     inner = posterior.bands(record, 0.9, kind="credible")
     assert np.all(inner[2] - inner[0] < high - low)
     found = posterior.derived()
@@ -211,7 +210,11 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
     y = np.asarray(hf.simulate(model, np.tile(u, 3))[0])[-4000:]
     area = abs(np.trapezoid(y[:2000], u[:2000]) + np.trapezoid(y[2000:], u[2000:]))
     assert found["loop_area"].mean() == pytest.approx(area, rel=0.03)
-    assert found["hysteresis_percent"].std() > 0
+    rising, falling = y[:2000], y[2000:][::-1]
+    assert found["hysteresis_percent"].mean() == pytest.approx(
+        100 * np.abs(falling - rising).max() / np.ptp(y), rel=0.03
+    )
+    assert 0 < found["hysteresis_percent"].std() < 0.03 * found["hysteresis_percent"].mean()
     with pytest.raises(ParameterError, match="no creep"):
         posterior.derived(["creep_percent_per_decade"])
     figure = posterior.plot("corner")
@@ -414,7 +417,8 @@ def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
         far = far.at[setup.names.index("noise_loop")].set(np.log(1e5))
     for likelihood in (density.log_likelihood, density.log_likelihood_lean):
         assert float(eqx.filter_jit(likelihood)(far)) < -1e8
-    assert float(eqx.filter_jit(density.slope)(far)[0]) == -np.inf or noise == "iid"
+    if noise == "discrepancy":
+        assert float(eqx.filter_jit(density.slope)(far)[0]) == -np.inf
 
 
 def test_a_parameter_that_the_data_do_not_move_is_named(fitted):

@@ -1,7 +1,7 @@
-"""A measured piezo stack: what independent, autoregressive and repeating noise make of errors and of predictions.
+"""A measured piezo stack: standard errors and predictions under independent, autoregressive and discrepancy noise.
 
-The record began with a step from rest at 0 V, whose creep goes on through all of it (experiments/preisach shows that its published
-drift is that creep): the model is told so. The split is that of experiments/measured.
+The record begins with a step from rest at 0 V whose creep lasts through the whole record (experiments/measured shows that it explains
+the published drift), so the rest state is given to the model. The split is that of experiments/measured.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import hystfit as hf
 EVERY = 4  # of 200 samples a second
 TRAIN, HELD = (5.0, 25.0), (25.0, 40.0)  # seconds
 MODEL = "lag+bouc-wen-asymmetric+log-creep"  # README.md says how it was chosen
-FIX = {"rho": 0.5, "n": 1.0}  # the fit says that the data leave rho open; with n free they leave a long bent valley
+FIX = {"rho": 0.5, "n": 1.0}  # the data do not determine rho; with n free the posterior is a long curved valley
 NOISES = ("auto", "iid", "ar1")
 REST = 0.0  # V
-SETTINGS = {"walkers": 64, "draws": 120_000}  # it stops when the chains hold 50 autocorrelation times
+SETTINGS = {"walkers": 64, "draws": 120_000}  # at most; emcee stops after 50 autocorrelation times
 
 
 def run(results: Results) -> dict[str, str] | None:
