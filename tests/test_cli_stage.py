@@ -36,8 +36,11 @@ def test_reversal_curves_are_numbered_and_sampled_evenly(tmp_path):
 
 def test_numbers_written_as_counts_and_commands_beyond_the_limits(tmp_path, capsys):
     drive = ["--signal", "amplitude-sweep", "--cycles", "3", "--high", "150"]
-    assert run(["simulate", "stage", *drive, "--out", str(tmp_path / "x.csv")]) == 0
-    assert "beyond the amplifier's limits" in capsys.readouterr().out
+    assert run(["simulate", "stage", *drive, "--out", str(tmp_path), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    _, u, _ = np.loadtxt(tmp_path / "data.csv", delimiter=",", skiprows=1).T
+    assert (u.size, u.max()) == (600, 120)
+    assert len(content["notes"]) == 1
 
 
 def test_three_axes_are_enough_to_calibrate_from(tmp_path):

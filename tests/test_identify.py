@@ -189,3 +189,11 @@ def test_only_excludes_fix_and_free():
 
 def test_the_default_model_is_that_of_the_paper():
     assert isinstance(identify(loop_records()).model, Duhem)
+
+
+def test_an_identification_that_is_not_usable_gives_a_fit_that_is_not_usable():
+    identification = identify(loop_records(), "gradient-correction", start="zero")
+    assert identification.status is Status.NOT_CONVERGED
+    fit = as_fit(identification, 0, Stopwatch())
+    assert not fit.usable
+    assert len(fit.notes) == len(identification.notes) + 2

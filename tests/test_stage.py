@@ -116,7 +116,7 @@ def test_bad_numbers_are_refused():
         Actuator().record(np.zeros(3), np.zeros(4), seed=0)
     with pytest.raises(ParameterError, match="parameters are"):
         population(piezo(), 3, spread={"alpha": 0.1}, seed=0)
-    with pytest.raises(ParameterError, match="beyond the bounds"):
+    with pytest.raises(ParameterError, match="leaves the bounds"):
         population(BoucWen(mu=0.9), 500, spread={"mu": 0.5}, seed=0)
     for count, spread in ((0, {"c": 0.1}), (3, {"c": -0.1}), (3, {"c": float("nan")})):
         with pytest.raises(ParameterError, match="at least one device"):

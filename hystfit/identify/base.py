@@ -188,7 +188,7 @@ class AbstractIdentifier(eqx.Module):
             data=data,
             models=models,
             space=space,
-            x=np.zeros(0) if space is None else space.vector(models if len(models) > 1 else models[0]),
+            x=np.zeros(0) if space is None else space.vector(list(models)),
             names=self.names,
             history=self.physical(history),
             theta_history=history,
