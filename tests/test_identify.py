@@ -10,9 +10,9 @@ import hystfit as hf
 from hystfit import BoucWen, Duhem, simulate
 from hystfit.data.record import Record
 from hystfit.errors import ModelError, ParameterError
-from hystfit.fitting.timing import Stopwatch
 from hystfit.identify import IDENTIFIERS, AbstractIdentifier, Ukf, as_fit, identify
 from hystfit.outcome import Status
+from hystfit.results.timing import Stopwatch
 
 OWN = '''
 """Stochastic gradient for a friction loop: y = k u + f sign(du)."""

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.fitting.timing import Stopwatch
 from hystfit.identify import DuhemRegressor, Rls, Sample, as_fit, identify, noise_bias, run_stream
 from hystfit.identify.duhem_regression import rank_of
 from hystfit.models.base import simulate
@@ -22,6 +21,7 @@ from hystfit.models.bouc_wen import BoucWen
 from hystfit.models.duhem import Duhem
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
+from hystfit.results.timing import Stopwatch
 
 ALPHA, ALPHA_F, G = 0.0874, np.array([-0.015, 0.006, 5.57e-6, -8.6e-8]), np.array([0.053, -0.83e-4, 8.1e-6])
 PAPER = np.array([*ALPHA_F, ALPHA, *G])

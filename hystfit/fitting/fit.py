@@ -20,7 +20,6 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
-from hystfit.fitting.timing import Stopwatch
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
 from hystfit.inference.noise.base import AbstractNoise
@@ -35,6 +34,7 @@ from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.timing import Stopwatch
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
 _MANY = 4  # weights on a bound from which the convex solve is the default

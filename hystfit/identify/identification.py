@@ -16,6 +16,7 @@ from hystfit.outcome import Code, Note, Status
 from hystfit.params.space import ParameterSpace
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.timing import Stopwatch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,13 +118,13 @@ def run_metrics(runs: list[np.ndarray], data: Dataset) -> Metrics:
     return Metrics.of([r.y[r.used] for r in data], [run[r.used] for run, r in zip(runs, data, strict=True)])
 
 
-def as_fit(identification: Identification, seed: int, watch: Any) -> FitResult:
+def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitResult:
     """The identification as a fit without standard errors.
 
     Args:
         identification: with a valid model.
         seed: recorded in the provenance.
-        watch: stopwatch whose `read()` returns the seconds spent compiling and running.
+        watch: started with the identification.
 
     Raises:
         ModelError: the identified parameters are no valid model, or its simulation is not finite.
@@ -140,17 +141,16 @@ def as_fit(identification: Identification, seed: int, watch: Any) -> FitResult:
         ),
         *identification.notes,
     ]
-    if not identification.usable:
-        notes.insert(0, Note(Code.SEQUENTIAL, f"{method}: {identification.status}; {advice}"))
     models = list(identification.models)
-    problem = Problem(models[0], data)
+    free = list(dict.fromkeys(name.partition("@")[0] for name in space.names))
+    problem = Problem(models[0], data, fix=[name for name, _, _ in space.fixed()], free=free)
     residuals = [(y - r.y)[r.used] for y, r in zip(identification.predict(), data, strict=True)]
     correlation = max(autocorrelation_time(r) for r in residuals)
     compile_s, run_s = watch.read()
     return FitResult(
         problem=problem,
-        x=problem.space.vector(models if len(models) > 1 else models[0]),
-        status=identification.status if identification.status in _FIT_STATUSES else Status.NOT_CONVERGED,
+        x=identification.x,
+        status=identification.status,
         notes=tuple(notes),
         parameters=identification.parameters,
         covariance=np.full((len(problem.space), len(problem.space)), np.nan),
@@ -169,6 +169,3 @@ def as_fit(identification: Identification, seed: int, watch: Any) -> FitResult:
         noise=NoiseEstimate("auto"),
         provenance=provenance(data, seed, samples=identification.counts),
     )
-
-
-_FIT_STATUSES = (Status.OK, Status.POOR)  # the others count as not converged in a fit; a note names them
