@@ -180,7 +180,8 @@ def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, 
             result, score, note = best_structure(data, seed)
         else:
             model = make_model(name)
-            sizes = {} if ":" in name else model.sizes()  # a name with settings gives the size
+            # Settings in a name give the size; the colon of my_model.py:MyModel is none.
+            sizes = {} if ":" in name.replace(".py:", "") else model.sizes()
             result, score, note = best_size(sizes, data, seed) if sizes else (fit(model, data, seed=seed), None, "")
         if score is None or left_out != "blocks":
             score = left_out_error(result, left_out)

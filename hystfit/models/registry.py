@@ -26,7 +26,6 @@ from hystfit.models.relaxation import Relaxation
 from hystfit.quality.needs import Needs
 from hystfit.registry import class_from_file
 
-
 # Loops that lag (counter-clockwise: piezo actuators with time, and creep; magnetic materials without), force that leads, and curves.
 DataKind = Literal["lagging-timed", "lagging-untimed", "leading", "reversal-curves"]
 _LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
