@@ -155,7 +155,8 @@ def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any)
         raise ModelError("a model with a resonance is led, not stepped: its inverse starts from rest, leave resume out")
     known, inverted = known_inputs(model)
     resonant = inverted.led()
-    assert resonant is not None and resonant.model is not None
+    assert resonant is not None
+    assert resonant.model is not None
     wanted, times = np.asarray(task.wanted), np.asarray(task.steps)
     edges = limits if limits is not None else known
     led = lead(wanted, times, omega=resonant.omega, zeta=resonant.zeta)
