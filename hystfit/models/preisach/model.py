@@ -177,6 +177,12 @@ class Preisach(AbstractPlane):
     ) -> Preisach:
         """Equally spaced levels and a polynomial reversible part.
 
+        Args:
+            n: cells, or relay levels, along each axis.
+            degree: of the polynomial.
+            initial: state before the record.
+            elements: "cells" or "relays".
+
         Raises:
             ModelError: fewer than one cell or degree one.
         """
