@@ -127,7 +127,14 @@ def prepare(
     resume: Resume | None = None,
     limits: Limits | None = None,
 ) -> Task:
-    """What `invert` runs; arguments and errors are its."""
+    """The inversion that `invert` runs.
+
+    Args:
+        model, reference, dt, resume, limits: see `invert`.
+
+    Raises:
+        ModelError, DataError, PrecisionError: see `invert`.
+    """
     require_x64()
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim != 1 or wanted.size == 0:

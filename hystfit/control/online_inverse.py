@@ -109,6 +109,11 @@ class InverseStep(eqx.Module):
         """The input for the next sample of the reference, `dt` after the last.
 
         A target that is not finite holds the input and is out of range.
+
+        Args:
+            memory: state and last input.
+            target: wanted output.
+            dt: time since the last sample [s].
         """
         state, u0 = memory
         target, dt = (jnp.asarray(value, dtype=u0.dtype) for value in (target, dt))
@@ -128,7 +133,13 @@ class InverseStep(eqx.Module):
         return Resume(state, u), Answer(u, y, status)
 
     def run(self, memory: Resume, targets: Float[Array, " T"], dt: Float[Array, " T"]) -> tuple[Resume, Answer]:
-        """All samples of a reference in one scan."""
+        """All samples of a reference in one scan.
+
+        Args:
+            memory: state and last input before the first sample.
+            targets: reference, shape (T,).
+            dt: time between its samples, shape (T,) [s].
+        """
         return _run(self, memory, targets, dt)
 
 

@@ -130,10 +130,10 @@ def compare(
         data: one record or several.
         models: names as `hystfit models` lists them (joined by "+"), or "prandtl-ishlinskii-search", which searches that
             family for its terms; None takes a choice that suits the data.
-        left_out: "blocks" as said above; "future" predicts the later parts of every record from fits to what came before, which
-            asks whether creep and drift are understood. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
+        left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
+            tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         seed: of the starting points.
-        progress: told what is being done.
+        progress: called with a line of text for each model.
 
     Raises:
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
@@ -185,7 +185,8 @@ def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, 
             result, score, note = best_structure(data, seed)
         else:
             model = make_model(name)
-            sizes = {} if ":" in name else model.sizes()  # a name with settings gives the size
+            # Settings in a name give the size; the colon of my_model.py:MyModel is none.
+            sizes = {} if ":" in name.replace(".py:", "") else model.sizes()
             result, score, note = best_size(sizes, data, seed) if sizes else (fit(model, data, seed=seed), None, "")
         if score is None or left_out != "blocks":
             score = left_out_error(result, left_out)

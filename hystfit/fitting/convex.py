@@ -52,7 +52,12 @@ class LinearSystem:
 
     @classmethod
     def of(cls, problem: Problem, x: np.ndarray, which: np.ndarray | None = None) -> LinearSystem:
-        """The system at given values of the other parameters; for all linear parameters, or those of `which`, shape (p,), bool.
+        """The system at given values of the other parameters; for all linear parameters, or some.
+
+        Args:
+            problem: what is fitted.
+            x: physical parameters, shape (p,).
+            which: parameters to solve for, shape (p,), bool; None for all linear ones.
 
         Raises:
             ModelError: a linear parameter with bounds other than none or (0, infinity).
@@ -119,6 +124,11 @@ def solve_normal(matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> np.
     """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
 
     Free unknowns are eliminated (Schur complement), the others solved by non-negative least squares on a square root.
+
+    Args:
+        matrix: shape (p + 1, p + 1).
+        free: unknowns without a lower bound, shape (p,), bool.
+        ridge: added to the diagonal, shape (p,).
     """
     p = len(matrix) - 1
     A, b = matrix[:p, :p] + np.diag(ridge), matrix[:p, p]

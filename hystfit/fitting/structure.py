@@ -121,7 +121,13 @@ def search_structure(data: Dataset, *, plays: int = 20) -> Found:
 
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:
-    """The model of a structure, started on the data."""
+    """The model of a structure, started on the data.
+
+    Args:
+        structure: its terms.
+        data: records.
+        plays: number of thresholds.
+    """
     play = PrandtlIshlinskii.of(
         plays,
         structure.degree,

@@ -197,7 +197,8 @@ class Problem:
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
         if self.model.estimator == "preisach":
-            jacobian = responses(self.space, self.objective, list(self.data), np.asarray(x))
+            length = self.objective.batch.u.shape[1]
+            jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
             return self.residuals(x), jacobian * self.used[..., None]
         residual, jacobian = _run(self.objective, "linearize", jnp.asarray(x))
         return np.asarray(residual), np.asarray(jacobian)

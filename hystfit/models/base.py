@@ -387,7 +387,15 @@ def _simulate(model: Any, u: Array, dt: Array, resume: Resume | None, unroll: in
 def run(
     model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None, unroll: int = 1
 ) -> tuple[Array, Resume]:
-    """`simulate` without checks or jit, for use inside other traced code."""
+    """`simulate` without checks or jit, for use inside other traced code.
+
+    Args:
+        model: any model.
+        u: input, shape (T,).
+        dt: time since the sample before, shape (T,) [s].
+        resume: see `simulate`.
+        unroll: of the scan.
+    """
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
     state, y = model.sweep(resume.state, resume.u, u, dt, unroll)

@@ -1,4 +1,8 @@
-"""One step of Bouc-Wen's law dq/dx = m - kappa q, q = s h, x = |dv|, with kappa = `up` above zero and `down` below."""
+"""One step of Bouc-Wen's law dq/dx = m - kappa q, with kappa = `up` above zero and `down` below.
+
+Arguments throughout: q = s h the state in the direction s of motion [y], x = |dv| the way [u], m = mu c the slope at q = 0 [y/u], `up`
+and `down` rates [1/u], `highest` the bound of q [y].
+"""
 
 from __future__ import annotations
 

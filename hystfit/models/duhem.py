@@ -67,7 +67,13 @@ class Duhem(AbstractHysteresis):
 
     @classmethod
     def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint", **fields: object) -> Duhem:
-        """A model with polynomials of these orders.
+        """A model with polynomials of given orders.
+
+        Args:
+            f: order of the anhysteretic curve.
+            g: order of the slope at reversal.
+            scheme: of integration.
+            **fields: values of other fields.
 
         Raises:
             ModelError: a negative order, or an unknown scheme.
@@ -86,7 +92,16 @@ class Duhem(AbstractHysteresis):
         high: float,
         **fields: object,
     ) -> Duhem:
-        """A model from the paper's coefficients of 1, v, v^2, ... with v between low and high [u]."""
+        """A model from the paper's coefficients of 1, v, v^2, ...
+
+        Args:
+            alpha: rate of approach to f [1/u].
+            f: coefficients of f, shape (m,) [y].
+            g: coefficients of g, shape (n,) [y/u].
+            low: lowest input [u].
+            high: highest input [u].
+            **fields: values of other fields.
+        """
         center, half = 0.5 * (low + high), 0.5 * (high - low)
         series = [powers_to_legendre(np.asarray(c), center, half) for c in (f, g)]
         return cls(alpha=alpha, f=series[0], g=series[1], center=center, half=half, **fields)

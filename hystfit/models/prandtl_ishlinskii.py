@@ -112,6 +112,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
     ) -> PrandtlIshlinskii:
         """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range: dense where loops are small.
 
+        Args:
+            plays: number of thresholds.
+            degree: of the single-valued polynomial.
+            envelopes: of the input, one row of weights each.
+            operator: "play" or "stop".
+            hardening: add weights that fade with the path.
+            rest: where the input rested before the record.
+
         Raises:
             ModelError: fewer than one play or degree one.
         """

@@ -33,7 +33,7 @@ _LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A model that the command line knows.
+    """A model that users choose by name.
 
     Attributes:
         make: builds it with its defaults, or with settings by name.

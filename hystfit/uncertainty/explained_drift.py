@@ -1,4 +1,4 @@
-"""What a fit says about drift: how much of the way a loop's mean moves with time its creep explains."""
+"""How much of the drift of a loop's mean the creep of a fitted model explains."""
 
 from __future__ import annotations
 

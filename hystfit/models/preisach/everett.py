@@ -1,4 +1,4 @@
-"""Everett functions: the mass E(a, b) of the relays in the triangle a >= alpha >= beta >= b; outputs by look-ups in them.
+"""Everett functions: the mass E(a, b) of the relays whose thresholds lie in the triangle a >= alpha >= beta >= b; outputs from them.
 
 Masses are given cell by cell between n + 1 levels, uniform within a cell; cell (i, j), j <= i, is alpha in (L_i, L_{i+1}), beta in
 (L_j, L_{j+1}), a triangle where j = i. E is then bilinear but for the diagonal cells, which add squares. Rows run over i, j

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, ClassVar, get_args
 
@@ -131,7 +132,7 @@ class Preisach(AbstractPlane):
         spacing: Spacing | None = None,
         depth: int = 64,
     ) -> Preisach:
-        """A model with n (n + 1) / 2 cells or relays, whose levels `start` spreads over the records as `spacing` says.
+        """A model with n (n + 1) / 2 cells or relays, whose levels `start` spreads over the records by `spacing`.
 
         Args:
             n: cells, or relay levels, along each axis.
@@ -142,7 +143,7 @@ class Preisach(AbstractPlane):
             initial: state before the record.
             spacing: "quantile" (equal shares of the samples), "square" (distances from the center that grow as squares),
                 "uniform", "reversal-curves" (denser where such curves are steep; the model then starts from the saturation
-                that they came from, whatever `initial` says), or "given" (leave the levels alone); None takes "square" where
+                that they came from, regardless of `initial`), or "given" (leave the levels alone); None takes "square" where
                 symmetric, "quantile" elsewhere.
             depth: extrema that the sample-by-sample form remembers; the compiled form has no limit.
 
@@ -176,6 +177,12 @@ class Preisach(AbstractPlane):
     ) -> Preisach:
         """Equally spaced levels and a polynomial reversible part.
 
+        Args:
+            n: cells, or relay levels, along each axis.
+            degree: of the polynomial.
+            initial: state before the record.
+            elements: "cells" or "relays".
+
         Raises:
             ModelError: fewer than one cell or degree one.
         """
@@ -184,10 +191,10 @@ class Preisach(AbstractPlane):
         return cls.of(n, degree=degree, reversible=False, elements=elements, initial=initial, spacing="uniform")
 
     def start(self, records: Sequence[Record]) -> Preisach:
-        """Levels spread over the input as `spacing` says; the weights follow from a linear solve.
+        """Levels spread over the input by `spacing`; the weights follow from a linear solve.
 
         Raises:
-            DataError: a constant input; records that are no reversal curves, where the spacing asks for them.
+            DataError: a constant input; records that are no reversal curves, where the spacing needs them.
         """
         out, place = output_range(records), input_range(records)
         if self.spacing == "reversal-curves":
@@ -244,11 +251,10 @@ class Preisach(AbstractPlane):
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns on the distinct states that the input visits."""
         columns, index = features(self, np.asarray(drive(self, u, dt)[0]))
-        rough = second_differences(self.n, self.symmetric)
         count = np.bincount(mirror(self.n)[0]) if self.symmetric else np.ones(self.w.size, dtype=int)
-        penalties = {"w": Penalty(_smoothing(rough, self.w.size), count, self.elements)}
+        penalties = {"w": Penalty(_smoothing(self.n, self.symmetric), count, self.elements)}
         if self.slopes.size:
-            penalties["slopes"] = Penalty(_smoothing(np.diff(np.eye(self.slopes.size), 2, axis=0), self.slopes.size))
+            penalties["slopes"] = Penalty(_smoothing(self.slopes.size))
         parts = np.split(columns, np.cumsum([self.w.size, self.slopes.size]), axis=1)
         columns_of = dict(zip(("w", "slopes", "b"), parts, strict=True)) | {"offset": np.ones((len(columns), 1))}
         leaves = {leaf.path[-1]: leaf for leaf in leaves_of(self)}
@@ -308,10 +314,19 @@ class Preisach(AbstractPlane):
         return CPart(template("preisach.c"), 1 + 2 * self.depth, numbers, arrays)
 
 
-def _smoothing(rough: np.ndarray, count: int) -> np.ndarray:
-    """Penalty on second differences, with a small one on the weights themselves."""
-    D = scipy.sparse.csr_array(rough if rough.size else np.zeros((0, count)))
-    return (D.T @ D).toarray() + _RIDGE * np.eye(count)
+@functools.lru_cache(maxsize=16)
+def _smoothing(count: int, symmetric: bool | None = None) -> np.ndarray:
+    """Penalty on second differences, with a small one on the weights themselves.
+
+    Args:
+        count: cells along each axis; number of slopes where `symmetric` is None.
+        symmetric: whether mirror images share a weight; None for slopes.
+    """
+    rough = np.diff(np.eye(count), 2, axis=0) if symmetric is None else second_differences(count, symmetric)
+    D = scipy.sparse.csr_array(rough)
+    matrix = (D.T @ D).toarray() + _RIDGE * np.eye(rough.shape[1])
+    matrix.flags.writeable = False
+    return matrix
 
 
 def _traced(value: object) -> bool:

@@ -6,7 +6,7 @@ A Preisach state is the sequence of its dominant extrema e_0, e_1, ..., ending a
 
 A turning point's parent is the extremum that remained before it: the last one whose interval contains it. Going through the reversals one
 by one finds it with a stack. Many at a time: a pair of reversals B, C between A and D closes a loop when C lies within A to B and
-B within C to D. D wipes both out, so that what follows never knows of them. Pairs are taken out in passes until few are left
+B within C to D. D wipes both out, so that later states do not depend on them. Pairs are taken out in passes until few are left
 (noise leaves a third after each), a stack serves those, and the pairs come back in reverse order, each on the way from A to D.
 """
 
