@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from hystfit.results.result import FitResult, ParameterEstimate
 
-# Okabe and Ito's colors, distinguishable with any color vision.
+# Okabe and Ito's colors, which can also be distinguished with color-vision deficiency.
 MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"
 DARK = "#8a5a00"  # of HELD_OUT, for text
 MANY = 12  # weights of one array above which they share one row
