@@ -14,6 +14,7 @@ import pytest
 from hystfit.cli import run
 from hystfit.cli.options import bounds_of, named_values
 from hystfit.cli.verbs import as_options
+from hystfit.cli.write import show
 from hystfit.errors import HystfitError
 from hystfit.results.saved import load_fit
 
@@ -465,7 +466,7 @@ def test_windows_and_held_parameters_are_read():
             named_values(wrong)
 
 
-def test_messages_name_options_as_the_shell_does():
+def test_messages_name_options_as_the_shell_does(capsys):
     assert (
         as_options("gaps='split' makes a record; give by= or output=")
         == "--gaps split makes a record; give --by or --output"
@@ -473,6 +474,8 @@ def test_messages_name_options_as_the_shell_does():
     assert as_options("time=False reads without time") == "--time none reads without time"
     assert as_options("use left_out='blocks'; scheduler= needs") == "use --left-out blocks; --scheduler needs"
     assert as_options("give limits=(low, high)") == "give limits=(low, high)"
+    show("use noise='discrepancy'", {}, as_json=False)
+    assert capsys.readouterr().out == "use --noise discrepancy\n"
     for name in ("record 'level=3'", "offset@level=3", "resolution='fine'", "--fix mu=0.5"):  # not options of any verb
         assert as_options(name) == name
 

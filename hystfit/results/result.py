@@ -84,7 +84,7 @@ class FitResult:
     models: tuple[AbstractHysteresis, ...]
     data: Dataset
     status: str
-    notes: tuple[str, ...]
+    notes: tuple[Any, ...]
     parameters: tuple[ParameterEstimate, ...]
     free_names: tuple[str, ...]
     covariance: np.ndarray
