@@ -7,6 +7,7 @@ import os
 import platform
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 
 import platformdirs
@@ -100,6 +101,7 @@ def main() -> None:
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it
     os.environ.setdefault("JAX_PLATFORMS", "cpu")  # scans over samples are faster there
     logging.getLogger("jax._src.xla_bridge").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", category=FutureWarning, module="arviz")  # announces its next version at import
     if "jax" in sys.modules:
         from hystfit.config import enable_x64
 

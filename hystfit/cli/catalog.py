@@ -8,7 +8,7 @@ from typing import Any
 from hystfit.cli.options import STDOUT, Output
 from hystfit.cli.write import finish, record_columns, show, write_csv
 from hystfit.errors import DataError
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Table
 
 _PLACES = {
     "core": "Hysteresis",
@@ -93,7 +93,7 @@ def datasets(name: str | None = None, /, *, output: Output = STDOUT) -> int:
     text = known.describe(name)
     content |= {"name": name, "about": text}
     if output.out is None:
-        return finish(Status.OK, text, content, output)
+        return finish(text, content, output)
     from hystfit.data.record import Dataset
 
     table = record_columns(Dataset.of(known.load(name)))
@@ -116,11 +116,11 @@ def finish_table(text: str, content: dict[str, Any], output: Output, name: str, 
     out = output.out
     if out is None or out.is_dir() or not out.suffix:
         save = lambda folder: write_csv(folder / name, columns, ".10g")
-        return finish(Status.OK, text, content, output, save)
+        return finish(text, content, output, save)
     from hystfit.results.folders import writing
 
     if not out.parent.is_dir():
         raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
     with writing(out.parent) as scratch:
         write_csv(scratch / out.name, columns, ".10g")
-    return finish(Status.OK, f"{text}\nWritten to {out}", content, Output(json=output.json))
+    return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))

@@ -16,14 +16,7 @@ if TYPE_CHECKING:
 _MOST_GROUPS, _MOST_NAMES = 8, 5  # of Preisach properties and of records in a line, in the text
 
 
-def check(
-    loop: Loop,
-    /,
-    *,
-    preisach: bool = False,
-    reading: Reading = DEFAULT_READING,
-    output: Output = STDOUT,
-) -> int:
+def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
     """Check the quality of a record and which models it can determine.
 
     Args:
@@ -52,7 +45,7 @@ def check(
     def save(folder: Path) -> None:
         (folder / "check.txt").write_text(text + "\n", encoding="utf-8")
 
-    return finish(status, text, content, output, save)
+    return finish(text, content, output, save, status=status)
 
 
 def _properties(data: Dataset) -> tuple[str, dict[str, Any]]:

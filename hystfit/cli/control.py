@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Output, Reading, input_limits
-from hystfit.cli.records import load_one_sided
+from hystfit.cli.records import load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Status, Table
@@ -38,11 +38,9 @@ def invert(
     from hystfit.control.inverse import invert as solve
     from hystfit.data.record import Dataset
     from hystfit.results.result import provenance
-    from hystfit.results.saved import load_fit
 
     sampled = (fitdir / "posterior.nc").is_file()
-    result = load_fit(fitdir / "fit" if sampled else fitdir)
-    output.check()
+    result = open_fit(fitdir / "fit" if sampled else fitdir, output)
     target = _target(reference, reading)
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
@@ -73,7 +71,7 @@ def invert(
     if bands is not None:
         lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
-    return finish(status, "\n".join(lines), content, output, save)
+    return finish("\n".join(lines), content, output, save)
 
 
 def _target(path: str, reading: Reading) -> Record:
@@ -143,11 +141,9 @@ def export(fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: L
         name: prefix of files and functions.
     """
     from hystfit.control.export import export_c
-    from hystfit.results.saved import load_fit
 
     span = input_limits(limits)
-    Output(out=c).check()
-    files = export_c(load_fit(fitdir), c, name=name, limits=span)
+    files = export_c(open_fit(fitdir, Output(out=c)), c, name=name, limits=span)
     print(written(c, [file.name for file in files]).lstrip())
     print(f"Try it: cc -std=c99 -O2 {files[1]} {files[2]} -lm -o {name}")
     return 0

@@ -79,7 +79,7 @@ def fit(
     def save(folder: Path) -> None:
         _save_fit(result, folder, test, split)
 
-    return finish(result.status, str(result), result.to_dict(), output, save)
+    return finish(str(result), result.to_dict(), output, save)
 
 
 def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Split) -> None:
@@ -158,4 +158,4 @@ def compare(
         (folder / "winner").mkdir()
         _save_fit(winner, folder / "winner", test, split)
 
-    return finish(winner.status, text, content, output, save)
+    return finish(text, content, output, save, status=winner.status)

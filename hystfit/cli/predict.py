@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, bounds_of
-from hystfit.cli.records import load, load_one_sided
+from hystfit.cli.records import load, load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, record_columns, show, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity, Status
@@ -56,10 +56,7 @@ def predict(
         window: compare only the samples in start:stop.
         refit_offset: shift the prediction to the mean of the measurement (another zero of the sensor).
     """
-    from hystfit.results.saved import load_fit
-
-    result = load_fit(fitdir)
-    output.check()
+    result = open_fit(fitdir, output)
     if input_only and reading.output is not None:
         raise DataError("--output and --input-only exclude each other")
     data = load_one_sided(loop, reading, "output") if input_only else load(loop, reading)
@@ -75,7 +72,7 @@ def predict(
         write_csv(folder / "prediction.csv", record_columns(data, "measured", unit) | predicted)
         _draw(folder / "prediction.png", result, data, refit_offset)
 
-    return finish(content["status"], text, content, output, save)
+    return finish(text, content, output, save)
 
 
 def _compared(

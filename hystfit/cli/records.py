@@ -1,4 +1,4 @@
-"""From arguments to records: files and data sets by name, windows, and what is kept for the test."""
+"""From arguments to records and fits: files and data sets by name, windows, and what is kept for the test."""
 
 from __future__ import annotations
 
@@ -7,11 +7,25 @@ import difflib
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hystfit.cli.options import Reading, Split, bounds_of
+from hystfit.cli.options import Output, Reading, Split, bounds_of
 from hystfit.errors import DataError
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset, Record
+    from hystfit.results.result import FitResult
+
+
+def open_fit(folder: Path, output: Output) -> FitResult:
+    """The saved fit of a folder, after a check that the result can be written.
+
+    Raises:
+        HystfitError: no fit, or see `Output.check`.
+    """
+    from hystfit.results.saved import load_fit
+
+    result = load_fit(folder)
+    output.check()
+    return result
 
 
 def load(loop: str, reading: Reading) -> Dataset:

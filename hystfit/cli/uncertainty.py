@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.options import STDOUT, FitFolder, Output, lists
+from hystfit.cli.records import open_fit
 from hystfit.cli.write import finish, named, progress, save_figure, write_csv
 from hystfit.inference.noise.registry import NOISES
 from hystfit.sampling.registry import SAMPLERS
@@ -51,13 +52,11 @@ def sample(
         live: live points of nested (400).
         seed: random seed.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.sampling.sample import sample as draw
 
-    result = load_fit(fitdir)
-    output.check()
+    result = open_fit(fitdir, output)
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
-    settings = {k: v for k, v in (settings | {"target_accept": target_accept}).items() if v is not None}
+    settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
     run = None if output.out is None else output.out / "run"
     priors = parse_priors(prior or [])
     try:
@@ -76,7 +75,7 @@ def sample(
         for kind in ("corner", "trace", "rank", "bands"):
             save_figure(posterior.plot(kind), folder / f"{kind}.png")
 
-    return finish(posterior.status, str(posterior), posterior.to_dict(), output, save)
+    return finish(str(posterior), posterior.to_dict(), output, save)
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
@@ -116,25 +115,16 @@ def profile(
         noise: auto (as in the fit), or a Gaussian noise model: {noises}, or my_file.py:MyNoise.
         level: confidence level of the limits.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.profiles import profile as follow
 
-    result = load_fit(fitdir)
-    output.check()
+    result = open_fit(fitdir, output)
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
     save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
-    return finish(profiles.status, str(profiles), profiles.to_dict(), output, save)
+    return finish(str(profiles), profiles.to_dict(), output, save)
 
 
-def errors(
-    fitdir: FitFolder,
-    /,
-    *,
-    block: int | None = None,
-    seed: int = 0,
-    output: Output = STDOUT,
-) -> int:
+def errors(fitdir: FitFolder, /, *, block: int | None = None, seed: int = 0, output: Output = STDOUT) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
 
     With --out, the folder holds errors.txt.
@@ -143,14 +133,12 @@ def errors(
         block: samples in a lag window or block; default: one cycle of the input, or five correlation times.
         seed: random seed of the bootstrap.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.robust_errors import standard_errors
 
-    result = load_fit(fitdir)
-    output.check()
+    result = open_fit(fitdir, output)
     table = standard_errors(result, block=block, seed=seed)
     save = lambda folder: (folder / "errors.txt").write_text(f"{table}\n", encoding="utf-8")
-    return finish(result.status, str(table), table.to_dict(), output, save)
+    return finish(str(table), table.to_dict(), output, save)
 
 
 @lists(noises=NOISES, samplers=[name for name in SAMPLERS if name != "nested"])
@@ -185,11 +173,9 @@ def calibrate(
     """
     from hystfit.fitting.again import held_and_free
     from hystfit.results.result import provenance
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.calibration import calibrate as study
 
-    result = load_fit(fitdir)
-    output.check()
+    result = open_fit(fitdir, output)
     fixed, free = held_and_free(result)
     with progress("calibrating") as update:
         calibration = study(
@@ -211,7 +197,7 @@ def calibrate(
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
     save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
-    return finish(calibration.status, str(calibration), content, output, save)
+    return finish(str(calibration), content, output, save)
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
@@ -246,15 +232,13 @@ def design(
         method: families compares families of signals, gradient also optimizes the turning points.
         seed: random seed of the signals.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.input_design import design as propose
 
-    result = load_fit(fitdir)
-    output.check()
+    result = open_fit(fitdir, output)
     with progress("designing"):
         proposal = propose(result, low=low, high=high, samples=samples, aim=aim, method=method, seed=seed)
     record, step, u = result.data[0], proposal.dt, proposal.best.u
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
-    return finish(proposal.status, str(proposal), proposal.to_dict(), output, save)
+    return finish(str(proposal), proposal.to_dict(), output, save)

@@ -21,20 +21,21 @@ if TYPE_CHECKING:
 
 
 def finish(
-    status: Status | str,
     text: str,
     content: dict[str, Any],
     output: Output,
     save: Callable[[Path], object] | None = None,
+    *,
+    status: str = "",
 ) -> int:
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
     Args:
-        status: decides the exit status: 0 where the result is usable, else 1.
         text: the result for people.
         content: of result.json.
         output: folder and form of the output.
         save: writes the other files into the folder that it is called with.
+        status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
         from hystfit.results.folders import dump_json, writing
@@ -46,7 +47,7 @@ def finish(
             names = sorted(path.name for path in scratch.iterdir())
         text += written(output.out, names)
     show(text, content, output.json)
-    return 0 if Status(status).usable else 1
+    return 0 if Status(status or content.get("status", "ok")).usable else 1
 
 
 def written(folder: Path, names: Sequence[str]) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata
 
 from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.sampling.posterior import Posterior
 
@@ -18,7 +18,7 @@ _KINDS = ("corner", "trace", "rank", "bands")
 
 
 def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
-    """The matplotlib figure of one kind.
+    """Draw a picture of one kind and return its figure.
 
     Raises:
         ParameterError: an unknown kind.
@@ -40,7 +40,7 @@ def _corner(posterior: Posterior) -> Any:
         raise MissingExtraError("corner", "bayes", "a corner plot") from error
     flat = posterior.draws.reshape(-1, len(posterior.names))
     moving = np.ptp(flat, axis=0) > 0
-    labels = [words for words, on in zip(_labels(posterior), moving, strict=True) if on]
+    labels = [label for label, on in zip(_labels(posterior), moving, strict=True) if on]
     figure = corner.corner(
         flat[:, moving],
         labels=labels,
@@ -61,13 +61,8 @@ def _corner(posterior: Posterior) -> Any:
 
 
 def _title(draws: np.ndarray) -> str:
-    """Median and standard deviation, two digits of the latter."""
-    middle, sd = float(np.median(draws)), float(np.std(draws))
-    decimals = 1 - math.floor(math.log10(sd))
-    if not -4 < decimals < 8:
-        return f"{middle:.4g} +- {sd:.2g}"
-    decimals = max(decimals, 0)
-    return f"{middle:.{decimals}f} +- {sd:.{decimals}f}"
+    """Median and standard deviation, the latter with two digits."""
+    return " +- ".join(rounded(float(np.median(draws)), float(np.std(draws))))
 
 
 def _panels(posterior: Posterior) -> Any:
@@ -79,10 +74,10 @@ def _panels(posterior: Posterior) -> Any:
 
 def _trace(posterior: Posterior) -> Any:
     figure, axes = _panels(posterior)
-    for k, (ax, words) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
         for chain in posterior.draws[:_SHOWN, :, k]:
             ax.plot(chain, lw=0.4)
-        ax.set_ylabel(words.replace(" [", "\n["), fontsize=8)
+        ax.set_ylabel(label.replace(" [", "\n["), fontsize=8)
     axes[0, 0].set_title(_shown(posterior), fontsize=9)
     axes[-1, 0].set_xlabel("draw")
     return figure
@@ -90,27 +85,27 @@ def _trace(posterior: Posterior) -> Any:
 
 def _rank(posterior: Posterior) -> Any:
     figure, axes = _panels(posterior)
-    for k, (ax, words) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
         draws = posterior.draws[:, :, k]
         ranks = rankdata(draws).reshape(draws.shape)
         for chain in ranks[:_SHOWN]:
             ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step")
         ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
-        ax.set_ylabel(words.replace(" [", "\n["), fontsize=8)
-    axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected of chains that agree", fontsize=9)
+        ax.set_ylabel(label.replace(" [", "\n["), fontsize=8)
+    axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected for converged chains", fontsize=9)
     axes[-1, 0].set_xlabel("rank over all chains")
     return figure
 
 
 def _shown(posterior: Posterior) -> str:
-    """Which chains a picture shows."""
+    """The chains in a picture, as text."""
     count = len(posterior.draws)
     what = "walkers" if posterior.sampler == "emcee" else "chains"
     return f"{count} {what}" if count <= _SHOWN else f"the first {_SHOWN} of {count} {what}"
 
 
 def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
-    """The loop, and below it all that is too small to be seen there: deviations from the median of the draws."""
+    """The loop, and below it the deviations from the median of the draws, which are too small to be seen in the loop."""
     import matplotlib.pyplot as plt
 
     record = posterior.result.data[0]
@@ -126,9 +121,11 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
         for edge in edges:
             rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
     loop.set_ylabel(axis_label(record.y_name, record.y_unit))
-    rest.set(xlabel=axis_label(record.u_name, record.u_unit), ylabel=axis_label("less the median", record.y_unit))
+    rest.set(
+        xlabel=axis_label(record.u_name, record.u_unit), ylabel=axis_label("deviation from the median", record.y_unit)
+    )
     if len(posterior.result.data) > 1:
         loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
-    rest.set_title(f"{level:.0%} bands: of the model's curve (blue), of a measurement (orange)", fontsize=9)
+    rest.set_title(f"{level:.0%} bands: of the model output (blue), of a measurement (orange)", fontsize=9)
     loop.legend(frameon=False)
     return figure
