@@ -20,7 +20,8 @@ def drawn(fit: hf.FitResult, rows: np.ndarray) -> Posterior:
     d = rows.shape[1]
     nothing = Convergence(*(np.ones(d) for _ in range(3)))
     return Posterior(
-        fit, "nuts", "iid", tuple(fit.free_names), ("",) * d, rows[None], np.zeros((1, len(rows))), {}, nothing, Status.OK, (), {}, 0.0, 0, {}
+        fit, "nuts", "iid", tuple(fit.free_names), ("",) * d, rows[None], np.zeros((1, len(rows))), {}, nothing,
+        Status.OK, (), {}, 0.0, 0, {},
     )  # fmt: skip
 
 
