@@ -79,7 +79,7 @@ print(fit)
 
 # %%
 plain = hf.fit(MODEL, fitted, noise="iid")
-print(f"correlation time {fit.correlation_time:.1f} samples; standard errors {fit.honest_ratio:.1f} times those for independent residuals")
+print(f"correlation time {fit.correlation_time:.1f} samples; standard errors {fit.error_ratio:.1f} times those for independent residuals")
 for name in fit.free_names:
     print(f"{name:7} {fit[name].value:9.5f}   stderr {fit[name].stderr:.5f}   for independent residuals {plain[name].stderr:.5f}")
 

@@ -8,6 +8,7 @@ import pytest
 import hystfit as hf
 from hystfit.control.bands import inverse_bands
 from hystfit.errors import ParameterError
+from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 
@@ -19,7 +20,8 @@ def drawn(fit: hf.FitResult, rows: np.ndarray) -> Posterior:
     d = rows.shape[1]
     nothing = Convergence(*(np.ones(d) for _ in range(3)))
     return Posterior(
-        fit, "nuts", "iid", tuple(fit.free_names), ("",) * d, rows[None], np.zeros((1, len(rows))), {}, nothing, "ok", (), {}, 0.0, 0, {}
+        fit, "nuts", "iid", tuple(fit.free_names), ("",) * d, rows[None], np.zeros((1, len(rows))), {}, nothing,
+        Status.OK, (), {}, 0.0, 0, {},
     )  # fmt: skip
 
 

@@ -16,6 +16,8 @@ from scipy.stats import norm
 
 import hystfit as hf
 from hystfit.identify import Ukf
+from hystfit.outcome import Code
+from hystfit.outcome.note import has
 from hystfit.uncertainty.robust_errors import covariance
 
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
@@ -42,7 +44,7 @@ def _numbers(result: hf.FitResult) -> tuple[np.ndarray, np.ndarray]:
 
 def by_fit(result: hf.FitResult) -> Row:
     """Errors of `fit`, and whether a note warns of recurring model error."""
-    return _row(*_numbers(result), warned=any("repeats" in note for note in result.notes))
+    return _row(*_numbers(result), warned=has(result.notes, Code.REPEATING_RESIDUALS))
 
 
 @functools.lru_cache(maxsize=1)

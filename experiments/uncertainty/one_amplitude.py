@@ -7,6 +7,7 @@ from common import Results, table
 from noises import NAMES, TRUTH
 
 import hystfit as hf
+from hystfit.outcome import Code
 
 SIGMA = 0.01
 
@@ -25,7 +26,7 @@ def sine(amplitude: float, samples: int = 600) -> np.ndarray:
 def run(results: Results) -> dict[str, str]:
     """Notes, number of finite standard errors for parameters without limits, and profiles with the designed input."""
     result = hf.fit(TRUTH, measured(sine(0.1), 0), starts=4, noise="iid")
-    undetermined = [note for note in result.notes if "not determined" in note]
+    undetermined = [note for note in result.notes if note.code is Code.NOT_DETERMINED]
     found = hf.profile(result)
     opened = [name for name, p in found.profiles.items() if not p.closed]
     results.add("one amplitude: rank", float(result.rank or 0))

@@ -10,6 +10,8 @@ import numpy as np
 from common import Results, table
 
 import hystfit as hf
+from hystfit.outcome import Code
+from hystfit.outcome.note import has
 
 EVERY = 4  # of 200 samples a second
 TRAIN, HELD = (5.0, 25.0), (25.0, 40.0)  # seconds
@@ -28,8 +30,8 @@ def run(results: Results) -> dict[str, str] | None:
     record = thinned(loaded[0]).resting_on(REST)
     fit = fitted(record)
     results.add("piezo: correlation time of the residuals, samples", fit.correlation_time)
-    results.add("piezo: honest over independent errors", fit.honest_ratio)
-    results.add("piezo: the default fit warns of repeating error", float(any("repeats" in note for note in fit.notes)))
+    results.add("piezo: honest over independent errors", fit.error_ratio)
+    results.add("piezo: the default fit warns of repeating error", float(has(fit.notes, Code.REPEATING_RESIDUALS)))
     rows = [one(results, fit, record.window(*HELD), noise) for noise in NOISES]
     head = ["noise model", "90 % predictive bands cover, %", "mean width, um", "error of the median, % of range",
             "credible bands cover, %", *(f"sd of {n}" for n in fit.free_names), "status"]  # fmt: skip
