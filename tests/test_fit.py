@@ -90,7 +90,7 @@ def test_correlated_residuals_widen_the_errors(piezo):
     for k, name in enumerate(names[:4]):  # the offset depends on the slowest noise, which one record hardly shows
         assert honest[name].stderr == pytest.approx(expected[k], rel=0.2)
         assert naive[name].stderr < 0.5 * expected[k]
-    assert has(honest.notes, Code.CORRELATED_RESIDUALS)
+    assert has(honest.notes, Code.ERROR_RATIO)
 
 
 def test_several_records_share_the_model_and_keep_their_offsets():

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.models.preisach.density import ParametricPreisach
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.everett import Everett, place
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.staircase import compile_input
 
 RESTS = ("demagnetized", "negative", "positive")

@@ -13,10 +13,10 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
-from hystfit.models.preisach.density import ParametricPreisach
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.levels import sharp_levels
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
 from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothSystem, fit_smooth
 from hystfit.models.preisach.solve import fit_preisach

@@ -10,7 +10,7 @@ import numpy as np
 
 import hystfit as hf
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.preisach.density import ParametricPreisach
+from hystfit.models.preisach.parametric import ParametricPreisach
 
 SAMPLES = 240
 RATE = 60.0  # samples a second, for creep

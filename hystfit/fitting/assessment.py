@@ -149,7 +149,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
             f"residuals are autocorrelated over {errors.correlation_time:.3g} samples; standard errors are {change}"
             f"{_slow_part(errors)}"
         )
-        notes.append(Note(Code.CORRELATED_RESIDUALS, text))
+        notes.append(Note(Code.ERROR_RATIO, text))
     return notes
 
 

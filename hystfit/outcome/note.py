@@ -30,7 +30,8 @@ class Code(enum.StrEnum):
     AT_BOUND = "at-bound"  # a parameter lies on its bound
     ZERO_WEIGHTS = "zero-weights"  # linear weights lie on their bound
     REGULARIZED = "regularized"  # standard errors include the regularization
-    CORRELATED_RESIDUALS = "correlated-residuals"  # standard errors allow for autocorrelation
+    CORRELATED_RESIDUALS = "correlated-residuals"  # the residuals are autocorrelated
+    ERROR_RATIO = "error-ratio"  # how far autocorrelation changes the standard errors
     REPEATING_RESIDUALS = "repeating-residuals"  # part of the residuals recurs every loop
     HEAVY_TAILS = "heavy-tails"  # outliers in the residuals
     LARGE_NOISE = "large-noise"  # slow noise would have to be larger than the residuals

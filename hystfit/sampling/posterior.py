@@ -210,7 +210,7 @@ class Posterior:
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:
         """A picture: "corner", "trace", "rank" or "bands"; returns the matplotlib figure."""
-        return _view("plots:draw")(self, kind, **options)
+        return _view("posterior_plots:draw")(self, kind, **options)
 
     # -- files ---------------------------------------------------------------------------------------------------------
 

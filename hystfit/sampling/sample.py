@@ -35,7 +35,7 @@ _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the dat
 
 def sample(
     result: FitResult,
-    sampler: str | AbstractSampler = "nuts",
+    sampler: str | type[AbstractSampler] | AbstractSampler = "nuts",
     *,
     noise: str | type[AbstractNoise] = "auto",
     priors: Mapping[str, AbstractPrior] | None = None,
@@ -99,7 +99,7 @@ def sample(
     )
 
 
-def _make(sampler: str | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
+def _make(sampler: str | type[AbstractSampler] | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
     if isinstance(sampler, AbstractSampler):
         return dataclasses.replace(sampler, **settings)
     kind: Any = SAMPLERS.find(sampler)

@@ -12,7 +12,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
-from hystfit.results.report.text import ERRORS, facts, headline, text_report
+from hystfit.results.report.text_report import ERRORS, facts, headline, text_report
 from hystfit.results.result import FitResult
 
 if TYPE_CHECKING:
