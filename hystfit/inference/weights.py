@@ -26,12 +26,14 @@ class Split:
         designs: one for each record.
         system: equations of all weights, the held ones included.
         place: position of each free parameter among the weights, shape (p,); -1 for parameters that are no weights.
+        record: number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,).
         held: values of the weights that are not free, NaN for the free ones.
     """
 
     designs: list[DesignMatrix]
     system: SmoothSystem
     place: np.ndarray
+    record: np.ndarray
     held: np.ndarray
 
     @classmethod
@@ -61,9 +63,11 @@ class Split:
         width = {block.leaf: block.columns.shape[1] for block in system.blocks}
         ends = dict(zip(first, system.starts[1:], strict=True))
         place: list[int] = []
+        record: list[int] = []
         for leaf, positions, several in c.layout:
             for number in range(len(records) if several else 1):
                 shift = number * width[leaf] if leaf in first and ends[leaf] - first[leaf] > width[leaf] else 0
+                record += [number if several else -1] * len(positions)
                 place += [first[leaf] + shift + k if leaf in first else -1 for k in positions]
         values = jax.tree_util.tree_leaves(space.template)
         held = np.zeros(system.starts[-1])
@@ -71,7 +75,7 @@ class Split:
             held[start : ends[leaf]] = np.resize(np.asarray(values[leaf], dtype=float), ends[leaf] - start)
         where = np.array(place, dtype=int)
         held[where[where >= 0]] = np.nan
-        return cls(designs, system, where, held)
+        return cls(designs, system, where, np.array(record, dtype=int), held)
 
 
 def responses(
@@ -98,7 +102,9 @@ def responses(
         for block, start, end in zip(now.system.blocks, now.system.starts, now.system.starts[1:], strict=False):
             width = block.columns.shape[1]
             first = start + number * width if end - start > width else start
-            mine = np.flatnonzero((now.place >= first) & (now.place < first + width))
+            mine = np.flatnonzero(
+                (now.place >= first) & (now.place < first + width) & np.isin(now.record, (-1, number))
+            )
             source = next(b for b in design.blocks if b.leaf == block.leaf).columns
             rows[number, : len(record), mine] = source[:, now.place[mine] - first][design.index].T
     c = space.coordinates
