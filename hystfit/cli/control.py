@@ -127,7 +127,9 @@ def _write_inverse(
         "status": inverse.status,
     }
     edges = {}
-    for of, unit in (("u", u), ("error", y)) if bands is not None else ():
+    for of, unit in (("u", u), ("error", y)):
+        if bands is None:
+            break
         lower, _, upper = bands.band(of)
         edges |= {named(f"{of}_lower", unit): lower, named(f"{of}_upper", unit): upper}
     write_csv(path, time | run | edges)

@@ -171,12 +171,10 @@ def calibrate(
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
     """
-    from hystfit.fitting.again import held_and_free
     from hystfit.results.result import provenance
     from hystfit.uncertainty.calibration import calibrate as study
 
     result = open_fit(fitdir, output)
-    fixed, free = held_and_free(result)
     with progress("calibrating") as update:
         calibration = study(
             result.model,
@@ -186,8 +184,7 @@ def calibrate(
             method=method,  # type: ignore[arg-type]
             replicates=replicates,
             spread=spread,
-            fix=fixed,
-            free=free,
+            **result.problem.free_and_fixed,  # type: ignore[arg-type]
             seed=seed,
             folder=None if output.out is None else output.out / "run",
             workers=workers,

@@ -138,9 +138,10 @@ def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refi
     start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), _z_of(space, problem)])
     best = _fit_jointly(problem.density, jnp.asarray(start), jnp.asarray(x), jnp.asarray(moving))
     x = np.where(moving, problem.space.physical(best.z[:p]), x)
-    problem.noise = space.tree(best.z[p:])
+    noise: AbstractNoise = space.tree(best.z[p:])
+    problem.noise = noise
     r, J = problem.linearize(x)
-    root = _information_root(problem.whitened(White(noise_white=problem.noise.gaussian_scale())), r, J)
+    root = _information_root(problem.whitened(White(noise_white=noise.gaussian_scale())), r, J)
     return Refined(x, problem, space.physical(best.z[p:]), root, bool(best.converged))
 
 

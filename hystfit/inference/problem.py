@@ -160,6 +160,12 @@ class Problem:
         return self.space.units + (self.noise_space.units if self.noise_space else ())
 
     @property
+    def free_and_fixed(self) -> dict[str, list[str]]:
+        """Names of free and fixed parameters, each once for all records, as the arguments `free` and `fix`."""
+        free = list(dict.fromkeys(name.partition("@")[0] for name in self.space.names))
+        return {"free": free, "fix": [name for name, _, _ in self.space.fixed()]}
+
+    @property
     def used(self) -> np.ndarray:
         """Which samples of the batch count, shape (R, T), bool."""
         return np.asarray(self.objective.batch.weight) > 0

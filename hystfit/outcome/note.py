@@ -34,10 +34,8 @@ class Code(enum.StrEnum):
     ERROR_RATIO = "error-ratio"  # how far autocorrelation changes the standard errors
     REPEATING_RESIDUALS = "repeating-residuals"  # part of the residuals recurs every loop
     HEAVY_TAILS = "heavy-tails"  # outliers in the residuals
-    LARGE_NOISE = "large-noise"  # slow noise would have to be larger than the residuals
     ROUNDING = "rounding"  # residuals are of the size of rounding errors
     NOISE_MODEL = "noise-model"  # the noise model and its parameters
-    NOISE_MISMATCH = "noise-mismatch"  # the residuals are inconsistent with the noise model that was chosen
     MODEL_ADVICE = "model-advice"  # the model's own remark on this input
     CHOICE = "choice"  # what was chosen automatically
     EXTRAPOLATION = "extrapolation"  # a record leaves the fitted range of inputs
@@ -61,7 +59,6 @@ class Code(enum.StrEnum):
     OPEN_SIDE = "open-side"  # no confidence limit on one side
     OTHER_OPTIMUM = "other-optimum"  # the likelihood is larger elsewhere than at the fit
     BLOCKS = "blocks"  # block length of a robust covariance
-    REPLICATE = "replicate"  # a failed replicate
     CLOSES = "closes"  # the proposed input determines what the present data do not
     LOCAL = "local"  # the design holds near the fitted values
     # predictions, inverses and simulated records
