@@ -13,6 +13,7 @@ from hystfit.control import invert
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.identify import Ukf
+from hystfit.outcome import Code
 from hystfit.stage import (
     Actuator,
     Amplifier,
@@ -86,7 +87,7 @@ def test_noise_resolution_and_limits_are_as_said():
     record = actuator.record(t, u, seed=0)
     assert record.u.min() == -20
     assert record.u.max() == 120
-    assert "beyond the amplifier" in record.notes[0]
+    assert [note.code for note in record.notes] == [Code.PREPARED]
     np.testing.assert_allclose(record.y * 1000, np.round(record.y * 1000), atol=1e-9)
     noise = record.y - actuator.displacement(t, u)
     # standard deviation of 5000 readings: 1 % of itself; rounding adds 0.29 nm in quadrature

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from hystfit.cli.options import Reading
 from hystfit.cli.output import progress, refuse_unwritable, show
 from hystfit.errors import DataError
+from hystfit.outcome import Code
 
 if TYPE_CHECKING:
     from hystfit.control.bands import InverseBands
@@ -62,7 +63,7 @@ def invert(
         "model": result.name,
         "status": "ok" if found.ok else "missed",
         "notes": list(found.notes()),
-        "reading": list(data.notes),
+        "reading": [note.to_dict() for note in data.notes],
         "counts": found.counts(),
         "input": {"lowest": float(found.u.min()), "highest": float(found.u.max())},
         "units": {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None},
@@ -75,7 +76,7 @@ def invert(
     span = f"{found.u.min():.4g} to {found.u.max():.4g} {units['u']}".rstrip()
     words = [f"{result.name} inverted over {data.name}: {counts}; input {span}"]
     words += [f"  - {note}" for note in found.notes()]
-    words += [f"  - {note}" for note in data.notes if "left out" in note]
+    words += [f"  - {note}" for note in data.notes if note.code is Code.LEFT_OUT]
     if bands is not None:
         told = content["bands"]
         u_unit, y_unit = (f" {unit}" if unit else "" for unit in (units["u"], units["y"]))

@@ -83,7 +83,7 @@ def _write_record(record: Record, curve: Any, content: dict[str, Any], seed: int
     content |= {
         "samples": len(record),
         "range": {name: [float(v.min()), float(v.max())] for name, v in (("u", record.u), ("y", record.y))},
-        "notes": list(record.notes),
+        "notes": [note.to_dict() for note in record.notes],
         "provenance": provenance(data, seed),
     }
     reach = lambda values, unit: f"{values.min():.4g} to {values.max():.4g} {unit}".rstrip()
@@ -130,7 +130,7 @@ def _write_stage(
         "drive": drive,
         "samples": len(t),
         "range": {name: [float(v.min()), float(v.max())] for name, v in columns.items()},
-        "notes": list(measured.notes),
+        "notes": [note.to_dict() for note in measured.notes],
         "provenance": provenance(Dataset.of(measured.record(axis, 0) for axis in ("x", "y", "theta")), seed),
     }
     lines = [f"stage, {content['signal']['name']}, actuators {drive}: {len(t)} samples"]

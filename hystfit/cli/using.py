@@ -38,7 +38,7 @@ def check(
         out: folder for result.json and check.txt.
         json: print result.json alone.
     """
-    from hystfit.quality.quality import check as judge
+    from hystfit.models.data_check import check as judge
     from hystfit.results.result import provenance
 
     refuse_unwritable(out)
@@ -47,7 +47,7 @@ def check(
         found = judge(data)
     able = [item.model for item in found.determines if item.verdict != "no" and item.model != "creep"]
     content = {"schema": "hystfit.check/1", "status": "ok" if able else "no-model", **found.to_dict()}
-    content["reading"] = {record.name: list(record.notes) for record in data}
+    content["reading"] = {record.name: [note.to_dict() for note in record.notes] for record in data}
     content["provenance"] = provenance(data, None)
     notes = [f"  - {note}" for note in dict.fromkeys(note for record in data for note in record.notes)]
     text = "\n".join([found.text().rstrip(), *(["", "How it was read", *notes] if notes else [])])

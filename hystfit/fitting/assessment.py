@@ -11,9 +11,8 @@ from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.model import Preisach
-from hystfit.quality.quality import check
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.verdict import degrades
+from hystfit.quality.summary import summarize
 from hystfit.results.metrics import Metrics, is_correlated
 
 _POOR = 10.0  # percent of range above which no fit is called usable
@@ -93,7 +92,7 @@ def status_of(
             f"the error is {train.rmse / plain:.0%} of what a single-valued curve without hysteresis leaves: "
             "the loop itself is not described"
         ]
-    if percent > _ROUGH and not noise and any(degrades(record) for record in check(data).records):
+    if percent > _ROUGH and not noise and any(summarize(record).degrading for record in data):
         return "poor", [
             f"the loop loses stiffness from cycle to cycle (damage), and the error is {percent:.3g} % of the range: the model has no "
             "term for it (see hystfit check)"

@@ -18,6 +18,7 @@ from hystfit.identify.rls import Rls
 from hystfit.inference.problem import Problem
 from hystfit.models.base import simulate
 from hystfit.models.duhem import Duhem
+from hystfit.outcome import Code
 
 
 def decimate(record: Record, increment: float) -> Record:
@@ -48,11 +49,8 @@ def decimate(record: Record, increment: float) -> Record:
             f"{np.ptp(u):g}; choose a smaller one"
         )
     at = np.array(kept)
-    t = None if record.t is None else record.t[at]
     note = f"decimated to {at.size} of {len(record)} samples by input increments of {increment:g}"
-    return record.replace(
-        u=u[at], y=record.y[at], t=t, weight=np.asarray(record.weight)[at], notes=(*record.notes, note)
-    )
+    return record.take(at).noted(Code.PREPARED, note)
 
 
 @dataclasses.dataclass(frozen=True)

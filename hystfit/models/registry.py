@@ -26,6 +26,7 @@ from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
+from hystfit.quality.needs import Needs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -230,3 +231,28 @@ def model_name(model: AbstractHysteresis) -> str:
 @functools.cache
 def _kinds() -> dict[str, type[AbstractHysteresis]]:
     return {name: type(entry.make()) for name, entry in MODELS.items()}
+
+
+def judged() -> dict[str, Needs]:
+    """What models need from data, by name."""
+    return {
+        "duhem": Needs(amplitudes=2, too_few="f and g are seen along one pair of branches, and trade off within it"),
+        "bouc-wen": Needs(
+            amplitudes=2,
+            symmetry="symmetric",
+            too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
+        ),
+        "bouc-wen-asymmetric": Needs(
+            amplitudes=2, symmetry="asymmetric", too_few="the shape parameters are nearly redundant"
+        ),
+        "bouc-wen-oscillator": Needs(
+            time=True,
+            frequencies=2,
+            too_few="mass, damping and stiffness trade off; it needs several, or a resonance",
+        ),
+        "preisach": Needs(
+            turning_pairs=(3, 10), too_few="it gives about 2 n numbers for the n (n + 1) / 2 weights of n levels"
+        ),
+        "prandtl-ishlinskii": Needs(amplitudes=2, symmetry="generalized", direction="counter-clockwise"),
+        "creep": Needs(loop=False, time=True, creep=True),
+    }

@@ -17,6 +17,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
+from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
 
 
@@ -130,12 +131,7 @@ class Actuator:
             raise DataError(f"t and u must have one shape (T,), every >= 1; got {t.shape}, {u.shape}, every {every}")
         y = self.displacement(t, u)[::every]
         reached = np.asarray(self.amplifier.drive(u))
-        notes = (
-            (f"{np.count_nonzero(reached != u)} commands beyond the amplifier's limits",)
-            if (reached != u).any()
-            else ()
-        )
-        return Record(
+        record = Record(
             u=reached[::every],
             y=self.sensor.read(y, np.random.default_rng(seed)),
             t=t[::every],
@@ -145,8 +141,9 @@ class Actuator:
             y_name="displacement",
             name=name,
             source="simulated (surrogate of the AE0505D16)",
-            notes=notes,
         )
+        clipped = np.count_nonzero(reached != u)
+        return record.noted(Code.PREPARED, f"{clipped} commands beyond the amplifier's limits") if clipped else record
 
 
 def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int) -> Any:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from hystfit.data.record import Record
+from hystfit.outcome import Note
 from hystfit.stage.kinematics import AXES, UNITS
 
 
@@ -26,7 +27,7 @@ class Measured:
     u: np.ndarray
     extension: np.ndarray
     pose: np.ndarray
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     def columns(self) -> dict[str, np.ndarray]:
         """Columns by name, the unit after the last underscore, as files of records have them."""

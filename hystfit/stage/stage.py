@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
+from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo, population
 from hystfit.stage.kinematics import AXES, Kinematics
@@ -153,7 +154,7 @@ class Stage(eqx.Module):
         rng = np.random.default_rng(seed)
         probes = np.stack([known[axis].read(poses[:, k], rng) for k, axis in enumerate(AXES)], axis=1)
         beyond = int(np.count_nonzero(reached != u))
-        notes = (f"{beyond} commands beyond the amplifiers' limits",) if beyond else ()
+        notes = (Note(Code.PREPARED, f"{beyond} commands beyond the amplifiers' limits"),) if beyond else ()
         return Measured(t, reached, known["gauge"].read(lengths, rng), probes, notes)
 
     def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:

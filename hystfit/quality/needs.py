@@ -1,0 +1,35 @@
+"""What a model needs of data so that its parameters can be determined; models declare it, the verdict on data uses it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+
+@dataclasses.dataclass(frozen=True)
+class Needs:
+    """Requirements of a model on the data.
+
+    Attributes:
+        loop: it describes an undamaged loop; False for a law of time beside the hysteresis.
+        time: it depends on time.
+        creep: holds of the input, or logarithmic drift of the mean of like cycles.
+        amplitudes: number of different strokes.
+        frequencies: number of different frequencies.
+        turning_pairs: (some, enough) different pairs of turning levels: below the first number only a major loop is described,
+            below the second one part of the weights stays undetermined.
+        symmetry: the loops that it describes: "symmetric", "asymmetric" (terms for asymmetry stay near zero otherwise), "any", or
+            "generalized" (asymmetric loops need its generalized form).
+        direction: of the loops that it describes with its default bounds.
+        too_few: what remains undetermined where amplitudes, frequencies or turning pairs are too few.
+    """
+
+    loop: bool = True
+    time: bool = False
+    creep: bool = False
+    amplitudes: int = 1
+    frequencies: int = 1
+    turning_pairs: tuple[int, int] = (0, 0)
+    symmetry: Literal["any", "symmetric", "asymmetric", "generalized"] = "any"
+    direction: Literal["any", "counter-clockwise"] = "any"
+    too_few: str = ""
