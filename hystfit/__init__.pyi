@@ -33,9 +33,9 @@ from .models import Series as Series
 from .models import Sum as Sum
 from .models import Viscous as Viscous
 from .models import simulate as simulate
+from .models.data_check import check as check
 from .params.param import param as param
 from .params.space import ParameterSpace as ParameterSpace
-from .quality.quality import check as check
 from .reading import datasets as datasets
 from .reading.read import read as read
 from .reading.read import read_csv as read_csv

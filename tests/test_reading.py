@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.outcome.note import Code, has
 from hystfit.reading import read, read_csv
 from hystfit.reading.columns import quantity
 from hystfit.reading.header import split_unit
@@ -170,12 +171,12 @@ GOOD: dict[str, tuple[str | bytes, dict[str, Any], dict[str, Any]]] = {
         {},
         {},
     ),
-    "decimal comma told": (
+    "decimal comma given": (
         "1,234;1,500\n2,345;2,500\n",
         {"decimal": ","},
         {"t": None, "u": [1.234, 2.345], "y": [1.5, 2.5]},
     ),
-    "thousands told": (
+    "thousands given": (
         "1,234;1,500\n2,345;2,500\n",
         {"decimal": "."},
         {"t": None, "u": [1234, 2345], "y": [1500, 2500]},
@@ -199,7 +200,7 @@ GOOD: dict[str, tuple[str | bytes, dict[str, Any], dict[str, Any]]] = {
         {},
         {},
     ),
-    "delimiter told": (_rows(":"), {"delimiter": ":"}, {}),
+    "delimiter given": (_rows(":"), {"delimiter": ":"}, {}),
 }
 
 
@@ -238,9 +239,9 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "one changing column": ("t,u,y\n0,1,0\n1,1,2\n2,1,1\n", {}, "input and an output"),
     "binary": (bytes(range(256)) * 8, {}, "binary or damaged"),
     "NUL within": ("t,u,y\n1,2,3\n2,\0 3,4\n", {}, "line 3.*NUL"),
-    "Excel in disguise": (b"PK\x03\x04" + b"\0" * 99, {}, "Excel.*xlsx"),
-    "wrong encoding told": ("t,u,µ\n1,2,3\n2,3,4\n".encode("cp1252"), {"encoding": "utf-8"}, "not text in utf-8"),
-    "unknown encoding told": ("1,2\n2,3\n", {"encoding": "klingon"}, "no encoding 'klingon'"),
+    "Excel named as text": (b"PK\x03\x04" + b"\0" * 99, {}, "Excel.*xlsx"),
+    "wrong encoding given": ("t,u,µ\n1,2,3\n2,3,4\n".encode("cp1252"), {"encoding": "utf-8"}, "not text in utf-8"),
+    "unknown encoding given": ("1,2\n2,3\n", {"encoding": "klingon"}, "no encoding 'klingon'"),
     "thousands or decimals (comma)": ("1,234;1,500\n2,345;2,500\n", {}, "ambiguous.*decimal="),
     "thousands or decimals (quoted)": ('"1,234","1,500"\n"2,345","2,500"\n', {}, "ambiguous.*decimal="),
     "thousands or decimals (dot)": ("1.234;0,5\n2.345;0,7\n", {}, "line 1.*ambiguous.*decimal="),
@@ -248,10 +249,10 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "comma twice, by zeros": ("0,05,1,20\n0,10,1,35\n0,15,1,41\n", {}, "ambiguous.*delimiter="),
     "comma twice, by spaces": ("0,5, 1,20\n0,6, 1,35\n0,7, 1,41\n", {}, "ambiguous.*delimiter="),
     "day or month": ("01/02/2024 10:00:00,1,2\n01/03/2024 10:00:00,2,3\n", {}, "ambiguous.*day or month"),
-    "no such day": ("2024-02-30 10:00:00,1,2\n2024-02-31 10:00:00,2,3\n", {}, "not a date"),
+    "no such day": ("2024-02-30 10:00:00,1,2\n2024-02-31 10:00:00,2,3\n", {}, "not a valid date"),
     "two tables": ("1,2,3\n" * 10 + "1,2,3,4\n" * 6, {}, "line 11: 6 rows do not have the 3 cells"),
-    "time runs back": ("t,u,y\n0,1,2\n1,2,3\n0.5,3,4\n2,4,5\n", {}, "line 4: time runs back from 1 to 0.5.*by="),
-    "time stands still": ("t,u,y\n1,1,2\n1,2,3\n1,3,4\n", {"time": "t"}, "time does not move"),
+    "time runs back": ("t,u,y\n0,1,2\n1,2,3\n0.5,3,4\n2,4,5\n", {}, "line 4: time decreases from 1 to 0.5.*by="),
+    "time stands still": ("t,u,y\n1,1,2\n1,2,3\n1,3,4\n", {"time": "t"}, "time is constant"),
     "input missing within": ("t,u,y\n0,1,2\n1,,3\n2,3,4\n", {}, r"missing in 1 rows.*line 3.*gaps='split'"),
     "infinite input": ("t,u,y\n0,1,2\n1,inf,3\n2,3,4\n", {}, "line 3"),
     "no input at all": ("t,u,y,z\n0,,2,1\n1,,3,2\n2,,1,3\n", {"input": "u"}, "'u' for input is empty"),
@@ -269,8 +270,8 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         {"input": "t", "time": "t", "output": "y"},
         "cannot be time and input",
     ),
-    "wrong delimiter told": ("t,u,y\n0,1,2\n1,2,3\n", {"delimiter": ";"}, "no row of numbers"),
-    "wrong decimal told": ("0,1\n1,2\n", {"decimal": "x"}, "decimal mark must be"),
+    "wrong delimiter given": ("t,u,y\n0,1,2\n1,2,3\n", {"delimiter": ";"}, "no row of numbers"),
+    "wrong decimal given": ("0,1\n1,2\n", {"decimal": "x"}, "decimal mark must be"),
     "gaps unknown": ("0,1\n1,2\n", {"gaps": "fill"}, "gaps must be"),
     "only without curves": ("0,1\n1,2\n", {"only": "0"}, "one curve.*by="),
     "by without such a column": ("0,1\n1,2\n", {"by": "loop"}, "no column 'loop' for by"),
@@ -314,15 +315,13 @@ def test_everything_left_out_is_counted(tmp_path: Path) -> None:
     }
     assert table.line.tolist() == [3, 5, 8, 9]
     assert table.rows + sum(table.left_out.values()) + 1 == len(text.splitlines())
-    notes = " | ".join(read(tmp_path / "file.csv").notes)  # type: ignore[union-attr]
-    for said in (
-        "1 outputs are missing",
-        "1 time stamps repeat",
-        "line 9",
-        "time taken from 't'",
-        "input guessed: 'u'",
-    ):
-        assert said in notes
+    notes = read(tmp_path / "file.csv").notes  # type: ignore[union-attr]
+    assert sum(note.code is Code.LEFT_OUT for note in notes) == 4
+    assert sum(note.code is Code.COLUMN_CHOICE for note in notes) == 3
+    assert next(note.text for note in notes if note.code is Code.TIME_STEPS).endswith("line 9; kept")
+    assert has(notes, Code.MISSING_VALUES)
+    plain = read(_write(tmp_path, "t,u,y\n" + _rows(","), "plain.csv"))
+    assert not has(plain.notes, Code.LEFT_OUT, Code.TIME_STEPS, Code.MISSING_VALUES, Code.CURVES)  # type: ignore[union-attr]
 
 
 CURVES = "loop,kind,u,y\n1,up,0,1\n1,up,1,2\n1,down,0.5,3\n2,up,0,4\n2,up,2,5\n5,up,0,6\n5,down,3,7\n9,up,1,1\n"
@@ -334,14 +333,14 @@ def test_curves_by_a_column(tmp_path: Path) -> None:
     assert isinstance(data, Dataset)
     assert [record.name for record in data] == ["loop=1", "loop=2", "loop=5"]
     assert [record.u.tolist() for record in data] == [[0, 1, 0.5], [0, 2], [0, 3]]
-    assert any("loop=9 has a single row (1, 1)" in note for note in data[0].notes)
+    assert sum("loop=9" in note.text for note in data[0].notes if note.code is Code.LEFT_OUT) == 1
     assert [r.name for r in read(path, by="loop", only="5,1")] == ["loop=5", "loop=1"]  # type: ignore[union-attr]
     assert [r.name for r in read(path, by="loop", only=[2.0])] == ["loop=2"]  # type: ignore[union-attr]
     assert [r.name for r in read(path, by=0, only="1::2")] == ["loop=2"]  # type: ignore[union-attr]
     assert [r.name for r in read(path, by="kind")] == ["kind=up", "kind=down"]  # type: ignore[union-attr]
     up = read(path, by="loop", where={"kind": "up"})
     assert [r.y.tolist() for r in up] == [[1, 2], [4, 5]]  # type: ignore[union-attr]
-    assert any("by='loop'" in note for note in read(path).notes)  # type: ignore[union-attr]
+    assert has(read(path).notes, Code.CURVES)  # type: ignore[union-attr]
     for only, message in (("3", "no curve 3; there are 1, 2, 5"), ("7:", "chooses none of 3"), ("::0", "step")):
         with pytest.raises(DataError, match=message):
             read(path, by="loop", only=only)
@@ -352,8 +351,10 @@ def test_curves_between_blank_lines_keep_single_points_apart(tmp_path: Path) -> 
     data = read(path)
     assert isinstance(data, Dataset)
     assert [record.u.tolist() for record in data] == [[0, 1], [0, 2, 3]]
-    assert any("2 blocks of a single row" in note for note in data[0].notes)
-    assert any("line 7): input 9, output 1.25" in note for note in data["curve=1"].notes)
+    assert any("line 7): input 9, output 1.25" in note.text for note in data["curve=1"].notes)
+    assert (
+        sum(note.code is Code.CURVES for note in data["curve=1"].notes) == 3
+    )  # single blocks, curves, calibration point
     assert [len(record) for record in read(path, only="1")] == [3]  # type: ignore[union-attr]
 
 
@@ -366,9 +367,7 @@ def test_gaps_split_into_pieces(tmp_path: Path) -> None:
     data = read(_write(tmp_path, "t,u,y\n0,1,2\n1,2,3\n2,,4\n3,4,5\n4,5,nan\n5,,7\n6,1,1\n"), gaps="split")
     assert isinstance(data, Dataset)
     assert [record.t.tolist() for record in data] == [[0, 1], [3, 4]]
-    notes = " | ".join(data[0].notes)
-    assert "2 rows without input or time" in notes
-    assert "1 pieces of a single row" in notes
+    assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 2  # rows without input, a piece of one row
 
 
 @pytest.mark.parametrize(
@@ -426,7 +425,7 @@ def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
         assert (record.t_unit, record.u_unit, record.y_unit) == ("s", "V", "um")
     array = read(tmp_path / "a.npy")
     np.testing.assert_array_equal(np.stack([array.t, array.u, array.y]), [T, U, Y])  # type: ignore[union-attr]
-    assert any("other" in note for note in read(tmp_path / "a.npz").notes)  # type: ignore[union-attr]
+    assert has(read(tmp_path / "a.npz").notes, Code.LEFT_OUT)  # type: ignore[union-attr]
     with pytest.raises(DataError, match="no sheet 'run 2'; there are about, run 1"):
         read(tmp_path / "a.xlsx", sheet="run 2")
     with pytest.raises(DataError, match="no rows of numbers in 'about'"):
@@ -508,7 +507,7 @@ def test_measured_magnetics(measured: Path) -> None:
         assert len(data) == len(curves) == 152
         for record, points in zip(data, curves.values(), strict=True):
             np.testing.assert_array_equal(np.column_stack([record.u, record.y]), points)
-    assert any("152 blocks of a single row" in note for note in raw[0].notes)  # type: ignore[union-attr]
+    assert has(raw[0].notes, Code.CURVES)  # type: ignore[union-attr]
     for name in ("M130_27s", "MnZn_ferrite", "MnZn_HP_ferrite"):
         data = read(measured / "tidy" / f"mag_bh_{name}.csv", by="loop")
         for position, record in enumerate(data):
@@ -580,4 +579,4 @@ def test_measured_ferroelectric(measured: Path) -> None:
     assert [len(record) for record in data] == [5000, 5000]
     both = np.concatenate([np.column_stack([record.u, record.y, record.t]) for record in data])  # type: ignore[arg-type]
     np.testing.assert_array_equal(both, np.array(told, dtype=float)[:, :3])
-    assert sum("left out" in note for note in data[0].notes) == 3
+    assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 4  # kinds of lines, and unused columns

@@ -14,6 +14,7 @@ from hystfit.control import invert
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.identify import Ukf
+from hystfit.outcome import Code
 from hystfit.stage import (
     Actuator,
     Amplifier,
@@ -87,7 +88,7 @@ def test_noise_resolution_and_limits_are_those_of_the_settings():
     record = actuator.record(t, u, seed=0)
     assert record.u.min() == -20
     assert record.u.max() == 120
-    assert len(record.notes) == 1
+    assert [note.code for note in record.notes] == [Code.PREPARED]
     assert Actuator().record(t, np.clip(u, -20, 120), seed=0).notes == ()
     np.testing.assert_allclose(record.y * 1000, np.round(record.y * 1000), atol=1e-9)
     noise = record.y - actuator.displacement(t, u)

@@ -23,7 +23,7 @@ def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_R
         preisach: also test the assumptions of a Preisach model: wiping-out, congruency, higher-order reversals, and whether
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
-    from hystfit.quality.quality import check as judge
+    from hystfit.models.data_check import check as judge
     from hystfit.results.result import provenance
 
     output.check()
@@ -33,7 +33,7 @@ def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_R
     determined = any(item.verdict != "no" and item.model != "creep" for item in report.determines)
     status = Status.OK if determined else Status.NO_MODEL
     content = {"schema": "hystfit.check/1", "status": str(status), **report.to_dict()}
-    content["reading"] = {record.name: list(record.notes) for record in data}
+    content["reading"] = {record.name: [note.to_dict() for note in record.notes] for record in data}
     content["provenance"] = provenance(data, None)
     remarks = dict.fromkeys(note for record in data for note in record.notes)
     text = "\n".join([report.text().rstrip(), *(["", "Reading of the file", *items(remarks)] if remarks else [])])

@@ -54,7 +54,7 @@ def invert(
         "model": result.name,
         "status": str(status),
         "notes": [note.to_dict() for note in notes],
-        "reading": list(target.notes),
+        "reading": [note.to_dict() for note in target.notes],
         "counts": inverse.counts(),
         "input": {"lowest": float(inverse.u.min()), "highest": float(inverse.u.max())},
         "units": units,
@@ -67,7 +67,7 @@ def invert(
     )
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
     lines = [f"{result.name} inverted for {target.name}: input {reach}", *summary.lines("  "), *items(notes)]
-    lines += items(note for note in target.notes if "left out" in note)
+    lines += items(note for note in target.notes if note.code is Code.LEFT_OUT)
     if bands is not None:
         lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)

@@ -11,7 +11,7 @@ from hystfit.cli.catalog import finish_table
 from hystfit.cli.options import STDOUT, Output, lists, named_values
 from hystfit.cli.write import items, record_columns
 from hystfit.errors import DataError, ParameterError
-from hystfit.outcome import Code, Note, Table
+from hystfit.outcome import Table
 from hystfit.signals.registry import SIGNALS
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def simulate(
         **extra,
         "samples": len(data[0]),
         "range": {name: [float(v.min()), float(v.max())] for name, v in reach.items()},
-        "notes": [Note(Code.RECORD, str(note)).to_dict() for note in notes],
+        "notes": [note.to_dict() for note in notes],
         "provenance": provenance(data, seed),
     }
     ranges = Table(["", "lowest", "highest"], [[name, *reach] for name, reach in content["range"].items()])

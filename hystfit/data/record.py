@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+
+_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256")
+
+
+def median_interval(steps: np.ndarray) -> float | None:
+    """Median of the positive time steps; None where no step is positive."""
+    positive = steps[steps > 0]
+    return float(np.median(positive)) if positive.size else None
 
 
 def _column(name: str, values: object) -> np.ndarray:
     try:
-        array = np.array(values, dtype=np.float64)  # a copy: a record never changes behind its owner's back
+        array = np.array(
+            values, dtype=np.float64
+        )  # a copy, so that later changes of the argument do not reach the record
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be numbers: {error}") from error
     if array.ndim != 1:
@@ -33,14 +44,14 @@ class Record:
         t: time of each sample [t_unit], shape (T,), non-decreasing; None where there is none.
         weight: shape (T,), 1 where the sample counts in a fit or a metric and 0 where it does not.
         u_unit, y_unit, t_unit: units as written in reports; "" if unknown.
-        u_name, y_name: what the columns were called.
-        name: what the record is called in reports and per-record parameters.
-        source: where it came from (a path, a data set, "simulated").
+        u_name, y_name: names of the columns.
+        name: name of the record in reports and per-record parameters.
+        source: origin (a path, a data set, "simulated").
         sha256: checksum of the file that it was read from; None if it was not read from a file.
-        notes: what the reader guessed, dropped or changed, one sentence each.
+        notes: what was assumed, left out or changed when the record was read or prepared.
 
     Raises:
-        DataError: lengths differ, fewer than two samples, no finite output, non-finite input or time that runs back.
+        DataError: lengths differ, fewer than two samples, no finite output, non-finite input or decreasing time.
     """
 
     u: np.ndarray
@@ -55,7 +66,7 @@ class Record:
     name: str = "record"
     source: str = ""
     sha256: str | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         put = lambda field, value: object.__setattr__(self, field, value)
@@ -72,15 +83,15 @@ class Record:
         if self.t is not None:
             lengths["t"] = self.t.size
         if len(set(lengths.values())) != 1:
-            told = ", ".join(f"{k} {n}" for k, n in lengths.items())
-            raise DataError(f"record {self.name!r}: the columns differ in length ({told})")
+            listed = ", ".join(f"{k} {n}" for k, n in lengths.items())
+            raise DataError(f"record {self.name!r}: the columns differ in length ({listed})")
         if self.u.size < 2:
             raise DataError(f"record {self.name!r} has {self.u.size} sample(s); a loop needs at least two")
         bad = ~np.isfinite(self.u)
         if bad.any():
             raise DataError(
-                f"record {self.name!r}: the input is not finite at {bad.sum()} samples, first at number "
-                f"{int(np.argmax(bad))}; a model cannot be driven through a gap: leave those rows out or split there"
+                f"record {self.name!r}: the input is not finite at {bad.sum()} samples, first at sample "
+                f"{int(np.argmax(bad))}; a model cannot be driven through a gap: remove those rows or split the record"
             )
         if np.isinf(self.y).any():
             raise DataError(f"record {self.name!r}: the output is infinite at {int(np.isinf(self.y).sum())} samples")
@@ -90,7 +101,7 @@ class Record:
             step = np.diff(self.t)
             if not np.isfinite(self.t).all() or (step < 0).any():
                 raise DataError(
-                    f"record {self.name!r}: time is not finite or runs back at sample {int(np.argmax(~(step >= 0))) + 1}"
+                    f"record {self.name!r}: time is not finite or decreases at sample {int(np.argmax(~(step >= 0))) + 1}"
                 )
         if not np.isfinite(self.weight).all() or (self.weight < 0).any():
             raise DataError(f"record {self.name!r}: weights must be finite and not negative")
@@ -99,10 +110,9 @@ class Record:
         return self.u.size
 
     def __repr__(self) -> str:
-        told = [f"{len(self)} samples"]
-        if (left_out := len(self) - int(self.used.sum())) > 0:
-            told[0] += f" ({left_out} do not count)"
-        told += [
+        unused = len(self) - int(self.used.sum())
+        parts = [f"{len(self)} samples" + (f" ({unused} do not count)" if unused else "")]
+        parts += [
             f"{name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}".rstrip()
             for name, values, unit in (
                 (self.u_name, self.u, self.u_unit),
@@ -111,7 +121,7 @@ class Record:
             )
             if values is not None
         ]
-        return f"<Record {self.name!r}: {', '.join(told)}>"
+        return f"<Record {self.name!r}: {', '.join(parts)}>"
 
     @property
     def used(self) -> np.ndarray:
@@ -120,24 +130,46 @@ class Record:
 
     @property
     def dt(self) -> np.ndarray:
-        """Time over which each input acted before its sample was read [t_unit], shape (T,); all 0 where there is no time.
+        """Time over which each input acts before its sample is read [t_unit], shape (T,); all 0 where there is no time.
 
-        That is the time since the sample before, and for the first sample the typical sampling interval.
+        That is the time since the previous sample, and for the first sample the sampling interval.
         """
         if self.t is None:
             return np.zeros(len(self))
-        steps = np.diff(self.t)
-        return np.concatenate([[np.median(steps[steps > 0])] if (steps > 0).any() else [0.0], steps])
+        return np.concatenate([[self.sampling_interval or 0.0], np.diff(self.t)])
+
+    @property
+    def sampling_interval(self) -> float | None:
+        """Median of the positive time steps [t_unit]; None without time."""
+        return None if self.t is None else median_interval(np.diff(self.t))
 
     def replace(self, **changes: object) -> Record:
         """Copy with some fields changed."""
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
+    def noted(self, code: Code, text: str) -> Record:
+        """Copy with one more note."""
+        return self.replace(notes=(*self.notes, Note(code, text)))
+
+    def labels(self) -> dict[str, Any]:
+        """All fields but the arrays, for JSON; `labels_of` reads them back."""
+        return {field: getattr(self, field) for field in _LABELS} | {"notes": [note.to_dict() for note in self.notes]}
+
+    @staticmethod
+    def labels_of(stored: dict[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor from what `labels` returned.
+
+        Raises:
+            KeyError, ValueError, TypeError: it is no such description.
+        """
+        notes = tuple(Note.of(note) for note in stored["notes"])
+        return {field: stored[field] for field in _LABELS} | {"notes": notes}
+
     def window(self, start: float | None = None, stop: float | None = None) -> Record:
         """The same record in which only samples with start <= t < stop count.
 
-        The input before the window still drives the model, so that the memory is right when the window begins.
-        Limits are seconds where the record has time, sample numbers where it has none.
+        The input before the window still drives the model, so that its state is right where the window begins.
+        Limits are in t_unit where the record has time, sample numbers where it has none; None leaves a side open.
 
         Raises:
             DataError: no sample lies in the window.
@@ -154,43 +186,37 @@ class Record:
         return self.replace(weight=weight)
 
     def resting_on(self, u0: float) -> Record:
-        """The same record after one more sample: the device had rested on the input `u0` for ever, and nobody measured.
+        """Prepend an unmeasured sample: the device is in equilibrium at the input `u0` before the record begins.
 
-        Models then see the jump from there to the first input. Without it they take the device to have rested on the
-        first input, and creep after a switch-on has no cause.
+        The model is then driven through the step from u0 to the first input. Without it, it starts in equilibrium at the
+        first input, and creep after a switch-on remains unexplained.
 
         Raises:
             DataError: the input is not finite.
         """
         if not np.isfinite(u0):
-            raise DataError(f"the device must have rested on a finite input, got {u0}")
+            raise DataError(f"the input at rest must be finite, got {u0}")
         t = None if self.t is None else np.concatenate([[self.t[0] - self.dt[0]], self.t])
         before = lambda value, column: np.concatenate([[value], column])
-        return self.replace(
-            u=before(u0, self.u),
-            y=before(np.nan, self.y),
-            t=t,
-            weight=before(0.0, self.weight),
-            notes=(*self.notes, f"taken to have rested on {u0:g} {self.u_unit}".rstrip() + " before it began"),
-        )
+        longer = self.replace(u=before(u0, self.u), y=before(np.nan, self.y), t=t, weight=before(0.0, self.weight))
+        level = f"{u0:g} {self.u_unit}".rstrip()
+        return longer.noted(Code.PREPARED, f"assumed in equilibrium at an input of {level} before the record begins")
 
     def segment(self, start: int, stop: int) -> Record:
-        """Rows start <= i < stop as a record of their own, with none of the input before them."""
-        t = None if self.t is None else self.t[start:stop]
-        return self.replace(u=self.u[start:stop], y=self.y[start:stop], t=t, weight=self.weight[start:stop])
+        """Samples start <= i < stop as a separate record, without the input before them."""
+        return self.take(slice(start, stop))
+
+    def take(self, samples: slice | np.ndarray) -> Record:
+        """The record of some samples only: a slice, a mask of shape (T,) or sample numbers."""
+        t = None if self.t is None else self.t[samples]
+        return self.replace(u=self.u[samples], y=self.y[samples], t=t, weight=self.weight[samples])
 
     def blocks(self, count: int) -> list[np.ndarray]:
         """Split the samples that count into contiguous blocks of about equal size: one boolean mask (T,) each."""
-        parts = np.array_split(np.flatnonzero(self.used), count)
-        masks = []
-        for part in parts:
-            mask = np.zeros(len(self), dtype=bool)
-            mask[part] = True
-            masks.append(mask)
-        return masks
+        return [np.isin(np.arange(len(self)), part) for part in np.array_split(np.flatnonzero(self.used), count)]
 
     def digest(self) -> str:
-        """SHA-256 over the numbers themselves, the same however they were read."""
+        """SHA-256 of the numbers, independent of file format and labels."""
         hasher = hashlib.sha256()
         for column in (self.u, self.y, self.t, self.weight):
             hasher.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
@@ -199,7 +225,7 @@ class Record:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Dataset:
-    """Several records that one model should explain, each with a name of its own.
+    """Several records with distinct names, for one model.
 
     Raises:
         DataError: no records, or two of the same name.
@@ -219,7 +245,11 @@ class Dataset:
 
     @classmethod
     def of(cls, data: Record | Dataset | Iterable[Record]) -> Dataset:
-        """A data set from whatever holds records."""
+        """A data set from a record, a data set or a list of records.
+
+        Raises:
+            DataError: anything else.
+        """
         if isinstance(data, Dataset):
             return data
         if isinstance(data, Record):
@@ -258,15 +288,17 @@ class Dataset:
         """The records of these names, in this order."""
         return Dataset(tuple(self[name] for name in names), name=self.name)
 
-    def map(self, change: object) -> Dataset:
-        """Apply a function Record -> Record to every record."""
-        return Dataset(tuple(change(record) for record in self.records), name=self.name)  # type: ignore[operator]
+    def map(self, change: Callable[[Record], Record]) -> Dataset:
+        """Apply a function to every record."""
+        return Dataset(tuple(change(record) for record in self.records), name=self.name)
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of u, y and t, from the first record that gives one."""
-        found = {}
-        for symbol in ("u", "y", "t"):
-            units = [getattr(record, f"{symbol}_unit") for record in self.records]
-            found[symbol] = next((unit for unit in units if unit), "")
-        return found
+        """Units of u, y and t, each from the first record that has one."""
+        first = lambda field: next((unit for record in self.records if (unit := getattr(record, field))), "")
+        return {symbol: first(f"{symbol}_unit") for symbol in ("u", "y", "t")}
+
+    @property
+    def sampling_interval(self) -> float | None:
+        """Median of the positive time steps of all records [t_unit]; None where no record has time."""
+        return median_interval(np.concatenate([record.dt[1:] for record in self.records]))

@@ -14,9 +14,8 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
-from hystfit.quality.quality import check
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.verdict import degrades
+from hystfit.quality.summary import summarize
 from hystfit.results.metrics import Metrics
 
 _POOR = 10.0  # percent of range above which no fit is called usable
@@ -95,7 +94,7 @@ def status_of(
             "described"
         )
         return Status.POOR, [error(Code.POOR_FIT, text)]
-    if percent > _ROUGH and not white and any(degrades(record) for record in check(data).records):
+    if percent > _ROUGH and not white and any(summarize(record).degrading for record in data):
         text = (
             f"the loop loses stiffness from cycle to cycle (damage), and the error is {percent:.3g} % of the range: the model has no "
             "term for damage (see hystfit check)"

@@ -47,11 +47,8 @@ def decimate(record: Record, increment: float) -> Record:
             "smaller increment"
         )
     at = np.array(kept)
-    t = None if record.t is None else record.t[at]
     note = f"decimated to {at.size} of {len(record)} samples by input increments of {increment:g}"
-    return record.replace(
-        u=u[at], y=record.y[at], t=t, weight=np.asarray(record.weight)[at], notes=(*record.notes, note)
-    )
+    return record.take(at).noted(Code.PREPARED, note)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -64,7 +64,27 @@ class Code(enum.StrEnum):
     # predictions, inverses and simulated records
     NOT_FINITE = "not-finite"  # the simulation is not finite
     MISSED = "missed"  # samples of a reference that cannot be followed
-    RECORD = "record"  # a remark on how a record was read or made
+    # records and files
+    FILE_FORMAT = "file-format"  # encoding, delimiter, decimal mark, units and other assumptions about a file
+    COLUMN_CHOICE = "column-choice"  # a column was chosen by its name, unit or position
+    LEFT_OUT = "left-out"  # rows, lines or columns of a file that are not used
+    MISSING_VALUES = "missing-values"  # samples without output
+    TIME_STEPS = "time-steps"  # uneven or repeated time stamps
+    CURVES = "curves"  # how the rows of a file were divided into records
+    PREPARED = "prepared"  # how a record was made or changed after it was measured
+    # data quality
+    NO_TIME = "no-time"  # no usable time stamps
+    CLIPPED = "clipped"  # the output saturates
+    SPIKES = "spikes"  # isolated outliers in the output
+    CHATTER = "chatter"  # noise reverses the input
+    OUTPUT_NOISE = "output-noise"  # the noise is large beside the range of the output
+    SINGLE_VALUED = "single-valued"  # no hysteresis above the noise
+    NOT_CLOSED = "not-closed"  # the largest loop does not close
+    DEGRADING = "degrading"  # stiffness is lost from cycle to cycle
+    DRIFT = "drift"  # the mean of like cycles drifts
+    LAG = "lag"  # the output keeps moving after the input has turned
+    SPEED_DEPENDENT = "speed-dependent"  # the output depends on the speed of the input
+    REVERSAL_CURVES = "reversal-curves"  # the records are first-order reversal curves
 
 
 @dataclasses.dataclass(frozen=True)

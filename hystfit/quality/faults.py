@@ -12,15 +12,15 @@ MAD_TO_RMS = 1.4826  # of a normal distribution
 def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
     """RMS of white noise on a smooth signal, from its differences of order 2 to 6.
 
-    Differences of a high order wipe out what is slow; the median of their size is not moved by reversals or spikes.
-    The least of the orders is taken, as what is left of the signal only adds.
+    Differences of a high order suppress slow signals, and the median of their magnitude is robust to reversals and spikes. The
+    smallest estimate of all orders is used, as remainders of the signal can only increase it.
 
     Args:
-        values: shape (T,); non-finite values are passed over.
+        values: shape (T,); non-finite values are omitted.
 
     Returns:
-        (rms in the unit of the values or None with fewer than 16 samples, True where it is an upper bound only:
-        samples so sparse that the signal itself has not died out in the differences).
+        RMS in the unit of the values (None with fewer than 16 samples), and whether it is only an upper bound: the samples are
+        so sparse that the differences still contain the signal.
     """
     values = np.asarray(values, dtype=float)
     values = values[np.isfinite(values)]
@@ -32,16 +32,16 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
         sizes.append(MAD_TO_RMS * float(np.median(size)))
     floor = float(np.finfo(float).eps * np.max(np.abs(values)))
     least = min(sizes)
-    if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one that moves in jumps
+    if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one with jumps
         step, moves = resolution(values) or 0.0, np.concatenate([[False], np.diff(values) != 0, [False]])
-        alone = moves[1:-1] & ~moves[:-2] & ~moves[2:]
-        rounded = alone.sum() > 0.5 * moves.sum() and step < 0.02 * np.ptp(values)
+        isolated = moves[1:-1] & ~moves[:-2] & ~moves[2:]
+        rounded = isolated.sum() > 0.5 * moves.sum() and step < 0.02 * np.ptp(values)
         return (step / math.sqrt(12) if rounded and moves.mean() < 0.75 else least), False
     return least, sizes[-1] < 0.8 * sizes[1]
 
 
 def resolution(values: np.ndarray) -> float | None:
-    """Smallest step between two different values [unit of the values]; None where all are the same."""
+    """Smallest difference of two distinct values [unit of the values]; None where all are equal."""
     finite = np.unique(np.asarray(values, dtype=float)[np.isfinite(values)])
     if finite.size < 2:
         return None
@@ -51,15 +51,18 @@ def resolution(values: np.ndarray) -> float | None:
 
 
 def runs(mask: np.ndarray) -> np.ndarray:
-    """First and one-past-last sample of every stretch of True, shape (K, 2)."""
+    """First sample and end (exclusive) of every run of True, shape (K, 2)."""
     edges = np.diff(np.concatenate([[0], np.asarray(mask, dtype=int), [0]]))
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
 
 
 def holds(u: np.ndarray, tolerance: float, least: int = 5) -> np.ndarray:
-    """Stretches in which the input rests: first and one-past-last sample, shape (K, 2).
+    """Holds of the input: first sample and end (exclusive), shape (K, 2).
 
-    A rest is `least` samples or more whose steps are all at most `tolerance` [unit of u].
+    Args:
+        u: input, shape (T,).
+        tolerance: largest step within a hold [unit of u].
+        least: number of samples that make a hold.
     """
     still = np.abs(np.diff(np.asarray(u, dtype=float))) <= tolerance
     spans = runs(still)
@@ -68,10 +71,10 @@ def holds(u: np.ndarray, tolerance: float, least: int = 5) -> np.ndarray:
 
 
 def clipped_samples(u: np.ndarray, y: np.ndarray) -> int:
-    """Number of samples at which the output stands at its very end while the input moves on.
+    """Number of samples at which the output stays at its largest or smallest value while the input moves.
 
-    Counted are runs of four samples or more that repeat the largest or the smallest y exactly while u moves by more
-    than 2 % of its range (a slow or rounded signal repeats too, but elsewhere as well: such runs are not counted).
+    Counted are runs of four samples or more that repeat this value exactly while u moves by more than 2 % of its range; slow or
+    rounded signals, which repeat values elsewhere too, are not counted.
     """
     y = np.asarray(y, dtype=float)
     span = np.ptp(u)
@@ -89,12 +92,12 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> int:
 
 
 def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None) -> np.ndarray:
-    """Samples that stick out of both neighbors to the same side by far more than noise and 3 % of the range.
+    """Sample numbers of isolated outliers: beyond both neighbors on one side by more than 10 times the noise and 3 % of the range.
 
     Args:
         y: output, shape (T,).
-        noise: its rms [unit of y]; None counts as 0.
-        ignore: sample numbers near which nothing counts (turning points of a sparse record).
+        noise: its rms [unit of y]; None for 0.
+        ignore: sample numbers next to which nothing counts (turning points of a sparse record).
     """
     y = np.asarray(y, dtype=float)
     if y.size < 5:
@@ -103,7 +106,7 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     limit = max(10 * (noise or 0.0), 0.03 * float(np.nanmax(y) - np.nanmin(y)))
     with np.errstate(invalid="ignore"):
         out = (np.sign(before) == np.sign(after)) & (np.minimum(np.abs(before), np.abs(after)) > limit)
-    found = np.flatnonzero(out) + 1
-    if ignore is not None and ignore.size and found.size:
-        found = found[np.min(np.abs(found[:, None] - ignore[None, :]), axis=1) > 1]
-    return found
+    outliers = np.flatnonzero(out) + 1
+    if ignore is not None and ignore.size and outliers.size:
+        outliers = outliers[np.min(np.abs(outliers[:, None] - ignore[None, :]), axis=1) > 1]
+    return outliers

@@ -1,144 +1,94 @@
-"""What is wrong with the data or worth knowing, in words, and the page that says so."""
+"""Findings on the quality of a record, as notes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
-from hystfit.quality.verdict import degrades, depends_on_speed, moves_on
-
-if TYPE_CHECKING:
-    from hystfit.quality.quality import QualityReport, RecordQuality
+from hystfit.outcome.note import Code, Note, warn
+from hystfit.quality.summary import RecordQuality
 
 
-def findings(records: Sequence[RecordQuality]) -> tuple[str, ...]:
-    """What is wrong or worth knowing, one sentence each, with the record's name where there are several."""
-    told = []
-    for record in records:
-        prefix = f"{record.name}: " if len(records) > 1 else ""
-        told += [prefix + line for line in (*_faults(record), *_traits(record))]
-    return tuple(told)
+def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
+    """What is wrong with the data or worth knowing about them, with the record's name where there are several."""
+    several = len(records) > 1
+    return tuple(
+        Note(note.code, f"{record.name}: {note.text}" if several else note.text, note.severity)
+        for record in records
+        for note in (*_faults(record), *_traits(record))
+    )
 
 
-def _faults(record: RecordQuality) -> list[str]:
-    told, sampling, unit = [], record.sampling, record.units["y"]
+def _faults(record: RecordQuality) -> Iterator[Note]:
+    """Faults of single samples and of the time axis."""
+    sampling, unit = record.sampling, record.units["y"]
     if sampling.rate is None:
-        told.append(
-            "no usable time: rate-dependent terms, lag and creep cannot be determined, rate-independent models can"
+        yield warn(
+            Code.NO_TIME, "no usable time: only rate-independent models can be fitted; lag and creep are unknown"
         )
     elif not sampling.uniform:
-        told.append("time steps are uneven: lag is not estimated")
+        yield warn(Code.TIME_STEPS, "uneven time steps: the lag is not estimated")
     if sampling.repeated_stamps:
-        told.append(f"{sampling.repeated_stamps} repeated time stamps")
+        yield warn(Code.TIME_STEPS, f"repeated time stamps: {sampling.repeated_stamps}")
     if sampling.gaps:
-        told.append(f"{sampling.gaps} gaps in time (more than 1.5 steps)")
+        yield warn(Code.TIME_STEPS, f"gaps in time (more than 1.5 steps): {sampling.gaps}")
     if sampling.missing:
-        told.append(f"{sampling.missing} missing outputs ({100 * sampling.missing / sampling.n:.1f} %)")
+        share = 100 * sampling.missing / sampling.n
+        yield warn(Code.MISSING_VALUES, f"missing outputs: {sampling.missing} samples ({share:.1f} %)")
     if record.clipped:
-        told.append(f"{record.clipped} samples of the output stand at its end while the input moves: clipped?")
+        yield warn(
+            Code.CLIPPED,
+            f"{record.clipped} samples of the output stay at its limit while the input moves: check for a saturated sensor",
+        )
     if record.spikes:
-        told.append(f"{record.spikes} spikes in the output: use a robust loss")
+        yield warn(Code.SPIKES, f"outliers (spikes) in the output: {record.spikes}; fit with a robust loss")
     if record.motion.chatter_percent > 5:
-        told.append(
-            f"the input chatters ({record.motion.chatter_percent:.0f} % of its steps go back): smooth it, or a model "
-            "sees loops that are noise"
+        yield warn(
+            Code.CHATTER,
+            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise: smooth the input, "
+            "otherwise models produce loops from noise",
         )
-    noise, span = record.y.noise_rms, record.y.range
-    if noise and not record.y.noise_is_bound and span > 0 and noise > 0.02 * span:
-        told.append(
-            f"output noise is {noise:.3g} {unit} rms, {100 * noise / span:.1f} % of its range".replace("  ", " ")
-        )
-    return told
+    noise, span = record.y.known_noise, record.y.range
+    if noise and span > 0 and noise > 0.02 * span:
+        size = f"{noise:.3g} {unit}".rstrip()
+        yield warn(Code.OUTPUT_NOISE, f"output noise: {size} rms, {100 * noise / span:.1f} % of the output range")
 
 
-def _traits(record: RecordQuality) -> list[str]:
-    told, shape, drift, lag = [], record.shape, record.drift, record.lag
-    unit, clock = record.units["y"], record.units["t"]
+def _traits(record: RecordQuality) -> Iterator[Note]:
+    """Properties of the loop that decide which models apply."""
+    shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
     if record.motion.monotonic:
-        told.append("monotonic: the input never turns back, so there is no loop")
+        yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
     if shape is not None and shape.circulation is None:
-        told.append("the branches lie on each other: no hysteresis within what is measured")
+        yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
     if shape is not None and shape.closure_percent is not None and abs(shape.closure_percent) > 2:
-        told.append(f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
-    if degrades(record) and shape is not None:
-        pinched = shape.pinching < 0.6
-        thin = f", and pinched to {100 * shape.pinching:.0f} % of its width in the middle" if pinched else ""
-        told.append(
-            f"degrading: late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first stiffness at the "
-            f"same stroke{thin} (damage); a plain Bouc-Wen, Duhem, play or Preisach model cannot make this loop"
+        yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
+    if record.degrading and shape is not None:
+        pinched = (
+            f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinching < 0.6 else ""
+        )
+        yield warn(
+            Code.DEGRADING,
+            f"damage: late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first stiffness at the same stroke"
+            f"{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this",
         )
     if drift is not None and drift.law != "none":
-        size = f"{drift.per_decade:.3g} {unit}/decade, R2 {drift.r2_log:.3f}"
-        if drift.law == "linear":
-            size = f"{drift.per_cycle:.3g} {unit}/cycle, R2 {drift.r2_linear:.3f}"
-        told.append(f"the mean drifts ({drift.law}, {size})")
-        if shape is not None and abs(drift.total) > 0.3 * shape.width:
-            told.append("the drift is comparable to the width of the loop: model it, or remove it with care")
-    if lag is not None and moves_on(record):
-        told.append(
-            f"the output keeps moving for {lag.samples:.1f} +- {lag.stderr:.1f} samples ({lag.seconds:.3g} {clock}) "
-            "after the input turned: a delay, a fast lag or creep, not hysteresis"
+        slope, per, r2 = drift.per_cycle, "cycle", drift.r2_linear
+        if drift.law == "logarithmic" and drift.per_decade is not None and drift.r2_log is not None:
+            slope, per, r2 = drift.per_decade, "decade of time", drift.r2_log
+        size = f"{slope:.3g} {unit}".rstrip()
+        text = f"the mean of like cycles drifts by {size} per {per} ({drift.law}, R2 {r2:.3f})"
+        large = shape is not None and abs(drift.total) > 0.3 * shape.width
+        more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
+        yield warn(Code.DRIFT, text + more)
+    if lag is not None and record.lags:
+        clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
+        yield warn(
+            Code.LAG,
+            f"the output lags the input by {lag.samples:.1f} +- {lag.stderr:.1f} samples{clock} at the reversals: a delay, a "
+            "fast lag or creep, not hysteresis",
         )
-    if depends_on_speed(record):
-        ahead = lag is not None and lag.samples < -2 * lag.stderr
-        why = (
-            f"it turns {-lag.samples:.1f} samples ahead of the input" if ahead and lag else "the area changes with rate"
-        )
-        told.append(f"the output depends on the input's speed ({why}): it needs a velocity term")
-    return told
-
-
-def page(report: QualityReport) -> str:
-    """The report as text."""
-    lines = [f"Data quality: {report.name}"]
-    for record in report.records if len(report.records) <= 8 else report.records[:4]:
-        lines += ["", *_block(record)]
-    if len(report.records) > 8:
-        lines.append(f"  ... and {len(report.records) - 4} more records")
-    lines += ["", "Findings"]
-    lines += [f"  - {line}" for line in report.findings[:40]] or ["  - nothing to object to"]
-    if len(report.findings) > 40:
-        lines.append(f"  ... and {len(report.findings) - 40} more")
-    lines += ["", "What these data determine"]
-    for item in report.determines:
-        lines += [f"  {item.model:<20} {item.verdict:<7} {'; '.join(item.reasons)}"]
-    return "\n".join(lines)
-
-
-DRIFTLESS = "unknown: it takes four cycles between like turning levels"
-
-
-def _block(record: RecordQuality) -> list[str]:
-    sampling, motion, shape, units = record.sampling, record.motion, record.shape, record.units
-    rate = "no time"
-    if sampling.rate is not None:
-        rate = f"{sampling.rate:.6g} per {units['t'] or 'unit of time'}, {sampling.duration:.6g} {units['t']} long"
-    rows = [("samples", f"{sampling.n}, {rate}")]
-    for symbol, column in (("input u", record.u), ("output y", record.y)):
-        unit = units[symbol[-1]]
-        noise = "unknown" if column.noise_rms is None else f"{column.noise_rms:.2g}"
-        noise = ("at most " if column.noise_is_bound else "") + noise
-        rows.append((symbol, f"{column.low:.6g} .. {column.high:.6g} {unit}, noise {noise} rms".replace("  ", " ")))
-    rows.append(
-        (
-            "loops",
-            f"{motion.reversals} reversals, {motion.cycles} cycles, {motion.closed_loops} closed loops "
-            f"({motion.major} major, {motion.minor} minor, {motion.nested} nested), {len(motion.strokes)} amplitudes, "
-            f"{motion.holds} holds",
-        )
-    )
-    if shape is not None:
-        closing = "unknown" if shape.closure_percent is None else f"{shape.closure_percent:+.2f} %"
-        rows.append(
-            (
-                "shape",
-                f"width {shape.width:.4g} {units['y']} ({shape.width_percent:.1f} % of the stroke), "
-                f"{shape.circulation or 'no open loop'}, closure {closing}, asymmetry {shape.asymmetry_percent:.1f} %",
-            )
-        )
-    drift, lag = record.drift, record.lag
-    rows.append(
-        ("drift", DRIFTLESS if drift is None else f"{drift.per_cycle:.3g} {units['y']} per cycle ({drift.law})")
-    )
-    rows.append(("lag", "unknown" if lag is None else f"{lag.samples:.2f} +- {lag.stderr:.2f} samples"))
-    return [f"  {record.name}", *(f"    {label:<10} {told}" for label, told in rows)]
+    if record.speed_dependent:
+        reason = "the area of the loop changes with frequency"
+        if lag is not None and record.leads:
+            reason = f"it turns {-lag.samples:.1f} samples before the input"
+        yield warn(Code.SPEED_DEPENDENT, f"the output depends on the input's speed ({reason}): add a velocity term")

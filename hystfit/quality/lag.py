@@ -1,8 +1,8 @@
-"""Delay of the output behind the input, and dependence on speed, told apart from hysteresis.
+"""Delay of the output behind the input and dependence on speed, as distinct from hysteresis.
 
-Rate-independent hysteresis lags in the input, not in time: its output turns with the input, however wide the loop. So
-around every turning point the output is fitted by one polynomial of the delayed input before the turn and another
-after it, joined at the turn; the delay at which all turns fit best is the lag.
+The output of rate-independent hysteresis turns at the same time as the input, however wide the loop. Around every turning
+point the output is fitted by one polynomial of the delayed input before the turn and another after it, joined at the turn;
+the lag is the delay at which all turns fit best.
 """
 
 from __future__ import annotations
@@ -12,18 +12,22 @@ import dataclasses
 import numpy as np
 
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
-NEAR = (0.12, 0.2, 0.35)  # of the shorter neighboring branch: how far a fit reaches; the first that has samples
+NEAR = (
+    0.12,
+    0.2,
+    0.35,
+)  # range of a fit as a fraction of the shorter neighboring branch; the first with enough samples
 MOST_TURNS = 40
 
 
 @dataclasses.dataclass(frozen=True)
 class Lag:
-    """How long the output keeps moving after the input turned.
+    """Time for which the output keeps moving after the input has turned.
 
     Attributes:
-        samples: delay in samples; negative where the output turns first (a force that depends on velocity does that).
-        stderr: its standard error [samples]: scatter over the turns, upper against lower turns, a nearer against a
-            farther reach of the fit, and 0.1 of method.
+        samples: delay in samples; negative where the output turns first (as a velocity-dependent force does).
+        stderr: its standard error [samples], from the scatter over the turns, upper against lower turns, two ranges of the fit,
+            and 0.1 samples for the method.
         seconds: delay in the unit of time; None without time.
         turns: number of turning points used.
     """
@@ -36,7 +40,7 @@ class Lag:
 
 @dataclasses.dataclass(frozen=True)
 class _Turn:
-    """Samples around one turning point: where it is, its direction and the input's distance from it."""
+    """Samples around one turning point, its position and direction, and the range of the input that is fitted."""
 
     index: np.ndarray
     at: float
@@ -75,9 +79,9 @@ def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, nea
 
 
 def _misfit(turn: _Turn, y: np.ndarray, spline: object, delays: np.ndarray) -> np.ndarray:
-    """Sum of squares left by the two polynomials at every delay, shape (D,)."""
+    """Residual sum of squares of the two polynomials at every delay, shape (D,)."""
     value = y[turn.index]
-    left = []
+    squares = []
     for delay in delays:
         when = turn.index - delay
         s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
@@ -87,8 +91,8 @@ def _misfit(turn: _Turn, y: np.ndarray, spline: object, delays: np.ndarray) -> n
         columns += [np.where(after, s, 0.0) ** power for power in range(1, SIDES[1] + 1)]
         design = np.stack(columns, axis=1)
         solution = np.linalg.lstsq(design, value, rcond=1e-9)[0]
-        left.append(np.sum((value - design @ solution) ** 2))
-    return np.array(left)
+        squares.append(np.sum((value - design @ solution) ** 2))
+    return np.array(squares)
 
 
 def _lowest(delays: np.ndarray, misfit: np.ndarray) -> float | None:
@@ -102,23 +106,22 @@ def _lowest(delays: np.ndarray, misfit: np.ndarray) -> float | None:
 
 
 def estimate_lag(
-    u: np.ndarray, y: np.ndarray, t: np.ndarray | None, reversals: np.ndarray, *, u_noise: float | None = None
+    u: np.ndarray, y: np.ndarray, interval: float | None, reversals: np.ndarray, *, u_noise: float | None = None
 ) -> Lag | None:
     """Delay of y behind u, separated from rate-independent hysteresis.
 
-    A pure delay, a fast first-order lag and creep just after the turn look alike here: the number says how long the
-    output keeps moving, not why.
+    A pure delay, a fast first-order lag and creep just after the turn are not distinguished.
 
     Args:
         u: input, shape (T,).
         y: output, shape (T,).
-        t: time, shape (T,), evenly spaced; None where there is none.
+        interval: sampling interval [unit of time] of evenly spaced samples; None without time.
         reversals: turning points of u, see `loops.reversals`.
         u_noise: rms of the noise on u [unit of u]; a noisy input is smoothed first.
 
     Returns:
-        The lag, or None where it is not known: fewer than three usable turns, branches too short or resting at the
-        turn, or no best delay within a quarter of a branch and 20 samples.
+        None with fewer than three usable turns, where branches are too short or hold at the turn, or without a best delay
+        within a quarter of a branch and 20 samples.
     """
     from scipy.interpolate import CubicSpline
 
@@ -130,28 +133,27 @@ def estimate_lag(
         return None
     spline = CubicSpline(np.arange(u.size), _smooth(u, u_noise))
     delays = np.arange(-reach, reach + 0.25, 0.5)
-    found = []
+    estimates = []
     for near in NEAR:
         turns = [turn for turn in _turns(u, spline, reversals, reach, near) if np.isfinite(y[turn.index]).all()]
         if len(turns) >= 3:
-            found.append(_over_turns(turns, y, spline, delays))
-        if len(found) == 2:
+            estimates.append(_over_turns(turns, y, spline, delays))
+        if len(estimates) == 2:
             break
-    if not found or found[0] is None:
+    if not estimates or estimates[0] is None:
         return None
-    best, stderr, count = found[0]
-    if len(found) > 1 and found[1] is not None:
-        stderr = float(np.hypot(stderr, 0.5 * (found[1][0] - best)))
+    best, stderr, count = estimates[0]
+    if len(estimates) > 1 and estimates[1] is not None:
+        stderr = float(np.hypot(stderr, 0.5 * (estimates[1][0] - best)))
     if stderr > max(2.0, 0.5 * abs(best)):
         return None
-    step = None if t is None else float(np.median(np.diff(t)))
-    return Lag(best, stderr, None if step is None else best * step, count)
+    return Lag(best, stderr, None if interval is None else best * interval, count)
 
 
 def _over_turns(
     turns: list[_Turn], y: np.ndarray, spline: object, delays: np.ndarray
 ) -> tuple[float, float, int] | None:
-    """Best delay over all turns, its standard error by leaving turns out, and their number."""
+    """Best delay over all turns, its jackknife standard error, and the number of turns."""
     misfit = np.array([_misfit(turn, y, spline, delays) for turn in turns])
     best = _lowest(delays, misfit.sum(axis=0))
     if best is None:
@@ -181,17 +183,17 @@ def plays(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 
 
 def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 6000) -> float | None:
-    """Share of what a rate-independent description leaves unexplained that terms in the velocity explain.
+    """Share of the variance unexplained by a rate-independent model that velocity terms explain.
 
-    A generous rate-independent description (plays, their squares, a cubic, a trend) is fitted by least squares
-    without and with v and tanh(v / v_rms), v/3 v_rms alike. Near 1: the output depends on speed. One frequency alone
-    cannot tell this from a wrong shape of the loop near its ends, nor a lag from a viscous term.
+    A flexible rate-independent model (plays, their squares, a cubic, a trend) is fitted by least squares without and with
+    the terms v, tanh(v / v_rms) and tanh(3 v / v_rms). Near 1: the output depends on speed. At a single frequency this
+    cannot be distinguished from an error in the loop's shape near its ends, nor a lag from a viscous term.
 
     Args:
         u: input, shape (T,).
         y: output, shape (T,).
         t: time, shape (T,).
-        most: number of samples used, from the first.
+        most: number of samples used, from the start of the record.
 
     Returns:
         A number from 0 to 1; None with fewer than 100 samples.
@@ -206,8 +208,8 @@ def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 60
     play = plays(x, np.geomspace(0.02, 0.8, 8))
     base = [np.ones_like(x), x, x**2, x**3, t - t[0], *play.T, *(play**2).T]
     fast = [speed / scale, np.tanh(speed / scale), np.tanh(3 * speed / scale)]
-    left = [_unexplained(np.stack(columns, axis=1)[used], y[used]) for columns in (base, base + fast)]
-    return float(1 - left[1] / left[0]) if left[0] > 0 else 0.0
+    slow, full = (_unexplained(np.stack(columns, axis=1)[used], y[used]) for columns in (base, base + fast))
+    return float(1 - full / slow) if slow > 0 else 0.0
 
 
 def _unexplained(design: np.ndarray, y: np.ndarray) -> float:

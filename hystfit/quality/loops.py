@@ -9,9 +9,9 @@ import numpy as np
 
 
 def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
-    """Turning points of u that stand out by more than a threshold.
+    """Turning points of u, without those of noise.
 
-    A turning point counts once u has come back from it by more than `threshold` (so that chatter does not count).
+    A turning point counts once u has moved back from it by more than `threshold`.
 
     Args:
         u: input, shape (T,).
@@ -28,8 +28,8 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     # only local extremes can be turning points: the value before each change of direction, first of its flat run
     change = np.flatnonzero(direction[1:] != direction[:-1])
     corners = np.concatenate([[0], moves[change], [moves[-1]]])
-    found: list[int] = []
-    extreme, rising = 0, 0  # rising: +1, -1 or 0 while the direction is not known yet
+    turns: list[int] = []
+    extreme, rising = 0, 0  # rising: +1, -1, or 0 while the direction is unknown
     low = high = 0
     for corner in corners:
         if rising == 0:
@@ -39,13 +39,13 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
                 rising, extreme = (1, high) if high > low else (-1, low)
                 first = low if rising > 0 else high
                 if first > 0 and abs(u[first] - u[0]) > threshold:
-                    found.append(first)
+                    turns.append(first)
         elif rising * (u[corner] - u[extreme]) > 0:
             extreme = corner
         elif rising * (u[extreme] - u[corner]) > threshold:
-            found.append(extreme)
+            turns.append(extreme)
             rising, extreme = -rising, corner
-    return np.array(found, dtype=int)
+    return np.array(turns, dtype=int)
 
 
 def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
@@ -56,14 +56,14 @@ def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Loop:
-    """A stretch after which the input is back where it began: samples start..stop, with one far turning point.
+    """Samples start..stop after which the input is back at its initial level, with one far turning point.
 
     Attributes:
         start: sample of the turning point (or start of the record) where it begins.
         turn: sample of its far turning point.
         stop: first sample at which the input is back at the level of `start`.
         low, high: extent of the input [unit of u].
-        depth: number of loops that it lies inside, in time.
+        depth: number of loops that enclose it in time.
     """
 
     start: int
@@ -87,7 +87,7 @@ def closed_loops(u: np.ndarray, threshold: float = 0.0) -> list[Loop]:
 
     Args:
         u: input, shape (T,).
-        threshold: see `reversals`; a loop whose ends miss each other by less than this is closed.
+        threshold: see `reversals`; also the largest gap between the ends of a closed loop [unit of u].
     """
     u = np.asarray(u, dtype=float)
     turns = reversals(u, threshold)
@@ -136,7 +136,7 @@ def cycles(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
 
 
 def loop_area(u: np.ndarray, y: np.ndarray) -> float:
-    """Signed area inside one loop [unit of u times unit of y]: positive where it runs counter-clockwise.
+    """Signed area of one loop [unit of u times unit of y], positive counter-clockwise.
 
     u and y of shape (T,); the last point is joined to the first.
     """
@@ -145,7 +145,13 @@ def loop_area(u: np.ndarray, y: np.ndarray) -> float:
 
 
 def branch_means(u: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Mean of y in bins of u, shape (len(edges) - 1,); bins without a sample by interpolation between neighbors."""
+    """Mean of y in bins of u, shape (B,); empty bins by interpolation between their neighbors.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+        edges: of the bins, rising [unit of u], shape (B + 1,).
+    """
     where = np.clip(np.digitize(u, edges) - 1, 0, edges.size - 2)
     count = np.bincount(where, minlength=edges.size - 1)
     filled = count > 0
@@ -174,9 +180,3 @@ def loop_branches(u: np.ndarray, y: np.ndarray, bins: int = 50) -> tuple[np.ndar
     edges = np.linspace(u.min(), u.max(), count + 1)
     centers = 0.5 * (edges[1:] + edges[:-1])
     return centers, branch_means(u[rising], y[rising], edges), branch_means(u[falling], y[falling], edges)
-
-
-def loop_width(u: np.ndarray, y: np.ndarray, bins: int = 50) -> float:
-    """Largest vertical distance between the two branches of one loop [unit of y]; arguments as `loop_branches`."""
-    _, rising, falling = loop_branches(u, y, bins)
-    return float(np.max(np.abs(rising - falling)))

@@ -1,4 +1,4 @@
-"""First-order reversal curves as data: branches that run one way from their reversal points back towards saturation."""
+"""First-order reversal curves: monotonic branches from their reversal points back towards saturation."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 
-_LEAST = 5  # curves from which records are recognized as a family
-_APART = 0.3  # spread of the reversal points of a recognized family, in parts of the input's range
-_BACK = 0.01  # by which a curve's input may run back, in parts of its range
-_CROSS = 0.01  # crossing of neighboring curves, in parts of the output's range, that is told
-_CLOSE = 0.05  # spread of the curves' ends at the largest common input that is told
+_LEAST = 5  # number of curves from which records are recognized as a family
+_APART = 0.3  # least spread of the reversal points of a recognized family, as a fraction of the input's range
+_BACK = 0.01  # largest step back of a curve's input, as a fraction of its range
+_CROSS = 0.01  # crossing of neighboring curves that is reported, as a fraction of the output's range
+_CLOSE = 0.05  # spread of the curves at the largest common input that is reported, as a fraction of the output's range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,9 +23,9 @@ class ReversalFamily:
     """First-order reversal curves in order of reversal.
 
     Attributes:
-        curves: samples that count, the reversal point first, the one nearest the saturation they came from first.
-        rising: they run upward, having come from positive saturation.
-        notes: where curves cross, or do not close.
+        curves: samples that count, each from its reversal point; the curve nearest to saturation first.
+        rising: they rise, from positive saturation.
+        notes: curves that cross, or do not close.
     """
 
     curves: tuple[Record, ...]
@@ -33,49 +33,49 @@ class ReversalFamily:
     notes: tuple[str, ...]
 
     def words(self) -> str:
-        """In one line, for a report."""
+        """One line for a report."""
         start = [r.u[0] for r in self.curves]
-        way, side = ("rise", "positive") if self.rising else ("fall", "negative")
+        direction, side = ("rising", "positive") if self.rising else ("falling", "negative")
         return (
-            f"{len(self.curves)} first-order reversal curves: they {way} from reversals at {min(start):.4g} to {max(start):.4g} "
-            f"back towards {side} saturation"
+            f"{len(self.curves)} first-order reversal curves, {direction} from reversals at {min(start):.4g} to {max(start):.4g} "
+            f"to {side} saturation"
         )
 
 
 def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
-    """Check that records are first-order reversal curves. Samples that do not count are passed over, and curves of one sample.
+    """Check that records are first-order reversal curves; samples that do not count and curves of one sample are omitted.
 
     Args:
-        data: one record a curve, the reversal point first.
+        data: one record for each curve, its reversal point first.
 
     Raises:
-        DataError: fewer than two curves, branches that turn round, or directions that differ.
+        DataError: fewer than two curves, branches that reverse, or both rising and falling curves.
     """
-    curves = [_counting(record) for record in Dataset.of(data) if np.count_nonzero(record.used) > 1]
+    used = [record for record in Dataset.of(data) if np.count_nonzero(record.used) > 1]
+    curves = [record if record.used.all() else record.take(record.used) for record in used]
     if len(curves) < 2:
         raise DataError(
-            f"reversal curves come in families; got {len(curves)} record(s): read the file by its curve column (by=)"
+            f"two reversal curves or more are needed, got {len(curves)}: read the file with its curve column (--by, or by=)"
         )
     rises = [bool(np.sum(np.sign(np.diff(r.u))) > 0) for r in curves]
     if len(set(rises)) > 1:
-        raise DataError(f"{sum(rises)} of {len(curves)} curves rise and the others fall: give one kind at a time")
+        raise DataError(f"{sum(rises)} of {len(curves)} curves rise and the others fall: use one kind at a time")
     for r, rising in zip(curves, rises, strict=True):
-        way = r.u if rising else -r.u
-        back = np.maximum.accumulate(way) - way
+        forward = r.u if rising else -r.u
+        back = np.maximum.accumulate(forward) - forward
         if back.max() > _BACK * np.ptp(r.u):
-            turn = int(np.argmax(way[: int(np.argmax(back))]))
+            turn = int(np.argmax(forward[: int(np.argmax(back))]))
             raise DataError(
-                f"curve {r.name!r} turns round at sample {turn}: a reversal curve runs one way from its reversal point; split it "
-                "there"
+                f"curve {r.name!r} reverses at sample {turn}: the input of a reversal curve is monotonic; split the curve there"
             )
     curves.sort(key=lambda r: r.u[0], reverse=rises[0])
     return ReversalFamily(tuple(curves), rises[0], tuple(_notes(curves, rises[0])))
 
 
 def recognize_family(data: Dataset | Sequence[Record]) -> ReversalFamily | None:
-    """The family that records are, where they look like one: five or more, each from its own reversal past all others'.
+    """The family of reversal curves, where the records are one: five or more, each from its own reversal past all others'.
 
-    None where they do not.
+    None where they are not.
     """
     records = [r for r in Dataset.of(data) if np.count_nonzero(r.used) > 1]
     if len(records) < _LEAST:
@@ -88,14 +88,6 @@ def recognize_family(data: Dataset | Sequence[Record]) -> ReversalFamily | None:
     starts, ends = (np.array([r.u[k] for r in family.curves]) for k in (0, -1))
     past = ends.min() > starts.max() if family.rising else ends.max() < starts.min()
     return family if past and np.ptp(starts) >= _APART * span else None
-
-
-def _counting(record: Record) -> Record:
-    if record.used.all():
-        return record
-    at = record.used
-    t = None if record.t is None else record.t[at]
-    return record.replace(u=record.u[at], y=record.y[at], t=t, weight=record.weight[at])
 
 
 def _notes(curves: list[Record], rising: bool) -> list[str]:
@@ -111,19 +103,25 @@ def _notes(curves: list[Record], rising: bool) -> list[str]:
                 worst, pair = float(gap.max()), (upper.name, lower.name)
     if worst > _CROSS * span:
         notes.append(
-            f"curves {pair[0]} and {pair[1]} cross by {worst / span:.1%} of the range: non-negative masses cannot follow that"
+            f"curves {pair[0]} and {pair[1]} cross by {100 * worst / span:.1f} % of the range: a non-negative density cannot "
+            "describe this"
         )
     end = min(r.u.max() for r in curves) if rising else max(r.u.min() for r in curves)
     ends = [float(at_inputs(r, np.array([end]))[0]) for r in curves]
     if np.ptp(ends) > _CLOSE * span:
         notes.append(
-            f"at {end:g} the curves differ by {np.ptp(ends) / span:.1%} of the range: they do not close, "
-            "so the largest field was no saturation"
+            f"at {end:g} the curves differ by {100 * np.ptp(ends) / span:.1f} % of the range: they do not close, because the "
+            "largest input does not saturate"
         )
     return notes
 
 
 def at_inputs(record: Record, u: np.ndarray) -> np.ndarray:
-    """Output of a curve at inputs, between its samples on straight lines."""
+    """Output of a curve at given inputs, by linear interpolation.
+
+    Args:
+        record: the curve.
+        u: inputs, shape (N,) [unit of u].
+    """
     order = np.argsort(record.u, kind="stable")
     return np.interp(u, record.u[order], record.y[order])

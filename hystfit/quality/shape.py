@@ -1,4 +1,4 @@
-"""Shape of the loop: width, circulation, closure, asymmetry, pinching, loss of strength, dependence on the rate."""
+"""Shape of the loop: width, circulation, closure, asymmetry, pinching, stiffness degradation, rate dependence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from hystfit.quality.drift import like_cycles
 from hystfit.quality.loops import Loop, loop_area, loop_branches
 
-_APART = 0.1  # distance, in parts of the largest stroke, between the middles of branches that are still compared
+_APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,13 +18,13 @@ class Shape:
 
     Attributes:
         area: mean signed area of the largest loops [unit of u times unit of y], positive counter-clockwise.
-        fullness_percent: its size over that of the loop's bounding box.
+        fullness_percent: its magnitude over the area of the loop's bounding box.
         width: largest vertical distance between the branches [unit of y].
         width_percent: the same in percent of the output's stroke.
         circulation: "counter-clockwise", "clockwise" or None where the loop is not open.
         closure_percent: output at the end of the last large closed loop less that at its start, in percent of its
             stroke; None where no large loop closes.
-        asymmetry_percent: rms departure from point symmetry about the loop's middle, in percent of the stroke.
+        asymmetry_percent: rms deviation from point symmetry about the loop's middle, in percent of the stroke.
         pinching: width at the middle of the input over the largest width (1: as wide as anywhere), the median over
             the later of the large cycles.
         loops: number of loops averaged.
@@ -46,32 +46,32 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
 
     Args:
         u: input, shape (T,).
-        y: output, shape (T,); loops with missing outputs are passed over.
+        y: output, shape (T,); loops with missing outputs are omitted.
         loops: see `loops.closed_loops`.
         cycles: see `loops.cycles`.
 
     Returns:
         None where there is no loop of at least eight samples.
     """
-    spans = [(loop.start, loop.stop, loop.stroke) for loop in loops if loop.start > 0] or [
-        (loop.start, loop.stop, loop.stroke) for loop in loops
-    ]
-    closed = bool(spans) and max(s[2] for s in spans) > 0.5 * np.ptp(u)
+    complete = [loop for loop in loops if loop.start > 0] or loops
+    spans = [(loop.start, loop.stop, loop.stroke) for loop in complete]
+    closed = bool(spans) and max(stroke for _, _, stroke in spans) > 0.5 * np.ptp(u)
     if not closed:
         spans = [(int(a), int(c), abs(u[b] - u[a])) for a, b, c in cycles]
-    usable = [s for s in spans if s[1] - s[0] >= 7 and np.isfinite(y[s[0] : s[1] + 1]).all()]
+    measured = lambda start, stop: stop - start >= 7 and np.isfinite(y[start : stop + 1]).all()
+    usable = [span for span in spans if measured(*span[:2])]
     if not usable:
         return None
     largest = max(s[2] for s in usable)
     chosen = [s for s in usable if s[2] >= 0.95 * largest][-20:]
-    late = [(a, c) for a, b, c in cycles if c - a >= 7 and abs(u[b] - u[a]) > 0.4 * largest]
-    late = [
-        (a, c) for a, c in late if abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and np.isfinite(y[a : c + 1]).all()
+    returning = [
+        (a, c)
+        for a, b, c in cycles
+        if abs(u[b] - u[a]) > 0.4 * largest and abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and measured(a, c)
     ]
-    late = late[-max(3, len(late) // 2) :] or [s[:2] for s in usable if s[2] >= 0.5 * largest]
+    late = returning[-max(3, len(returning) // 2) :] or [s[:2] for s in usable if s[2] >= 0.5 * largest]
     pinching = float(np.median([_measure(u[a : b + 1], y[a : b + 1])[4] for a, b in late]))
-    measured = np.array([_measure(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen])
-    area, stroke, width, asymmetry, _ = np.median(measured, axis=0)
+    area, stroke, width, asymmetry, _ = np.median([_measure(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen], axis=0)
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
@@ -127,13 +127,17 @@ def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float:
 def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
     """Secant stiffness of late branches over that of the first branch of the same stroke.
 
-    Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Those that reach
-    further than all before set the first-time stiffness, a function of the stroke; others about the same middle are
-    compared with it (a loop elsewhere in the range may be softer without any damage). A loop without damage stays near 1 or
-    above; strength lost to damage shows as less.
+    Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Branches longer than all
+    before define the initial stiffness as a function of the stroke; later branches about the same middle are compared
+    with it (a loop elsewhere in the range may be softer without damage). Without damage the ratio is near 1 or above.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+        cycles: see `loops.cycles`, shape (C, 3).
 
     Returns:
-        The median of the last four comparisons; None with fewer.
+        The median of the last four ratios; None with fewer.
     """
     turns = np.unique(cycles)
     turns = turns[np.isfinite(y[turns])]
@@ -157,17 +161,17 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
 def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
     """Change of the loop's area from the slowest to the fastest of like cycles, as a fraction of the mean area.
 
-    None without time, or where the durations of like cycles differ by less than a factor of 1.5: one frequency says
-    nothing about rate dependence.
+    None without time, or where the durations of like cycles differ by less than a factor of 1.5: rate dependence is not
+    visible at one frequency. Arguments as in `loop_shape`.
     """
     if t is None or np.ptp(u) == 0:
         return None
-    like = [(a, c) for a, _, c in like_cycles(u, cycles) if np.isfinite(y[a : c + 1]).all() and t[c] > t[a]]
+    like = [(a, c) for a, _, c in like_cycles(u, cycles, y) if t[c] > t[a]]
     if len(like) < 2:
         return None
-    lasts = np.array([t[c] - t[a] for a, c in like])
-    if lasts.max() < 1.5 * lasts.min():
+    durations = np.array([t[c] - t[a] for a, c in like])
+    if durations.max() < 1.5 * durations.min():
         return None
     areas = np.array([loop_area(u[a : c + 1], y[a : c + 1]) for a, c in like])
-    slow, fast = areas[lasts > 0.9 * lasts.max()].mean(), areas[lasts < 1.1 * lasts.min()].mean()
+    slow, fast = areas[durations > 0.9 * durations.max()].mean(), areas[durations < 1.1 * durations.min()].mean()
     return float((abs(fast) - abs(slow)) / np.mean(np.abs(areas))) if np.any(areas) else None

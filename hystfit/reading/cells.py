@@ -1,4 +1,4 @@
-"""Single cells of a text file: is it a number, a missing value, a time stamp or text, and which number is it."""
+"""Single cells of a text file: numbers, missing values, time stamps and text."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
 
 NUMBER, MISSING, STAMP, TEXT = "N", "M", "D", "T"
 
@@ -43,7 +44,7 @@ def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern
 
 
 def clean(cell: str) -> str:
-    """A cell without the blanks and quotes around it, with an ASCII minus sign."""
+    """A cell without surrounding blanks and quotes, with an ASCII minus sign."""
     cell = cell.strip(" \t\r\f\v\u00a0\ufeff")
     if len(cell) >= 2 and cell[0] == cell[-1] and cell[0] in "\"'":
         cell = cell[1:-1].strip()
@@ -61,7 +62,7 @@ def is_stamp(cell: str) -> bool:
 
 
 def number(cell: str, decimal: str) -> float | None:
-    """The number in a cleaned cell, None where there is none (missing values included)."""
+    """The number in a cleaned cell; None for missing values and text."""
     plain, grouped, spaced = patterns(decimal)
     if plain.fullmatch(cell):
         return float(cell.replace(decimal, ".").replace("D", "e").replace("d", "e"))
@@ -76,7 +77,7 @@ def number(cell: str, decimal: str) -> float | None:
 
 
 def kind(cell: str, decimal: str) -> str:
-    """What a cell holds: NUMBER, MISSING, STAMP or TEXT."""
+    """Kind of a cell: NUMBER, MISSING, STAMP or TEXT."""
     cell = clean(cell)
     if cell.lower() in _MISSING_WORDS:
         return MISSING
@@ -93,7 +94,7 @@ def parse(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.ndarray]:
 
 def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.ndarray]:
     joined = "\x00".join(cells)
-    if "_" not in joined and not (decimal == "," and "." in joined):  # float() takes 1_0; 1.234 may be a thousand
+    if "_" not in joined and not (decimal == "," and "." in joined):  # float() accepts 1_0; 1.234 may be a thousand
         try:
             values = np.array([float(cell) for cell in joined.replace(decimal, ".").split("\x00")])
         except ValueError:
@@ -111,7 +112,7 @@ def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.nda
 
 
 def whole_from_first(cells: Sequence[str]) -> np.ndarray | None:
-    """Differences to the first of a column of whole numbers too large for a double; None if it is no such column."""
+    """A column of whole numbers too large for a double, as differences to the first; None if it is no such column."""
     try:
         whole = [int(clean(cell)) for cell in cells]
     except ValueError:
@@ -123,7 +124,7 @@ def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, boo
     """Evidence on the separators in a column: (other mark doubtful, comma doubtful, proven, comma is decimal).
 
     The mark that is not the decimal one is doubtful in "1.234" beside decimal commas. A decimal comma is doubtful in
-    "1,234", and certain once there is a "0,5" or a "12,34". "1.234,5" and "1,234,567" prove that thousands are set apart.
+    "1,234", and certain once there is a "0,5" or a "12,34". "1.234,5" and "1,234,567" prove that thousands are separated.
     """
     other = "," if decimal == "." else "."
     joined = "\x00".join(cells)
@@ -137,26 +138,31 @@ def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, boo
     return bool(grouped), not certain, proven, certain
 
 
-def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[str]]:
+def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed.
 
     Raises:
-        DataError: day and month cannot be told apart, or a date does not exist.
+        DataError: day and month cannot be distinguished, or a date does not exist.
     """
     found = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
     stamps = [stamp for stamp in found if stamp]
-    notes: list[str] = []
+    notes: list[Note] = []
     day_first = _day_first(stamps, where)
     try:
         pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in found]
     except ValueError as error:
-        raise DataError(f"{where}: a time stamp is not a date that exists ({error}); correct it") from error
+        raise DataError(f"{where}: a time stamp is not a valid date ({error}); correct it") from error
     days = np.array([day for day, _ in pairs]) - next((day for day, clock in pairs if clock == clock), 0)
     values = 86400.0 * days + np.array([clock for _, clock in pairs])
     if not any(stamp["y"] or stamp["p"] for stamp in stamps):
         turns = np.concatenate([[0.0], np.cumsum(np.diff(values) < -43200.0)])
         if turns[-1]:
-            notes.append(f"{where}: the clock passes midnight {int(turns[-1])} time(s); a day was added each time")
+            notes.append(
+                Note(
+                    Code.FILE_FORMAT,
+                    f"{where}: the clock passes midnight {int(turns[-1])} times; a day was added each time",
+                )
+            )
         values = values + 86400.0 * turns
     first = values[np.isfinite(values)]
     return values - (first[0] if first.size else 0.0), notes

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -64,26 +65,26 @@ _LAST = ("velocity", "index", "time")
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """Positions of the time (None: no time), input and output columns, and a sentence for every guess."""
+    """Positions of the time (None: no time), input and output columns, and a note for every guess."""
 
     time: int | None
     input: int
     output: int
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
 
 def by_unit_of(unit: str) -> str:
-    """What a column of this unit holds, "" if unknown."""
+    """Physical quantity of a column with this unit, "" if unknown."""
     return next((kind for kind, pattern in _UNITS.items() if unit and re.fullmatch(pattern, unit)), "")
 
 
 def quantity(name: str, unit: str = "") -> str:
-    """What a column holds ("time", "voltage", "displacement", ..., "" if unknown), by its name and then by its unit."""
-    base, own = split_unit(name)
-    unit = unit or own
+    """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and then by its unit."""
+    base, unit_of_name = split_unit(name)
+    unit = unit or unit_of_name
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
-        return by_unit_of(unit)  # columns of a matrix x_F: the name is none of theirs
+        return by_unit_of(unit)  # a column of a matrix x_F: the name is not that of the column
     by_unit = by_unit_of(unit)
     if base in _UPPER and not by_unit:
         return _UPPER[base]
@@ -106,6 +107,11 @@ def quantity(name: str, unit: str = "") -> str:
 def find(table: Table, key: str | int, role: str) -> int:
     """Position of a column by name (with or without its unit, upper or lower case) or by number from 0.
 
+    Args:
+        table: the columns.
+        key: name or number.
+        role: of the column, for messages.
+
     Raises:
         DataError: there is no such column, or more than one.
     """
@@ -113,7 +119,7 @@ def find(table: Table, key: str | int, role: str) -> int:
     if isinstance(key, int | np.integer) and not isinstance(key, bool):
         if -count <= key < count:
             return int(key) % count
-        raise DataError(f"{table.source}: {role} column {key} asked for; there are {count}: {table.describe()}")
+        raise DataError(f"{table.source}: {role} column {key} does not exist; there are {count}: {table.describe()}")
     if not isinstance(key, str):
         raise DataError(f"{role} must be a column name or number, got {key!r}")
     wanted = key.strip()
@@ -155,13 +161,13 @@ def choose(
 
     Args:
         table: the columns.
-        time, input, output: names or numbers from 0; None guesses; `time=False` (or "none") does without time.
-        taken: positions that are something else (the column that tells curves apart).
+        time, input, output: names or numbers from 0; None guesses; `time=False` (or "none") reads without time.
+        taken: positions of columns with another role (the column that separates curves).
 
     Raises:
-        DataError: a column does not exist or is no numbers, or no guess is possible.
+        DataError: a column does not exist or is not numeric, or no guess is possible.
     """
-    notes: list[str] = []
+    notes: list[Note] = []
     given = {
         role: _numeric(table, find(table, key, role), role)
         for role, key in (("input", input), ("output", output))
@@ -186,7 +192,7 @@ def choose(
         _guess_pair(table, free, kinds, given, clock, notes)
     for k, label in table.labels.items():
         if k not in taken and (label != label[0]).any():
-            notes.append(f"text column {table.names[k]!r} (such as {str(label[0])!r}) not used")
+            notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
     return Choice(clock, given["input"], given["output"], tuple(notes))
 
 
@@ -196,10 +202,10 @@ def _counts(table: Table, position: int) -> bool:
     return values[0] in (0.0, 1.0) and bool((np.diff(values) == 1.0).all())
 
 
-def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[str]) -> int | None:
+def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
     named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
     if named:
-        notes.append(f"time taken from {table.names[named[0]]!r} (column {named[0]})")
+        notes.append(Note(Code.COLUMN_CHOICE, f"time: column {named[0]}, {table.names[named[0]]!r}"))
         return named[0]
     if len(free) + given < 3:
         return None
@@ -209,22 +215,27 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
         if not bool((np.diff(table.columns[k]) > 0).all()):
             return None
         if not _counts(table, k):
-            notes.append(f"time taken from column {k}, which always increases")
+            notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it always increases"))
             return k
-        notes.append(f"column {k} counts the rows and was not used; time={k} takes it as time")
+        notes.append(
+            Note(
+                Code.LEFT_OUT,
+                f"column {k} numbers the rows and is not used; if it is the time, choose --time {k} (time={k})",
+            )
+        )
         kinds[k] = "index"
     return None
 
 
 def _guess_pair(
-    table: Table, free: list[int], kinds: dict[int, str], given: dict[str, int], clock: int | None, notes: list[str]
+    table: Table, free: list[int], kinds: dict[int, str], given: dict[str, int], clock: int | None, notes: list[Note]
 ) -> None:
     """Fill `given` with the input and output not named."""
     if len(free) + len(given) < 2:
-        told = " beside the time" if clock is not None else ""
+        beside = " beside the time" if clock is not None else ""
         raise DataError(
             f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of "
-            f"changing numbers{told}. "
+            f"changing numbers{beside}. "
             f"The columns are {table.describe()}; name them with input= and output=, or check delimiter= and decimal="
         )
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
@@ -240,7 +251,7 @@ def _guess_pair(
         if "output" not in given and len(drive) > 1 and kinds[drive[0]] == "":
             drive = [k for k in drive if kinds[k] not in ("output", "force", "stress")] or drive
         given["input"] = drive[0]
-        notes.append(_said(table, "input", drive[0], kinds))
+        notes.append(_choice_note(table, "input", drive[0], kinds))
     if "output" not in given:
         order = (
             _AS_OUTPUT_OF_DRIVE
@@ -249,7 +260,7 @@ def _guess_pair(
         )
         candidates = [k for k in free if k != given["input"]]
         given["output"] = min(candidates, key=lambda k: rank(k, order))
-        notes.append(_said(table, "output", given["output"], kinds))
+        notes.append(_choice_note(table, "output", given["output"], kinds))
     pair = [re.fullmatch(r"(.*)\[\d+\]", table.names[given[role]]) for role in ("input", "output")]
     if pair[0] and pair[1] and pair[0][1] == pair[1][1] and kinds[given["input"]] == kinds[given["output"]] != "":
         raise DataError(
@@ -259,14 +270,16 @@ def _guess_pair(
     others = [k for k in free if k not in given.values()]
     if others:
         shown = ", ".join(repr(table.names[k]) for k in others[:8])
-        unsure = "" if table.named else "; nothing names the columns, so give input= and output= to be sure"
-        notes.append(f"columns not used: {shown}{unsure}")
+        unsure = (
+            "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
+        )
+        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
 
 
 def _same_as(table: Table, position: int, clock: int | None) -> bool:
     return clock is not None and np.array_equal(table.columns[position], table.columns[clock], equal_nan=True)
 
 
-def _said(table: Table, role: str, position: int, kinds: dict[int, str]) -> str:
-    reason = f"its name or unit says {kinds[position]}" if kinds[position] else "by order"
-    return f"{role} guessed: {table.names[position]!r} (column {position}), {reason}"
+def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:
+    reason = f"by its name or unit ({kinds[position]})" if kinds[position] else "by its position"
+    return Note(Code.COLUMN_CHOICE, f"{role}: column {position}, {table.names[position]!r}, chosen {reason}")

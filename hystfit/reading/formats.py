@@ -1,4 +1,4 @@
-"""Files that are not text: numpy, MATLAB, Excel and HDF5, by the libraries that the extra "files" brings."""
+"""Files that are not text: numpy, MATLAB, Excel and HDF5; the last two need the extra "files"."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from hystfit.errors import DataError, MissingExtraError
+from hystfit.outcome import Code, Note
 from hystfit.reading import cells
-from hystfit.reading.decode import load
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table, plain_table
-from hystfit.reading.sniff import layout_of
-from hystfit.reading.text import tabulate
+from hystfit.reading.text import layout_of, load, tabulate
 
 
 def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
@@ -34,7 +33,8 @@ def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
         if Path(path).is_dir():
             load(path)
         raise DataError(
-            f"{path}: files of kind {suffix!r} are not known; hystfit reads {known}. If it is text use read_csv, else export it as CSV"
+            f"{path}: files of kind {suffix!r} are not supported; hystfit reads {known}. If it is text use "
+            "read_csv, else export it as CSV"
         )
     raw = load(path)
     if suffix in (".xlsx", ".xlsm"):
@@ -125,11 +125,13 @@ def _from_arrays(arrays: Mapping[str, np.ndarray], source: str, sha256: str) -> 
     pairs = [size for size, count in sizes.items() if count > 1]
     rows = max(pairs or sizes, key=lambda size: size)
     names = [name for name, array in columns.items() if array.size == rows]
-    notes = [f"read {len(names)} columns of {rows} rows"]
+    notes = [Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
     if rest := [name for name in columns if name not in names]:
-        notes.append(f"left out: {len(rest)} columns of another length than {rows}: {', '.join(rest[:8])}")
+        shown = ", ".join(rest[:8])
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} columns of another length than {rows}: {shown}"))
     if odd:
-        notes.append(f"left out: {len(odd)} variables that are not columns: {', '.join(odd[:8])}")
+        shown = ", ".join(odd[:8])
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(odd)} variables that are not columns: {shown}"))
     units = [split_unit(name, names)[1] for name in names]
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     return table if "" not in arrays else Table(**{**vars(table), "named": False})
@@ -162,7 +164,7 @@ def _workbook(raw: bytes, source: str, sheet: str | int | None) -> Table:
         rows = sheets[title]
         layout = layout_of(rows[:2000], "\t", ".")
         if layout.rows > 1 and layout.score > 0:
-            notes = [f"sheet {title!r} of {', '.join(map(repr, titles))}"]
+            notes = [Note(Code.FILE_FORMAT, f"sheet {title!r} of {', '.join(map(repr, titles))}")]
             lines = ["\t".join(row) for row in rows]
             return tabulate(rows, lines, layout, source, hashlib.sha256(raw).hexdigest(), notes, settled=True)
     searched = ", ".join(map(repr, titles if sheet is None else [sheet]))

@@ -1,4 +1,4 @@
-"""Files of one instrument or laboratory each, which hold more than a table: curves, loops and pulses in blocks and matrices."""
+"""Readers for files of single instruments or laboratories: curves, loops and pulses in blocks and matrices."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
 
 
 def magnetic_loops(paths: tuple[Path, ...]) -> Dataset:
@@ -29,7 +30,7 @@ def shaking_table(paths: tuple[Path, ...]) -> Record:
 
     table = loadmat(paths[0])["x_F"]
     record = Record(table[:, 0], table[:, 2], t=0.01 * np.arange(len(table)), u_name="x", y_name="F")
-    return record.replace(notes=("the measured velocity (second column of x_F) is left out",))
+    return record.noted(Code.LEFT_OUT, "left out: the measured velocity (second column of x_F)")
 
 
 def micromag_blocks(path: Path) -> Iterator[np.ndarray]:
@@ -72,15 +73,14 @@ def reversal_curves(paths: tuple[Path, ...]) -> Dataset:
                 u_name="H",
                 y_name="M",
                 name=f"curve-{len(records) + 1}",
-                notes=("the calibration point at saturation comes first, with weight 0",),
-            )
+            ).noted(Code.CURVES, "the calibration point at saturation is the first sample, with weight 0")
         )
         calibration = None
     return Dataset(tuple(records))
 
 
 def pulse_train(paths: tuple[Path, ...]) -> Dataset:
-    """Rows `DataValue, V, I, t, t` of an instrument's CSV: one record per pulse, in each of which time begins anew."""
+    """Rows `DataValue, V, I, t, t` of an instrument's CSV: one record per pulse, with its own time."""
     rows = []
     for line in paths[0].read_text(encoding="utf-8-sig").splitlines():
         if line.startswith("DataValue"):
@@ -90,10 +90,10 @@ def pulse_train(paths: tuple[Path, ...]) -> Dataset:
     table = np.array(rows)
     pulses = np.split(table, np.flatnonzero(np.diff(table[:, 2]) < 0) + 1)
     units = {"u_unit": "V", "y_unit": "A", "u_name": "V", "y_name": "I"}
-    notes = ("the output is a current: integrate it over time for the charge",)
+    note = Note(Code.PREPARED, "the output is a current: integrate it over time for the charge")
     return Dataset(
         tuple(
-            Record(*pulse.T[:3], name=f"pulse-{number}", notes=notes, **units)  # type: ignore[arg-type]
+            Record(*pulse.T[:3], name=f"pulse-{number}", notes=(note,), **units)  # type: ignore[arg-type]
             for number, pulse in enumerate(pulses, start=1)
         )
     )

@@ -1,4 +1,4 @@
-"""`Table`: what a file holds before anybody says which column is the input, with an account of what was left out."""
+"""`Table`: the columns of a file before input and output are chosen, and which lines are not in them."""
 
 from __future__ import annotations
 
@@ -6,23 +6,25 @@ import dataclasses
 
 import numpy as np
 
+from hystfit.outcome import Note
+
 
 @dataclasses.dataclass(frozen=True)
 class Table:
     """Columns of one file, at the positions that they have there.
 
     Attributes:
-        names: what the columns are called, "column 3" where the file does not say.
+        names: of the columns, "column 3" where the file has none.
         units: their units, "" if unknown.
-        columns: numbers, one array (rows,) a column, NaN where a value is missing or is text.
+        columns: numbers, one array (rows,) for each column, NaN where a value is missing or is text.
         labels: text columns by position, arrays (rows,) of str.
-        stamps: positions of columns that were time stamps and are now seconds from the first.
-        curve: which block between blank lines a row belongs to, from 0, shape (rows,).
-        section: counts repeated header rows before a row, shape (rows,).
+        stamps: positions of columns of time stamps, converted to seconds from the first.
+        curve: number of the block between blank lines that a row is in, from 0, shape (rows,).
+        section: number of repeated header rows before a row, shape (rows,).
         line: line (or sheet row) of each row in the file, from 1, shape (rows,).
-        named: whether the file gave names.
+        named: whether the file has names.
         source: path; sha256: checksum of the file's bytes.
-        notes: what was found, assumed and left out, one sentence each.
+        notes: what was assumed and left out.
         left_out: rows or lines that are not in the columns, counted by reason.
     """
 
@@ -37,7 +39,7 @@ class Table:
     sha256: str | None
     named: bool = True
     stamps: frozenset[int] = frozenset()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     left_out: dict[str, int] = dataclasses.field(default_factory=dict)
 
     @property
@@ -64,11 +66,11 @@ class Table:
 
     def describe(self) -> str:
         """The columns in one line, for error messages."""
-        told = []
+        parts = []
         for position, name in enumerate(self.names):
             state = ", text" if position in self.labels else ", constant" if self.constant(position) else ""
-            told.append(f"{position}: {name!r}{state}")
-        return "; ".join(told[:24]) + ("; ..." if len(told) > 24 else "")
+            parts.append(f"{position}: {name!r}{state}")
+        return "; ".join(parts[:24]) + ("; ..." if len(parts) > 24 else "")
 
 
 def plain_table(
@@ -76,10 +78,17 @@ def plain_table(
     arrays: list[np.ndarray],
     source: str,
     sha256: str | None,
-    notes: tuple[str, ...],
+    notes: tuple[Note, ...],
     units: list[str],
 ) -> Table:
-    """A table from arrays of equal length, as binary formats hold them."""
+    """A table from arrays of equal length, as binary formats hold them.
+
+    Args:
+        names, units: of the columns.
+        arrays: one for each column, shape (rows,).
+        source, sha256: path and checksum of the file.
+        notes: on how it was read.
+    """
     rows = arrays[0].size
     columns, labels = [], {}
     for position, array in enumerate(arrays):

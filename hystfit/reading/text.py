@@ -1,23 +1,231 @@
-"""Text files as laboratories write them: the block of numbers as a `Table`, and what became of every other line.
+"""Text files as laboratories write them: their encoding, their layout, and their block of numbers as a `Table`.
 
-General CSV readers fail on most such files, so the block is looked for directly; what could mean two things is refused
-with the override that settles it.
+General CSV readers fail on most such files, so the block of numbers is searched for. Under every pair of delimiter and decimal mark
+the cells of a sample of lines are classified (number, missing, time stamp, text); the pair whose most frequent row pattern holds
+the most numbers wins. A file that can be read in two ways is refused, with the argument that settles it.
 """
 
 from __future__ import annotations
 
+import collections
+import csv
+import dataclasses
 import hashlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
 from hystfit.reading import cells
-from hystfit.reading.decode import decode, load
 from hystfit.reading.header import read_header, split_unit
 from hystfit.reading.raw_table import Table
-from hystfit.reading.sniff import Layout, sniff, split
+
+_MAGIC = {
+    b"PK\x03\x04": "a zip archive or Excel file (name it .xlsx)",
+    b"\x89HDF": "an HDF5 file (name it .h5, or .mat if MATLAB wrote it)",
+    b"\xd0\xcf\x11\xe0": "an old Excel file (save it as .xlsx)",
+    b"MATLAB": "a MATLAB file (name it .mat)",
+    b"\x93NUMPY": "a numpy file (name it .npy)",
+    b"\x1f\x8b": "a gzip archive (unpack it)",
+    b"TDSm": "a TDMS file (export it as CSV)",
+    b"%PDF": "a PDF document",
+    b"\x89PNG": "a picture",
+    b"PAR1": "a parquet file (export it as CSV)",
+}
+
+
+def load(path: str | Path) -> bytes:
+    """The bytes of a file.
+
+    Raises:
+        DataError: it is missing, a folder, empty or may not be read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise DataError(f"{path} is a folder; name one file in it")
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file; check the name and the folder that you are in") from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} cannot be read: {error}") from error
+    if not raw:
+        raise DataError(f"{path} is empty (0 bytes); nothing was written to it: record or copy it again")
+    return raw
+
+
+def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Note]]:
+    """Text of a file and what was assumed: byte-order mark, UTF-8, UTF-16 without a mark, then cp1252 and latin-1.
+
+    Raises:
+        DataError: the bytes are not text, or not in the encoding that was given.
+    """
+    for magic, what in _MAGIC.items():
+        if raw.startswith(magic):
+            raise DataError(f"{source} is not text but {what}")
+    notes: list[Note] = []
+    if encoding is None:
+        encoding = _encoding(raw)
+        if encoding not in ("utf-8", "utf-8-sig"):
+            notes.append(Note(Code.FILE_FORMAT, f"encoding {encoding}"))
+    try:
+        text = raw.decode(encoding).removeprefix("\ufeff")
+    except LookupError as error:
+        raise DataError(f"{source}: there is no encoding {encoding!r}; use utf-8, utf-16 or cp1252") from error
+    except UnicodeError as error:
+        raise DataError(
+            f"{source} is not text in {encoding}: {error}; leave the encoding out or give another"
+        ) from error
+    if padded := len(text) - len(text.rstrip("\x00")):
+        text = text.rstrip("\x00")
+        notes.append(Note(Code.LEFT_OUT, f"{padded} NUL bytes at the end"))
+    odd = len(re.findall(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text))
+    if "\x00" in text or odd > max(2, 0.01 * len(text)):
+        place = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text)
+        line = 1 + text.count("\n", 0, place.start() if place else 0)
+        raise DataError(
+            f"{source}, line {line}: {odd} NUL or control bytes; this is a binary or damaged file: export it as text, "
+            "or name it by its format (.mat, .npz, .xlsx, .h5)"
+        )
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n"), notes
+
+
+def _encoding(raw: bytes) -> str:
+    for mark, name in ((b"\xff\xfe\x00\x00", "utf-32"), (b"\x00\x00\xfe\xff", "utf-32")):
+        if raw.startswith(mark):
+            return name
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    head = raw[:2000]
+    for name, start in (("utf-16-le", 1), ("utf-16-be", 0)):  # ASCII in UTF-16: every other byte is NUL
+        if len(head) > 3 and head[start::2].count(0) > 0.7 * len(head[start::2]) and head[1 - start :: 2].count(0) == 0:
+            return name
+    for name in ("utf-8-sig", "cp1252"):
+        try:
+            raw.decode(name)
+        except UnicodeDecodeError:
+            continue
+        return "utf-8" if name == "utf-8-sig" and not raw.startswith(b"\xef\xbb\xbf") else name
+    return "latin-1"
+
+
+_SAMPLE = 900
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """How the rows of numbers are written: delimiter (None is any white space), decimal mark, kinds of the columns."""
+
+    delimiter: str | None
+    decimal: str
+    kinds: str
+    score: float
+    rows: int
+
+    @property
+    def width(self) -> int:
+        """Number of columns, empty ones included."""
+        return len(self.kinds)
+
+    def words(self) -> str:
+        """Delimiter and decimal mark, for messages."""
+        name = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "bar"}
+        return f"delimiter {name.get(self.delimiter, repr(self.delimiter))}, decimal mark {self.decimal!r}"
+
+
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Cells of one line; a delimiter within double quotes does not count."""
+    if '"' in line and delimiter is not None and len(delimiter) == 1:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return line.split(delimiter)
+
+
+def _quality(pattern: str) -> float:
+    numbers = pattern.count(cells.NUMBER) + pattern.count(cells.STAMP)
+    text = pattern.count(cells.TEXT)
+    return numbers * (numbers / (numbers + text)) ** 2 if cells.NUMBER in pattern else 0.0
+
+
+def layout_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: str) -> Layout:
+    """The most frequent pattern of cells among some rows; score 0 where no row holds a number."""
+    counts = collections.Counter("".join([cells.kind(cell, decimal) for cell in row]) for row in rows if row)
+    top = max(counts, key=lambda pattern: (counts[pattern] * _quality(pattern), pattern), default="")
+    missing, text = cells.MISSING, cells.TEXT
+    fits = [
+        pattern
+        for pattern in counts
+        if len(pattern) == len(top)
+        and all(a == b or missing in (a, b) or b == text for a, b in zip(pattern, top, strict=True))
+    ]
+    kinds = ""
+    for position in range(len(top)):
+        votes = collections.Counter()
+        for pattern in fits:
+            votes[pattern[position]] += counts[pattern]
+        votes.pop(missing, None)
+        kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
+    total = sum(counts[pattern] for pattern in fits)
+    return Layout(delimiter, decimal, kinds, total * _quality(kinds), total)
+
+
+def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str | None) -> Layout:
+    """Delimiter, decimal mark and kinds of the columns.
+
+    Raises:
+        DataError: no line holds numbers under any of them, or the comma could be both.
+    """
+    filled = [line for line in lines if line.strip()]
+    if len(filled) > _SAMPLE:
+        step = len(filled) / (_SAMPLE - 300)
+        filled = filled[:300] + [filled[int(step * k)] for k in range(_SAMPLE - 300)]
+    if delimiter is not None:
+        delimiter = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";"}.get(delimiter, delimiter)
+        marks: list[str | None] = [None if delimiter in (" ", "space", "whitespace") else delimiter]
+    else:
+        marks = [mark for mark in (",", ";", "\t", "|") if any(mark in line for line in filled)] + [None]
+    if decimal not in (None, ".", ","):
+        raise DataError(f"the decimal mark must be '.' or ',', got {decimal!r}")
+    best = Layout(None, ".", "", 0.0, 0)
+    for mark in marks:
+        rows = [split(line, mark) for line in filled]
+        for point in (".", ",") if decimal is None else (decimal,):
+            found = layout_of(rows, mark, point)
+            if found.score > best.score * (1 + 1e-9):
+                best = found
+    if best.score == 0.0:
+        raise DataError(
+            f"{source}: no row of numbers found in {len(lines)} lines; it begins {filled[0].strip()[:60]!r}. "
+            "Give delimiter= and decimal= if there are numbers in it"
+            if filled
+            else f"{source} holds {len(lines)} blank lines and nothing else"
+        )
+    if best.delimiter == "," and best.decimal == "." and delimiter is None and decimal is None:
+        _check_comma(filled, best, source)
+    return best
+
+
+def _check_comma(filled: Sequence[str], layout: Layout, source: str) -> None:
+    """Refuse rows such as 0,10,1,20 under the two names "t,y": each comma could be a delimiter or a decimal mark."""
+    rows = [split(line, ",") for line in filled]
+    rows = [row for row in rows if len(row) == layout.width and all(cells.kind(c, ".") == cells.NUMBER for c in row)]
+    if layout.width % 2 or not rows or any(re.search(r"[.eE]", cell) for row in rows for cell in row):
+        return
+    tails = [cell.strip() for row in rows for cell in row[1::2]]
+    digits = all(tail.isdigit() for tail in tails)
+    zeros = any(len(tail) > 1 and tail[0] == "0" for tail in tails)
+    half = layout.width // 2
+    spaced = half > 1 and all(len(re.split(r",\s+", line.strip())) == half for line in filled if line[:1].isdigit())
+    named = half > 1 and any(
+        len(re.split(r"[,;\t]", line.strip())) == half and not re.search(r"\d", line) for line in filled[:8]
+    )
+    if digits and (zeros or spaced or named):
+        raise DataError(
+            f"{source}: ambiguous: in {','.join(rows[-1])!r} the comma could be the delimiter or the decimal mark. "
+            "Give delimiter=',' if it separates columns, or write the file again with ';' between columns"
+        )
 
 
 def read_table(
@@ -39,7 +247,7 @@ def read_table(
         lines.pop()
     layout = sniff(lines, source, delimiter, decimal)
     rows = [split(line, layout.delimiter) for line in lines]
-    notes.append(layout.told())
+    notes.append(Note(Code.FILE_FORMAT, layout.words()))
     return tabulate(rows, lines, layout, source, hashlib.sha256(raw).hexdigest(), notes, settled=decimal is not None)
 
 
@@ -49,11 +257,20 @@ def tabulate(
     layout: Layout,
     source: str,
     sha256: str,
-    notes: list[str],
+    notes: list[Note],
     *,
     settled: bool = False,
 ) -> Table:
-    """The table in some rows of cells whose layout is known; `settled` says that the decimal mark is not a guess."""
+    """The table in rows of cells whose layout is known.
+
+    Args:
+        rows: cells of every line.
+        lines: the same as text.
+        layout: of the rows of numbers.
+        source, sha256: path and checksum of the file.
+        notes: on how it was read so far.
+        settled: the decimal mark is not a guess.
+    """
     candidates, ragged = _of_width(rows, layout)
     columns = list(zip(*[rows[k] for k in candidates], strict=True))
     values, fits = _parse_columns(columns, layout)
@@ -68,44 +285,53 @@ def tabulate(
     if not settled:
         _check_thousands(chosen, layout, index, source)
     account = _Account(rows, lines, ragged, layout, source)
-    names, units, found = account.header(int(index[0]))
-    left_out, told, section = account.left_out(index)
+    names, units, named = account.header(int(index[0]))
+    left_out, more_notes, section = account.left_out(index)
+    notes = [*notes, *more_notes]
     stamps, labels, numbers = set(), {}, []
     for position, kind in enumerate(layout.kinds):
         label = names[position] or f"column {position}"
         parsed = values[position]
         column = np.full(index.size, np.nan) if parsed is None else parsed[keep]
         if kind == cells.STAMP:
-            column, said = cells.seconds(chosen[position], f"{source}, {label!r}")
+            column, assumed = cells.seconds(chosen[position], f"{source}, {label!r}")
             stamps.add(position)
-            told += [f"{label!r}: time stamps changed to seconds from the first one", *said]
+            notes += [
+                Note(Code.FILE_FORMAT, f"{label!r}: time stamps converted to seconds from the first one"),
+                *assumed,
+            ]
         elif kind == cells.TEXT:
             labels[position] = np.array([cells.clean(cell) for cell in chosen[position]])
         elif np.nanmax(np.abs(column), initial=0.0) > 2.0**53:
             whole = cells.whole_from_first(chosen[position])
             if whole is not None:
                 column = whole
-                told.append(f"{label!r}: numbers too large for a double, counted from the first, {chosen[position][0]}")
+                first = chosen[position][0]
+                notes.append(
+                    Note(Code.FILE_FORMAT, f"{label!r}: too large for a double, stored as differences to {first}")
+                )
         numbers.append(column)
     empty = [k for k, column in enumerate(numbers) if k not in labels and np.isnan(column).all()]
     if empty:
-        told.append(f"empty columns not used: {', '.join(map(str, empty))} (columns count from 0)")
-    if not found and [column[0] for column in numbers] == list(range(len(numbers))) and len(numbers) > 2:
-        told.append("the first row reads 0, 1, ... and was kept as data; delete it if it numbers the columns")
+        numbered = ", ".join(map(str, empty))
+        notes.append(Note(Code.LEFT_OUT, f"empty columns are not used: {numbered} (numbered from 0)"))
+    if not named and [column[0] for column in numbers] == list(range(len(numbers))) and len(numbers) > 2:
+        text = "the first row is 0, 1, ... and was read as data; delete it if it numbers the columns"
+        notes.append(Note(Code.FILE_FORMAT, text))
     full = [name or f"column {k}" for k, name in enumerate(names)]
     return Table(
         names=tuple(full),
         units=tuple("s" if k in stamps else unit for k, unit in enumerate(units)),
         columns=tuple(numbers),
         labels=labels,
-        curve=_curves(index, lines, told),
+        curve=_curves(index, lines, notes),
         section=section,
         line=index + 1,
         source=source,
         sha256=sha256,
-        named=found,
+        named=named,
         stamps=frozenset(stamps),
-        notes=(*notes, *told),
+        notes=tuple(notes),
         left_out=left_out,
     )
 
@@ -180,11 +406,11 @@ def _check_thousands(columns: Sequence[Sequence[str]], layout: Layout, index: np
     row = next(k for k, cell in enumerate(columns[doubt]) if mark in cell)
     raise DataError(
         f"{source}, line {index[row] + 1}: ambiguous: in {columns[doubt][row].strip()!r} the {mark!r} could be "
-        "the decimal mark or set thousands apart; give decimal='.' or decimal=',' to say which mark is the decimal one"
+        "the decimal mark or set thousands apart; give decimal='.' or decimal=',' (--decimal, decimal=)"
     )
 
 
-def _curves(index: np.ndarray, lines: Sequence[str], told: list[str]) -> np.ndarray:
+def _curves(index: np.ndarray, lines: Sequence[str], notes: list[Note]) -> np.ndarray:
     """Number of the block between blank lines that each row is in."""
     curve = np.zeros(index.size, dtype=int)
     gaps = np.flatnonzero(np.diff(index) > 1)
@@ -193,13 +419,13 @@ def _curves(index: np.ndarray, lines: Sequence[str], told: list[str]) -> np.ndar
             curve[k + 1] = 1
     curve = np.cumsum(curve)
     if curve[-1] > 1 and curve[-1] == index.size - 1:
-        told.append("blank lines between all rows taken as double spacing, not as separate curves")
+        notes.append(Note(Code.CURVES, "blank lines between all rows are double spacing and do not separate curves"))
         return np.zeros(index.size, dtype=int)
     return curve
 
 
 class _Account:
-    """Says what became of every line that is not a row of numbers."""
+    """Accounts for every line that is not a row of numbers."""
 
     def __init__(self, rows: list[list[str]], lines: Sequence[str], ragged: list[int], layout: Layout, source: str):
         self.rows, self.lines, self.layout, self.source = rows, lines, layout, source
@@ -230,14 +456,14 @@ class _Account:
             return row[:width], 1
         return [""] * width, 0
 
-    def left_out(self, index: np.ndarray) -> tuple[dict[str, int], list[str], np.ndarray]:
-        """Counts by reason, sentences for the notes, and the number of repeated headers before each row."""
+    def left_out(self, index: np.ndarray) -> tuple[dict[str, int], list[Note], np.ndarray]:
+        """Counts by reason, notes, and the number of repeated headers before each row."""
         above = sum(bool(line.strip()) for line in self.lines[: self.first])
         count: dict[str, int] = {}
-        told = []
+        notes = []
         if above > self.used:
             count["metadata"] = above - self.used
-            told.append(f"{above - self.used} lines above the numbers read as metadata")
+            notes.append(Note(Code.FILE_FORMAT, f"metadata above the numbers: {above - self.used} lines"))
         ragged = set(self.ragged)
         groups: dict[str, list[int]] = {"header": [], "cells": [], "text": [], "comment": []}
         inside = np.zeros(len(self.lines), dtype=bool)
@@ -261,16 +487,16 @@ class _Account:
             "text": "line with text where numbers are expected",
             "comment": "comment line",
         }
-        for key, found in groups.items():
-            if found:
-                count[words[key]] = len(found)
-                shown = self.lines[found[0]].strip()[:40]
-                told.append(f"left out: {len(found)} x {words[key]}, first in line {found[0] + 1}: {shown!r}")
-        return count, told, np.searchsorted(np.array(groups["header"]), index)
+        for key, numbers in groups.items():
+            if numbers:
+                count[words[key]] = len(numbers)
+                first = f"line {numbers[0] + 1}: {self.lines[numbers[0]].strip()[:40]!r}"
+                notes.append(Note(Code.LEFT_OUT, f"left out: {len(numbers)} x {words[key]}, first in {first}"))
+        return count, notes, np.searchsorted(np.array(groups["header"]), index)
 
     def _refuse(self, odd: int, good: int, where: list[int]) -> None:
         if odd > 2 and odd > 0.25 * good:
             raise DataError(
                 f"{self.source}, line {where[0] + 1}: {odd} rows do not have the {self.layout.width} cells that {good} "
-                f"rows have ({self.layout.told()}); give delimiter= or decimal=, or keep one table in the file"
+                f"rows have ({self.layout.words()}); set the delimiter or the decimal mark, or keep one table in the file"
             )

@@ -38,9 +38,6 @@ def write_fit(result: FitResult, folder: Path) -> None:
     save_records(folder / "records.npz", result.data)
 
 
-_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "notes")
-
-
 def save_records(path: Path, data: Dataset) -> None:
     """Records with their labels in one .npz file."""
     arrays: dict[str, np.ndarray] = {}
@@ -49,7 +46,7 @@ def save_records(path: Path, data: Dataset) -> None:
         for field in ("u", "y", "t", "weight"):
             if getattr(record, field) is not None:
                 arrays[f"{field}{k}"] = getattr(record, field)
-        labels.append({field: getattr(record, field) for field in _LABELS})
+        labels.append(record.labels())
     np.savez_compressed(path, labels=np.array(json.dumps({"name": data.name, "records": labels})), **arrays)  # type: ignore[arg-type]
 
 
@@ -64,9 +61,16 @@ def load_records(path: Path) -> Dataset:
             described = json.loads(str(stored["labels"]))
             records = []
             for k, labels in enumerate(described["records"]):
-                labels["notes"] = tuple(labels["notes"])
                 t = stored[f"t{k}"] if f"t{k}" in stored else None
-                records.append(Record(u=stored[f"u{k}"], y=stored[f"y{k}"], t=t, weight=stored[f"weight{k}"], **labels))
+                records.append(
+                    Record(
+                        u=stored[f"u{k}"],
+                        y=stored[f"y{k}"],
+                        t=t,
+                        weight=stored[f"weight{k}"],
+                        **Record.labels_of(labels),
+                    )
+                )
     except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(f"{path} does not hold records as hystfit saves them: {error}") from error
     return Dataset(tuple(records), name=described["name"])

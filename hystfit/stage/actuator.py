@@ -17,6 +17,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
+from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
 
 
@@ -135,8 +136,7 @@ class Actuator:
         y = self.displacement(t, u)[::every]
         reached = np.asarray(self.amplifier.drive(u))
         beyond = np.count_nonzero(reached != u)
-        notes = (f"commands beyond the limits of the amplifier: {beyond}",) if beyond else ()
-        return Record(
+        record = Record(
             u=reached[::every],
             y=self.sensor.read(y, np.random.default_rng(seed)),
             t=t[::every],
@@ -146,8 +146,10 @@ class Actuator:
             y_name="displacement",
             name=name,
             source="simulated (surrogate of the AE0505D16)",
-            notes=notes,
         )
+        if not beyond:
+            return record
+        return record.noted(Code.PREPARED, f"{beyond} commands beyond the limits of the amplifier")
 
 
 def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int) -> Any:

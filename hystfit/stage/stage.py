@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
+from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo
 from hystfit.stage.kinematics import AXES, UNITS, Kinematics
@@ -202,7 +203,7 @@ class Stage(eqx.Module):
         rng = np.random.default_rng(seed)
         probes = np.stack([channels[axis].read(poses[:, k], rng) for k, axis in enumerate(AXES)], axis=1)
         beyond = int(np.count_nonzero(reached != u))
-        notes = (f"commands beyond the limits of the amplifiers: {beyond}",) if beyond else ()
+        notes = (Note(Code.PREPARED, f"{beyond} commands beyond the limits of the amplifiers"),) if beyond else ()
         return StageMeasurement(t, reached, channels["gauge"].read(lengths, rng), probes, notes)
 
     def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:

@@ -54,7 +54,7 @@ def facts(result: FitResult) -> dict[str, list[str]]:
     for record in result.data:
         fitted = "all" if record.used.all() else str(int(record.used.sum()))
         data.append(f"{record.name}: {len(record)} samples, {fitted} fitted; {', '.join(_columns_of(record))}")
-        data += [note for note in record.notes if note not in data]
+        data += [note.text for note in record.notes if note.text not in data]
     source = result.provenance
     versions = ", ".join(f"{name} {version}" for name, version in source.get("versions", {}).items())
     origin = [

@@ -1,0 +1,147 @@
+"""The data-quality report: what the records hold, what is wrong with them, and which models they determine."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.outcome.note import Code, Note, warn
+from hystfit.outcome.table import Column, Table, number
+from hystfit.quality.determination import Determination, Verdict, determine
+from hystfit.quality.findings import findings
+from hystfit.quality.needs import Needs
+from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
+from hystfit.quality.summary import RecordQuality, summarize
+
+_MOST_RECORDS, _MOST_FINDINGS = 8, 40  # shown in the text
+
+
+@dataclasses.dataclass(frozen=True)
+class QualityReport:
+    """Quality of a data set.
+
+    Attributes:
+        name: of the data set.
+        records: what was measured on each record.
+        findings: what is wrong with the data or worth knowing about them.
+        determines: which models the data determine.
+    """
+
+    name: str
+    records: tuple[RecordQuality, ...]
+    findings: tuple[Note, ...]
+    determines: tuple[Determination, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain lists, dicts, numbers and None, ready for JSON."""
+        return {
+            "name": self.name,
+            "records": [_plain(dataclasses.asdict(record)) for record in self.records],
+            "findings": [note.to_dict() for note in self.findings],
+            "determines": [_plain(dataclasses.asdict(item)) for item in self.determines],
+        }
+
+    def verdict(self, model: str) -> Determination:
+        """Whether the data determine one model.
+
+        Raises:
+            KeyError: no such model in the report.
+        """
+        return {item.model: item for item in self.determines}[model]
+
+    def table(self) -> Table:
+        """Verdict and reasons for each model."""
+        columns = [Column("model"), Column("determined", left=True), Column("reason", left=True)]
+        return Table(columns, [[item.model, item.verdict, "; ".join(item.reasons)] for item in self.determines])
+
+    def text(self) -> str:
+        """As a page of text."""
+        several = len(self.records) > _MOST_RECORDS
+        shown = self.records[: _MOST_RECORDS // 2] if several else self.records
+        lines = [f"Data quality: {self.name}"]
+        for record in shown:
+            lines += ["", f"  {record.name}", *Table([Column(""), Column("", left=True)], _rows(record)).lines("    ")]
+        if several:
+            lines.append(f"  ... and {len(self.records) - len(shown)} more records")
+        lines += ["", "Findings"]
+        lines += [f"  - {note}" for note in self.findings[:_MOST_FINDINGS]] or ["  - no problems found"]
+        if len(self.findings) > _MOST_FINDINGS:
+            lines.append(f"  ... and {len(self.findings) - _MOST_FINDINGS} more")
+        if self.determines:
+            lines += ["", "What these data determine", *self.table().lines("  ")]
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.text()
+
+
+def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) -> QualityReport:
+    """Data-quality report of a record or a data set.
+
+    Args:
+        data: a record, a data set or a list of records.
+        needs: what each model needs from data, by its name; without them no model is judged.
+
+    Raises:
+        DataError: `data` holds no records.
+    """
+    dataset = Dataset.of(data)
+    records = tuple(summarize(record) for record in dataset)
+    notes, determined = findings(records), determine(records, needs or {})
+    family = recognize_family(dataset)
+    if family is not None:
+        about = [
+            Note(Code.REVERSAL_CURVES, family.words()),
+            *(warn(Code.REVERSAL_CURVES, text) for text in family.notes),
+        ]
+        notes = (*about, *notes)
+        determined = tuple(_by_family(item, family) if item.model == "preisach" else item for item in determined)
+    return QualityReport(dataset.name, records, notes, determined)
+
+
+def _by_family(item: Determination, family: ReversalFamily) -> Determination:
+    reason = f"{len(family.curves)} first-order reversal curves determine the density (use preisach-forc)"
+    verdict = Verdict.PARTLY if family.notes else Verdict.YES
+    return Determination(item.model, verdict, (reason, *family.notes))
+
+
+def _rows(record: RecordQuality) -> list[tuple[str, str]]:
+    """Labels and values for the text of one record."""
+    sampling, motion, shape, units = record.sampling, record.motion, record.shape, record.units
+    rate = "no time"
+    if sampling.rate is not None:
+        rate = f"{sampling.rate:.6g} per {units['t'] or 'unit of time'}, {sampling.duration:.6g} {units['t']} long"
+    rows = [("samples", f"{sampling.n}, {rate}")]
+    for symbol, column in (("input u", record.u), ("output y", record.y)):
+        extent = f"{column.low:.6g} to {column.high:.6g} {units[symbol[-1]]}".rstrip()
+        noise = ("at most " if column.noise_is_bound else "") + number(column.noise_rms, ".2g")
+        rows.append((symbol, f"{extent}, noise {noise} rms"))
+    loops = f"{motion.closed_loops} closed loops ({motion.major} major, {motion.minor} minor, {motion.nested} nested)"
+    counts = f"{motion.reversals} reversals, {motion.cycles} cycles, {loops}"
+    rows.append(("loops", f"{counts}, amplitudes: {len(motion.strokes)}, holds: {motion.holds}"))
+    if shape is not None:
+        width = f"{shape.width:.4g} {units['y']}".rstrip() + f" ({shape.width_percent:.1f} % of the stroke)"
+        form = f"{shape.circulation or 'no open loop'}, closure {number(shape.closure_percent, '+.2f')} %"
+        rows.append(("shape", f"width {width}, {form}, asymmetry {shape.asymmetry_percent:.1f} %"))
+    drift, lag = record.drift, record.lag
+    slope = "" if drift is None else f"{drift.per_cycle:.3g} {units['y']}".rstrip()
+    rows.append(
+        ("drift", f"{slope} per cycle (law: {drift.law})" if drift else "- (needs four cycles of equal amplitude)")
+    )
+    rows.append(("lag", "-" if lag is None else f"{lag.samples:.2f} +- {lag.stderr:.2f} samples"))
+    return rows
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

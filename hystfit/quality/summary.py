@@ -1,0 +1,252 @@
+"""What is measured on one record for the data-quality report."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.quality import loops as geometry
+from hystfit.quality.drift import Drift, drift
+from hystfit.quality.faults import clipped_samples, holds, noise_rms, resolution, spikes
+from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
+from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left
+
+LONG_HOLD = 50  # samples of a hold in which creep would show
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampling:
+    """Samples and time: `rate` [samples per unit of time], `uniform` (steps within 1 %), `gaps` (over 1.5 steps)."""
+
+    n: int
+    missing: int
+    left_out: int
+    duration: float | None
+    rate: float | None
+    uniform: bool | None
+    repeated_stamps: int
+    gaps: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """Extent and noise of one column, in its unit; `noise_is_bound`: the noise is an upper bound only."""
+
+    low: float
+    high: float
+    resolution: float | None
+    noise_rms: float | None
+    noise_is_bound: bool
+
+    @property
+    def range(self) -> float:
+        """Largest value less smallest value."""
+        return self.high - self.low
+
+    @property
+    def known_noise(self) -> float | None:
+        """RMS noise where it is an estimate and not only a bound."""
+        return None if self.noise_is_bound else self.noise_rms
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """Motion of the input.
+
+    Attributes:
+        threshold: change of u by which a turning point must stand out [unit of u].
+        reversals: number of turning points.
+        chatter_percent: share of the samples at which the input steps back against its branch.
+        closed_loops, major, minor, nested: loops that close; those within 5 % of the largest stroke; the others; those inside
+            another.
+        cycles: pairs of branches, closed or not.
+        strokes: different strokes, largest first, as fractions of the input's range (5 % apart).
+        turning_pairs: different (low, high) pairs of neighboring turning levels (5 % of the range apart).
+        monotonic: the input never turns.
+        holds, longest_hold, hold_creep: holds of the input, the longest [samples], and the largest change of the output during
+            one as a fraction of its range.
+    """
+
+    threshold: float
+    reversals: int
+    chatter_percent: float
+    closed_loops: int
+    major: int
+    minor: int
+    nested: int
+    cycles: int
+    strokes: tuple[float, ...]
+    turning_pairs: int
+    monotonic: bool
+    holds: int
+    longest_hold: int
+    hold_creep: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordQuality:
+    """Everything measured on one record; None where it is unknown."""
+
+    name: str
+    units: dict[str, str]
+    sampling: Sampling
+    u: Column
+    y: Column
+    motion: Motion
+    shape: Shape | None
+    drift: Drift | None
+    lag: Lag | None
+    velocity_gain: float | None
+    rate_effect: float | None
+    stiffness_left: float | None
+    clipped: int
+    spikes: int
+
+    @property
+    def degrading(self) -> bool:
+        """Whether the loop loses more stiffness from cycle to cycle than loops without damage do."""
+        left = self.stiffness_left
+        return (
+            self.shape is not None and left is not None and (left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6))
+        )
+
+    @property
+    def lags(self) -> bool:
+        """Whether the output keeps moving after the input has turned."""
+        return self.lag is not None and self.lag.samples > 2 * self.lag.stderr
+
+    @property
+    def leads(self) -> bool:
+        """Whether the output turns before the input."""
+        return self.lag is not None and self.lag.samples < -2 * self.lag.stderr
+
+    @property
+    def speed_dependent(self) -> bool:
+        """Whether the output turns early and velocity terms explain most of what is unexplained, or the area changes."""
+        explained = self.velocity_gain is not None and self.velocity_gain > 0.5
+        return (self.leads and explained) or (self.rate_effect is not None and abs(self.rate_effect) > 0.1)
+
+    @property
+    def creeps(self) -> bool:
+        """Whether the output moves by more than its noise during a long hold."""
+        motion, noise = self.motion, self.y.noise_rms or 0.0
+        if motion.longest_hold < LONG_HOLD or motion.hold_creep is None or self.sampling.rate is None:
+            return False
+        return motion.hold_creep * self.y.range > 4 * noise / (motion.longest_hold / 20) ** 0.5
+
+
+def summarize(record: Record) -> RecordQuality:
+    """Measure one record."""
+    u, y, t = record.u, record.y, record.t
+    u_column, y_column = _column(u), _column(y)
+    motion, turns, cycles, loops = _motion(record, u_column)
+    moving = np.ptp(u) > 0
+    sampling = _sampling(record)
+    lag = gain = None
+    if moving and t is not None and sampling.uniform and sampling.repeated_stamps == 0:
+        lag = estimate_lag(u, y, record.sampling_interval, turns, u_noise=u_column.known_noise)
+        if motion.cycles >= 1:
+            late = max(0, round(lag.samples)) if lag else 0
+            gain = velocity_gain(u[: u.size - late], y[late:], t[: u.size - late])
+    return RecordQuality(
+        name=record.name,
+        units={"u": record.u_unit, "y": record.y_unit, "t": record.t_unit},
+        sampling=sampling,
+        u=u_column,
+        y=y_column,
+        motion=motion,
+        shape=loop_shape(u, y, loops, cycles),
+        drift=drift(u, y, t, cycles) if moving else None,
+        lag=lag,
+        velocity_gain=gain,
+        rate_effect=rate_effect(u, y, t, cycles),
+        stiffness_left=stiffness_left(u, y, cycles),
+        clipped=clipped_samples(u, y),
+        spikes=int(spikes(y, y_column.noise_rms, turns).size),
+    )
+
+
+def distinct(values: Iterable[float], apart: float = 0.05) -> tuple[float, ...]:
+    """Values that differ by more than `apart`, largest first."""
+    kept: list[float] = []
+    for value in sorted(values, reverse=True):
+        if not kept or kept[-1] - value > apart:
+            kept.append(float(value))
+    return tuple(kept)
+
+
+def _column(values: np.ndarray) -> Column:
+    noise, bound = noise_rms(values)
+    return Column(float(np.nanmin(values)), float(np.nanmax(values)), resolution(values), noise, bound)
+
+
+def _sampling(record: Record) -> Sampling:
+    counts = len(record), int(np.isnan(record.y).sum()), int((record.weight == 0).sum())
+    if record.t is None:
+        return Sampling(*counts, None, None, None, 0, 0)
+    steps, interval = np.diff(record.t), record.sampling_interval
+    repeated, duration = int((steps == 0).sum()), float(record.t[-1] - record.t[0])
+    if interval is None:
+        return Sampling(*counts, duration, None, None, repeated, 0)
+    uniform = bool(np.max(np.abs(steps - interval)) <= 0.01 * interval)
+    return Sampling(*counts, duration, 1 / interval, uniform, repeated, int((steps > 1.5 * interval).sum()))
+
+
+def _threshold(column: Column) -> float:
+    """Change of u by which a turning point must stand out: above the noise, as far as sparse samples show it."""
+    most = (0.03 if column.noise_is_bound else 0.1) * column.range
+    least = max(6 * (column.noise_rms or 0.0), 1.5 * (column.resolution or 0.0))
+    return max(0.005 * column.range, min(least, most))
+
+
+def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndarray, list[geometry.Loop]]:
+    """Motion of the input, its turning points, cycles and closed loops."""
+    u, y = record.u, record.y
+    threshold = _threshold(column)
+    turns = geometry.reversals(u, threshold)
+    loops, cycles = geometry.closed_loops(u, threshold), geometry.cycles(u, threshold)
+    span = column.range or 1.0
+    largest = max((loop.stroke for loop in loops), default=0.0)
+    major = sum(loop.stroke >= 0.95 * largest for loop in loops)
+    branches = geometry.branches(u, threshold)
+    backward = sum(
+        int((np.sign(u[b] - u[a]) * np.diff(u[a : b + 1]) < 0).sum()) for a, b in branches if b > a and u[b] != u[a]
+    )
+    levels = u[turns]
+    pairs = {tuple(sorted(pair)) for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / 0.05).tolist()}
+    strokes = [float(abs(u[b] - u[a])) / span for a, b in (branches[1:-1] if len(branches) > 2 else branches)]
+    noise = 6 * (column.known_noise or 0.0)
+    rests = holds(u, 1e-4 * span + 0.5 * noise, least=10)
+    # the top of a slow sine is flat too, but its input moves further
+    rests = [(int(a), int(b)) for a, b in rests if np.ptp(u[a:b]) <= 2e-4 * span + noise]
+    creep = [_change(y[a:b]) for a, b in rests]
+    extent = float(np.nanmax(y) - np.nanmin(y))
+    motion = Motion(
+        threshold=float(threshold),
+        reversals=int(turns.size),
+        chatter_percent=100 * backward / max(u.size - 1, 1),
+        closed_loops=len(loops),
+        major=int(major),
+        minor=len(loops) - int(major),
+        nested=sum(loop.depth > 0 for loop in loops),
+        cycles=len(cycles),
+        strokes=distinct(strokes),
+        turning_pairs=len(pairs),
+        monotonic=turns.size == 0,
+        holds=len(rests),
+        longest_hold=max((b - a for a, b in rests), default=0),
+        hold_creep=max(creep) / extent if creep and extent > 0 else None,
+    )
+    return motion, turns, cycles, loops
+
+
+def _change(y: np.ndarray) -> float:
+    """Size of the change over a hold: mean of its last fifth less mean of its first twentieth."""
+    part = max(1, y.size // 20)
+    with np.errstate(invalid="ignore"):
+        change = abs(float(np.mean(y[-4 * part :]) - np.mean(y[:part])))
+    return change if math.isfinite(change) else 0.0
