@@ -64,7 +64,7 @@ def check_model(
         tolerance: of the derivatives, relative to the largest central difference of each parameter.
 
     Raises:
-        AssertionError: a law is broken; the message says which, and by how much.
+        AssertionError: a law is broken; the message names it, with the deviation.
         PrecisionError: double precision is off.
     """
     require_x64()

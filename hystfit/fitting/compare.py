@@ -79,7 +79,7 @@ class Comparison:
         head = f"{'model':<{wide}} {'left out %':>10} {'fitted %':>9} {'max %':>7} {'params':>6} {'BIC above':>9} {'seconds':>8}  status"
         lines = [
             f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
-            "'BIC above': above the smallest, with slow and independent noise; ten speak clearly against a model.",
+            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
             head,
         ]
         least = min((row.bic for row in self.rows if row.bic is not None), default=0.0)

@@ -83,7 +83,7 @@ def fit(
         A result with a status; look at `usable` and `notes` before using its numbers.
 
     Raises:
-        HystfitError: data, names or settings that cannot be used; the message says what to do.
+        HystfitError: data, names or settings that cannot be used; the message names the remedy.
     """
     require_x64()
     require_seed(seed)

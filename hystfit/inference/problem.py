@@ -106,7 +106,7 @@ class Problem:
         return other
 
     def reweighted(self, weights: Sequence[np.ndarray]) -> Problem:
-        """The same problem with other weights, one array (T,) for each record; shapes stay, so that nothing compiles anew."""
+        """The same problem with other weights, one array (T,) for each record; shapes stay, so nothing is compiled again."""
         records = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
         data = Dataset(tuple(records))
         return self._changed(data=data, objective=eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(data)))

@@ -18,7 +18,7 @@ def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
-_BEYOND = 3.0  # times the bound up to which a start is believed
+_BEYOND = 3.0  # factor beyond the bound up to which a starting value is accepted
 
 
 def begun(h0: Array, lowest: Array, highest: Array) -> Array:

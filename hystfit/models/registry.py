@@ -237,7 +237,7 @@ def compared(kind: DataKind) -> tuple[str, ...]:
 
 
 def judged() -> dict[str, Needs]:
-    """What models need of data, by the first name of each class that declares it: those of which the verdict on data speaks."""
+    """The data that models need, by the first name of each class that declares it; `check` reports on these."""
     kinds = _kinds()
     first = {kind: name for name, kind in reversed(kinds.items())}
     made = {name: MODELS[name].make() for name, kind in kinds.items() if first[kind] == name}

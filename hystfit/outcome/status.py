@@ -6,7 +6,7 @@ import enum
 
 
 class Status(enum.StrEnum):
-    """How a verb ended. Only `OK` is usable without a second thought; `advice` says what to do about the others."""
+    """How a verb ended. Only `OK` is usable without a second thought; `advice` is the remedy for the others."""
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"

@@ -81,7 +81,7 @@ class Coordinates(eqx.Module):
         return jnp.sum(jnp.where(kind == REAL, free, jnp.where(kind == BOTH, both, free + z)))
 
     def assemble(self, x: Float[Array, " p"], record: Any = 0) -> Any:
-        """The tree with the free elements set from x, as record number `record` sees it."""
+        """The tree with the free elements set from x, with the parameters of record number `record`."""
         leaves, start = list(self.leaves), 0
         for index, positions, own in self.layout:
             count = len(positions)
@@ -99,5 +99,5 @@ class Coordinates(eqx.Module):
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:
-        """The tree at unconstrained coordinates z, as record number `record` sees it."""
+        """The tree at unconstrained coordinates z, with the parameters of record number `record`."""
         return self.assemble(self.physical(z), record)

@@ -19,7 +19,7 @@ from hystfit.params.units import exponents
 
 @dataclasses.dataclass(frozen=True)
 class ParamInfo:
-    """What a field says about its parameter.
+    """Declaration of a parameter on a field.
 
     Attributes:
         bounds: (lower, upper) in physical units.

@@ -24,7 +24,7 @@ _INSIDE = 1e-3
 
 
 def _strong(leaf: Any) -> Any:
-    # Python numbers leave a weak type behind, and compiled code would be made anew for every mixture of weak and strong.
+    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately.
     weak = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.weak_type
     return jnp.asarray(np.asarray(leaf)) if weak else leaf
 
@@ -224,7 +224,7 @@ class ParameterSpace:
         return np.asarray(self.coordinates.physical(jnp.asarray(z)))
 
     def tree(self, z: Any, record: int = 0) -> Any:
-        """The tree at z, as record number `record` sees it."""
+        """The tree at z, with the parameters of record number `record`."""
         return self.coordinates.tree(jnp.asarray(z), record)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:

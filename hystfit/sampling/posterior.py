@@ -159,7 +159,7 @@ class Posterior:
         return flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
 
     def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
-        """The models of `thinned` draws, as the first record sees them: simulate or invert each."""
+        """The models of `thinned` draws, with the parameters of the first record: simulate or invert each."""
         coordinates = self.result.problem.space.coordinates
         for row in self.thinned(count, seed):
             yield coordinates.assemble(jnp.asarray(row), 0)

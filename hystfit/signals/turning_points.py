@@ -22,7 +22,7 @@ def amplitude_sweep(
     """Whole cycles whose amplitude goes from `start` to `stop` (fractions of the range): nested minor loops.
 
     A decaying sweep (start > stop) leaves every minor loop inside the last; a growing one wipes them out in turn.
-    `frequency` in Hz; the first and the last amplitude are exact. `anchor` says what all loops share: "center" (the
+    `frequency` in Hz; the first and the last amplitude are exact. `anchor` is what all loops share: "center" (the
     middle of the range), "low" or "high" (that turning point).
     """
     positive(rate=rate, frequency=frequency, start=start, stop=stop)

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, require_x64
@@ -297,21 +298,20 @@ def _optimize(
         u = _through(middle + half * jnp.tanh(w), samples, middle)
         return _score(now + _added(*setting, u), counted)
 
+    adam = optax.adam(0.1, b2=0.99, eps=1e-9)
+
     @eqx.filter_jit
     def descend(w: Array, setting: tuple[Any, ...], now: Array) -> tuple[Array, Array]:
-        def once(carry: tuple[Array, ...], k: Array) -> tuple[tuple[Array, ...], None]:
-            w, mean, square, best, least = carry
+        def once(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
+            w, state, best, least = carry
             value, g = jax.value_and_grad(score)(w, setting, now)
             better = value < least
             best, least = jnp.where(better, w, best), jnp.where(better, value, least)
-            g = jnp.where(jnp.isfinite(g), g, 0.0)
-            mean, square = 0.9 * mean + 0.1 * g, 0.99 * square + 0.01 * g**2
-            step = mean / (1 - 0.9**k) / (jnp.sqrt(square / (1 - 0.99**k)) + 1e-9)
-            return (w - 0.1 * step, mean, square, best, least), None
+            update, state = adam.update(jnp.where(jnp.isfinite(g), g, 0.0), state)
+            return (w + update, state, best, least), None
 
-        zero = jnp.zeros_like(w)
-        begin = (w, zero, zero, w, jnp.asarray(jnp.inf))
-        _, _, _, best, least = jax.lax.scan(once, begin, jnp.arange(1.0, steps + 1))[0]
+        begin = (w, adam.init(w), w, jnp.asarray(jnp.inf))
+        _, _, best, least = jax.lax.scan(once, begin, length=steps)[0]
         return best, least
 
     ends = [descend(jnp.asarray(w), setting, now) for w in starts]

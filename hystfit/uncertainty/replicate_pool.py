@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Chunk = dict[str, np.ndarray]
 Outcome = tuple[int, Chunk | Exception]
-# Seconds that a scheduler is waited for, and a worker that runs: one that was killed is started anew in less.
+# Seconds to wait for a scheduler and for a running worker; a killed worker is restarted sooner.
 _PATIENCE = 30.0
 _PAUSE = 0.2  # seconds between two looks at tasks on their way
 _GO_ON = "the same call goes on from the chunks that its folder holds, where it was given one"
@@ -40,7 +40,7 @@ def collect(
 
     Raises:
         DataError: the folder holds another study.
-        HystfitError: what a chunk says of settings that cannot be used, or of a missing extra.
+        HystfitError: settings that cannot be used, or a missing extra.
     """
     place = None if folder is None else _claim(Path(folder), study)
     done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
@@ -119,7 +119,7 @@ def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Fu
 
 
 def _running(client: Client) -> bool:
-    """Whether any worker takes tasks; not where a scheduler that is going says nothing of them."""
+    """Whether any worker takes tasks; false while a scheduler that shuts down does not answer."""
     try:
         workers = client.scheduler_info(n_workers=-1).get("workers", {})
     except OSError:
@@ -133,7 +133,7 @@ def _knock(scheduler: str) -> None:
     from distributed.comm.registry import get_backend
 
     scheme, _ = parse_address(scheduler)
-    get_backend(scheme)  # ValueError where it knows none
+    get_backend(scheme)  # raises ValueError for an unknown scheme
     if scheme in ("tcp", "tls"):
         socket.create_connection(get_address_host_port(scheduler), timeout=_PATIENCE).close()
 

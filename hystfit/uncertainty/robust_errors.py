@@ -162,7 +162,7 @@ def covariance(
     """Covariance of a least-squares fit from its linearized scores J_t r_t.
 
     "sandwich" sums their autocovariances under a Bartlett window (Newey and West 1987); "bootstrap" redraws blocks of them (Kuensch
-    1989). Both need many blocks to be right, and neither sees an error that repeats every loop.
+    1989). Both are right for many blocks only, and neither includes an error that repeats every loop.
 
     Args:
         result: a least-squares fit.

@@ -259,7 +259,7 @@ class Preisach(AbstractPlane):
         columns_of = dict(zip(("w", "slopes", "b"), parts, strict=True)) | {"offset": np.ones((len(columns), 1))}
         leaves = {leaf.path[-1]: leaf for leaf in leaves_of(self)}
         blocks = (
-            # Reversal curves start from one state: an offset for each would blur what tells them apart.
+            # Reversal curves start from one state: an offset for each would absorb the differences between them.
             Block(
                 leaves[name].index,
                 leaves[name].info,

@@ -61,7 +61,7 @@ def fit_preisach(
 
     Args:
         data: records.
-        model: a model (its levels are chosen anew unless its spacing is "given"), or the number of cells along an axis of a new one.
+        model: a model (its levels are chosen again unless its spacing is "given"), or the number of cells along an axis of a new one.
         smoothness: strengths of the penalty on second differences, to choose among.
         left_out: what chooses the smoothness, see `SmoothSystem.of`.
         nonnegative: bound the masses from below.
