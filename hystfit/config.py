@@ -1,4 +1,4 @@
-"""Double precision and fast loops: switched on by the user in one line, asked for by every verb that needs it."""
+"""Double precision and fast loops, enabled by the user in one line and required by every verb that needs them."""
 
 import os
 
@@ -16,8 +16,8 @@ def enable_x64(*, whole_loops: bool = True) -> None:
     """Switch JAX to double precision for this process; call it before any computation.
 
     Args:
-        whole_loops: also have XLA compile scan loops whole, however large their body, unless XLA_FLAGS is already set. It is read
-            when JAX computes for the first time, and does nothing after that.
+        whole_loops: also let XLA compile scan loops with large bodies as a whole, unless XLA_FLAGS is already set. This has an
+            effect only before JAX computes for the first time.
     """
     jax.config.update("jax_enable_x64", True)
     if whole_loops and not os.environ.get("XLA_FLAGS"):
@@ -35,7 +35,7 @@ def require_x64() -> None:
 
 
 def require_seed(seed: int) -> int:
-    """Refuse what some generator of random numbers does not take as a seed, before any work.
+    """Check a seed of random numbers.
 
     Raises:
         ParameterError: not a whole number from 0 to 2^32 - 1.

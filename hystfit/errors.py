@@ -1,4 +1,4 @@
-"""Errors that a user can act on: every message says what was found and what to do."""
+"""Errors that a user can act on: every message names what was found, where, and the remedy."""
 
 
 class HystfitError(ValueError):
@@ -14,7 +14,7 @@ class ParameterError(HystfitError):
 
 
 class ModelError(HystfitError):
-    """A model is unknown, badly composed, or cannot serve the data."""
+    """A model is unknown, wrongly composed, or unsuitable for the data."""
 
 
 class PrecisionError(HystfitError):

@@ -318,7 +318,7 @@ def test_everything_left_out_is_counted(tmp_path: Path) -> None:
     notes = read(tmp_path / "file.csv").notes  # type: ignore[union-attr]
     assert sum(note.code is Code.LEFT_OUT for note in notes) == 4
     assert sum(note.code is Code.COLUMN_CHOICE for note in notes) == 3
-    assert [note.text for note in notes if note.code is Code.TIME_STEPS][0].endswith("line 9; kept")
+    assert next(note.text for note in notes if note.code is Code.TIME_STEPS).endswith("line 9; kept")
     assert has(notes, Code.MISSING_VALUES)
     plain = read(_write(tmp_path, "t,u,y\n" + _rows(","), "plain.csv"))
     assert not has(plain.notes, Code.LEFT_OUT, Code.TIME_STEPS, Code.MISSING_VALUES, Code.CURVES)  # type: ignore[union-attr]
