@@ -1,4 +1,4 @@
-"""What a scan of its own for each part of a composition saves, against one scan over all parts."""
+"""Speed of one scan per part of a composition against one scan over all parts."""
 
 import time
 
@@ -16,12 +16,12 @@ MODELS = ("lag+bouc-wen", "bouc-wen+log-creep", "lag+prandtl-ishlinskii+creep", 
 
 
 def together(model: AbstractHysteresis, u: jax.Array, dt: jax.Array) -> jax.Array:
-    """One scan over all parts at once."""
+    """One scan over all parts."""
     return AbstractHysteresis.sweep(model, model.init(u[0]), u[0], u, dt)[1]
 
 
 def apart(model: AbstractHysteresis, u: jax.Array, dt: jax.Array) -> jax.Array:
-    """As `simulate` does it."""
+    """One scan per part, as in `simulate`."""
     return model.sweep(model.init(u[0]), u[0], u, dt)[1]
 
 
@@ -40,7 +40,7 @@ def main() -> None:
     t = 0.01 * np.arange(SAMPLES)
     u = 20 + 20 * np.exp(-t / 60) * np.sin(2 * np.pi * t / 10)
     record = hf.Record(t=t, u=u, y=u + np.random.default_rng(0).normal(size=SAMPLES))
-    print(f"{SAMPLES} samples\n{'model':<36} {'p':>3} {'run ms':>8} {'ratio':>6} {'Jacobian ms':>12} {'ratio':>6}")
+    print(f"{SAMPLES} samples\n{'model':<36} {'p':>3} {'run ms':>8} {'gain':>6} {'Jacobian ms':>12} {'gain':>6}")
     for name in MODELS:
         problem = Problem(make_model(name).start([record]), record)
         coordinates, x = problem.objective.coordinates, jnp.asarray(problem.space.vector([problem.model]))

@@ -1,4 +1,4 @@
-"""What a fit costs: a second fit of 10 000 samples against one simulation, and what is compiled for the first."""
+"""Time of a fit: a second fit of 10 000 samples against one simulation, and the programs compiled for the first."""
 
 import time
 

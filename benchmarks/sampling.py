@@ -1,10 +1,10 @@
-"""Effective draws a second against emcee over a numba likelihood, in one process: `python benchmarks/sampling.py [--quick]`.
+"""Effective draws per second against emcee with a numba likelihood, in one process: `python benchmarks/sampling.py [--quick]`.
 
 Six-parameter Bouc-Wen (c, mu, tau, rho, offset and the noise's standard deviation), independent Gaussian noise, one discretization,
-one posterior: the peer's density is compared with hystfit's before anything is timed. All take turns, a slice each round, so that other
-programs disturb all alike; rates are effective draws a step, over all rounds, by the median time of a step. Compilation, the fit and
-burn-in are left out on all sides; what the warm-up of NUTS costs is said beside. Effective draws are counted by one
-estimator (Geyer's sequence, as ArviZ' `ess(method="mean")`), the smallest of all parameters.
+one posterior: the densities of both programs are compared before anything is timed. The samplers alternate in short turns, so that
+other programs affect all equally; rates are effective draws per step over all rounds, divided by the median time of a step.
+Compilation, the fit and burn-in are excluded for all; the time of the NUTS warm-up is reported separately. One estimator counts
+effective draws (Geyer's sequence, as ArviZ `ess(method="mean")`), for the parameter with the fewest.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BARS = {"emcee": 2.0, "nuts": 8.0, "profiles_s": 3.0}
 def record(samples: int, slow: bool = False) -> hf.Record:
     """Cycles of 400 samples, of growing and falling amplitude, with minor loops, and noise of 1 % of the input's half range.
 
-    With `slow`, noise that takes 30 samples to change is added, as the default likelihood expects it.
+    With `slow`, noise with a correlation time of 30 samples is added, as in the default likelihood.
     """
     t = np.arange(samples) / 400.0
     u = (0.3 + 0.7 * np.sin(np.pi * t / t[-1]) ** 2) * np.sin(2 * np.pi * t) + 0.15 * np.sin(2 * np.pi * 3.3 * t)
@@ -193,7 +193,7 @@ def profiles(samples: int, repeats: int) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few rounds; bars are not judged")
+    parser.add_argument("--quick", action="store_true", help="few rounds; limits are not checked")
     parser.add_argument("--samples", type=int, nargs="+", default=[2_000, 10_000])
     chosen = parser.parse_args()
     quick = chosen.quick
@@ -217,11 +217,11 @@ def main() -> None:
 
 
 def judge(name: str, got: float, bar: float, quick: bool) -> bool:
-    """Print the verdict on a bar (negative: at most); whether it is missed."""
+    """Print whether a limit is met (negative: at most); returns whether it is missed."""
     if quick:
         return False
     met = got >= bar
-    print(f"{'ok  ' if met else 'MISS'} {name}: {abs(got):.2f} (bar {abs(bar):g})")
+    print(f"{'ok    ' if met else 'MISSED'} {name}: {abs(got):.2f} (limit {abs(bar):g})")
     return not met
 
 

@@ -2,7 +2,7 @@
 
     python benchmarks/ukf.py [--samples 10000]
 
-Both filters get the same model, sigma points and covariances, and their answers are compared before they are timed.
+Both filters use the same model, sigma points and covariances, and their estimates are compared before they are timed.
 """
 
 from __future__ import annotations

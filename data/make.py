@@ -17,7 +17,7 @@ from hystfit import signals
 from hystfit.data.record import Record
 from hystfit.stage import Actuator
 
-FINER = 10  # samples that the actuator runs for each one recorded
+FINER = 10  # simulated samples per recorded one
 
 
 def sine(rate: float = 400.0) -> Record:
@@ -37,8 +37,8 @@ def sweep(rate: float = 250.0) -> Record:
 def step(rate: float = 20.0) -> Record:
     """0 to 100 V just after 10 s, then 130 s of creep.
 
-    The jump falls right behind a recorded sample: a model that runs at the record's rate and takes the new voltage for
-    the whole interval is then right about the time that has passed.
+    The jump is right after a recorded sample, so a model that runs at the record's rate and applies the new voltage over the whole
+    interval has the correct elapsed time.
     """
     t, u = signals.step(140.0, FINER * rate, at=10.0 + 1 / (FINER * rate), low=0.0, high=100.0)
     return Actuator().record(t, u, seed=3, every=FINER, name="stage-step")

@@ -42,8 +42,8 @@ from .reading.read import read_csv as read_csv
 from .results import plots as plots
 from .results.result import FitResult as FitResult
 from .results.saved import load_fit as load_fit
+from .sampling.files import load_posterior as load_posterior
 from .sampling.posterior import Posterior as Posterior
-from .sampling.posterior import load_posterior as load_posterior
 from .sampling.sample import sample as sample
 from .uncertainty.calibration import calibrate as calibrate
 from .uncertainty.explained_drift import explain_drift as explain_drift

@@ -1,9 +1,7 @@
-"""Double precision and fast loops, enabled by the user in one line and required by every verb that needs them."""
+"""Process-wide settings of JAX: double precision and whole scan loops. Importing this module imports no numerical library."""
 
+import numbers
 import os
-
-import jax
-import numpy as np
 
 from hystfit.errors import ParameterError, PrecisionError
 
@@ -12,16 +10,26 @@ from hystfit.errors import ParameterError, PrecisionError
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 
+def compile_whole_loops() -> None:
+    """Have XLA compile scan loops whole, however large their body, unless the user has set XLA_FLAGS.
+
+    XLA reads the flag when JAX computes for the first time in a process; it has no effect after that.
+    """
+    if not os.environ.get("XLA_FLAGS"):
+        os.environ["XLA_FLAGS"] = _WHOLE_LOOPS
+
+
 def enable_x64(*, whole_loops: bool = True) -> None:
     """Switch JAX to double precision for this process; call it before any computation.
 
     Args:
-        whole_loops: also let XLA compile scan loops with large bodies as a whole, unless XLA_FLAGS is already set. This has an
-            effect only before JAX computes for the first time.
+        whole_loops: also compile scan loops whole, see `compile_whole_loops`.
     """
+    import jax
+
     jax.config.update("jax_enable_x64", True)
-    if whole_loops and not os.environ.get("XLA_FLAGS"):
-        os.environ["XLA_FLAGS"] = _WHOLE_LOOPS
+    if whole_loops:
+        compile_whole_loops()
 
 
 def require_x64() -> None:
@@ -30,16 +38,18 @@ def require_x64() -> None:
     Raises:
         PrecisionError: double precision is off.
     """
+    import jax
+
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise PrecisionError("hystfit fits in double precision; call hystfit.enable_x64() before anything else")
 
 
 def require_seed(seed: int) -> int:
-    """Check a seed of random numbers.
+    """Refuse what some random number generators do not accept as a seed, before any work.
 
     Raises:
         ParameterError: not a whole number from 0 to 2^32 - 1.
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32:
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or not 0 <= seed < 2**32:
         raise ParameterError(f"a seed is a whole number from 0 to {2**32 - 1}, got {seed!r}")
     return int(seed)

@@ -1,4 +1,4 @@
-"""Errors that a user can act on: every message names what was found, where, and the remedy."""
+"""Errors that a user can act on: every message names what was found and the remedy."""
 
 
 class HystfitError(ValueError):

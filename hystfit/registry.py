@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -37,12 +38,12 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return len(self._entries)
 
     def __getitem__(self, name: str) -> Callable[..., T]:
-        return _attribute(self._entries[name])
+        return attribute(self._entries[name])
 
     @property
     def base(self) -> type:
         """The class of which every part is an instance."""
-        return _attribute(self._base)
+        return attribute(self._base)
 
     def find(self, choice: Any) -> Callable[..., T]:
         """What makes a part: of a name, of my_file.py:MyClass, or of a class.
@@ -60,6 +61,19 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
             return choice
         raise ParameterError(f"{self.option} must be one of {', '.join(self)}, or my_file.py:MyClass; got {choice!r}")
 
+    def holds(self, choice: Any) -> bool:
+        """Whether a class or an object is a part of this kind."""
+        kind = choice if isinstance(choice, type) else type(choice)
+        return issubclass(kind, self.base)
+
+    def label(self, choice: Any) -> str:
+        """A choice as text that `find` accepts: the name of an entry, or file.py:Class of a user's own class or object."""
+        if isinstance(choice, str):
+            return choice
+        kind = choice if isinstance(choice, type) else type(choice)
+        named = [name for name, entry in self._entries.items() if entry == f"{kind.__module__}:{kind.__name__}"]
+        return named[0] if named else f"{inspect.getfile(kind)}:{kind.__name__}"
+
     def make(self, choice: Any) -> T:
         """A part with its default settings; a part that is made already is returned as it is.
 
@@ -69,7 +83,8 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return choice if isinstance(choice, self.base) else self.find(choice)()
 
 
-def _attribute(place: str) -> Any:
+def attribute(place: str) -> Any:
+    """What "module:name" refers to, imported now."""
     module, _, name = place.partition(":")
     return getattr(importlib.import_module(module), name)
 

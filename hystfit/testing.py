@@ -1,4 +1,4 @@
-"""The laws that every model keeps: `check_model` tests hystfit's own models, and one of yours.
+"""The laws that every model keeps: `check_model` tests hystfit's own models, and one of yours, with the optional methods it gives.
 
 Example:
     >>> from hystfit.testing import check_model
@@ -20,7 +20,7 @@ from jaxtyping import Array
 from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, run, simulate
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, SearchStep, run, simulate
 from hystfit.params.space import ParameterSpace
 
 _EAGER = 5  # samples of the run without jit
@@ -64,7 +64,7 @@ def check_model(
         tolerance: of the derivatives, relative to the largest central difference of each parameter.
 
     Raises:
-        AssertionError: a law is broken; the message says which, and by how much.
+        AssertionError: a law is broken; the message names it, with the deviation.
         PrecisionError: double precision is off.
     """
     require_x64()
@@ -81,6 +81,8 @@ def check_model(
     _check_time(model, probe, y, name)
     _check_gradients(model, probe, y, name, set(kinked), set(flat), tolerance)
     _check_start(model, probe, y, name)
+    _check_columns(model, probe, name)
+    _check_inverse(model, probe, name)
 
 
 def _probe(seed: int, amplitude: float, center: float, dt: float, samples: int) -> Probe:
@@ -178,7 +180,7 @@ def _check_eager(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: s
 
 
 def _check_time(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: str) -> None:
-    """What claims to be rate-independent runs without time, and does not see it."""
+    """A model declared rate-independent runs without time, and its output does not depend on it."""
     if model.rate_independent:
         _agree(simulate(model, probe.u)[0], y, f"{name} claims rate independence: it must not need dt")
         _agree(
@@ -241,7 +243,7 @@ def _check_gradients(
         law = f"{name}: reverse mode in {label} against forward mode"
         _agree_absolute(reverse[k], weights @ column, 1e-11 * probe.u.size * max(size, 1e-300), law)
         if bases[k] in flat:
-            _require(size == 0.0, f"{name}: the derivative in {label} is said to be zero, found {size:.3g}")
+            _require(size == 0.0, f"{name}: the derivative in {label} is declared to be zero, found {size:.3g}")
         elif bases[k] not in kinked:
             allowed = tolerance * float(np.max(np.abs(expected))) + noise[k]
             law = f"{name}: derivative in {label} against central differences"
@@ -300,3 +302,50 @@ def _check_start(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: s
     _require(bool(np.isfinite(space.vector(started)).all()), f"{name}.start gave a parameter that is not finite")
     again, _ = simulate(started, probe.u, probe.dt)
     _require(bool(jnp.isfinite(again).all()), f"{name}.start gave a model whose output is not finite")
+
+
+def _check_columns(model: AbstractHysteresis, probe: Probe, name: str) -> None:
+    """Linear weights times their columns, and the short cut, equal the scan; on few reversals, as memories may be limited."""
+    a, b = probe.u.size // 3, 2 * probe.u.size // 3
+    u = np.concatenate([np.sort(probe.u[:a]), np.sort(probe.u[a:b])[::-1], np.sort(probe.u[b:])])
+    y = np.asarray(simulate(model, u, probe.dt)[0])
+    design, leaves = model.design_matrix(u, probe.dt), jax.tree_util.tree_leaves(model)
+    linear = sum((b.columns @ np.ravel(np.asarray(leaves[b.leaf])) for b in design.blocks), start=design.rest)
+    _agree(linear[design.index], y, f"{name}.design_matrix times the linear weights must equal simulate", 1e-9)
+    if model.short_cut:
+        _agree(model.free_run(u, probe.dt), y, f"{name}.free_run must equal simulate", 1e-9)
+    reach = model.reach()
+    _require(reach is None or reach[0] < reach[1], f"{name}.reach must be (low, high) with low < high, got {reach}")
+
+
+@eqx.filter_jit
+def _inverted(inverse: AbstractStepInverse, u: Array, dt: Array, low: Array, high: Array) -> tuple[Array, ...]:
+    """Per sample: output, output for the input that the inverse gives, whether it claims to rise, and the inverse's own step."""
+    model = inverse.model
+
+    def body(carry: tuple[Array, Array], sample: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
+        (state, u0), (u1, dt) = carry, sample
+        after, y = model.step(state, u0, u1, dt)
+        root = inverse.solve(state, u0, y, dt, low, high)
+        again = model.step(state, u0, root.x, dt)[1]
+        return (after, u1), (y, again, root.rising, inverse.advance(state, u0, u1, dt)[1])
+
+    return jax.lax.scan(body, (model.init(u[0]), u[0]), (u, dt))[1]
+
+
+def _check_inverse(model: AbstractHysteresis, probe: Probe, name: str) -> None:
+    """A closed-form inverse of one sample gives an input with the same output; a search is tested with hystfit itself."""
+    try:
+        inverse = model.step_inverse()
+    except ModelError:
+        return
+    if type(inverse) is SearchStep:
+        return
+    low, high = model.reach() or (float(probe.u.min()), float(probe.u.max()))
+    low, high = min(low, float(probe.u.min())), max(high, float(probe.u.max()))
+    y, again, rising, stepped = (
+        np.asarray(a) for a in _inverted(inverse, *(jnp.asarray(v) for v in (probe.u, probe.dt, low, high)))
+    )
+    _require(bool(rising.any()), f"{name}.step_inverse finds no sample at which the output rises with the input")
+    _agree(stepped, y, f"{name}.step_inverse: advance must equal step", 1e-9)
+    _agree(again[rising], y[rising], f"{name}.step_inverse must give an input with the same output", 1e-7)

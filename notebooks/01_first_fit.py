@@ -11,14 +11,14 @@
 # ---
 
 # %% [markdown]
-# # From a laboratory's CSV to a fitted hysteresis model
+# # From a laboratory CSV file to a fitted hysteresis model
 #
-# A piezo actuator is driven by a voltage, its displacement is measured. We read the file as the data logger left it, look
-# at the data before fitting, fit a model, ask on data left out which model describes the actuator best, test it on a
-# second record, and ask what would have been learned from a poorer experiment.
+# A piezo actuator is driven by a voltage and its displacement is measured. We read the data logger's file, inspect the data
+# before fitting, fit a model, compare models by cross-validation, test the best one on a second record, and see what a poorer
+# experiment would have determined.
 #
-# The actuator is a *simulated* one, with 5 nm of sensor noise: its parameters are known, so that the answers can be
-# checked. Nothing below uses them before the comparison with the truth.
+# The actuator is *simulated*, with 5 nm of sensor noise, so its parameters are known and the results can be checked. Nothing
+# below uses them before the comparison with the truth.
 
 # %%
 import os
@@ -29,16 +29,16 @@ import numpy as np
 
 import hystfit as hf
 
-hf.enable_x64()  # double precision, which every fit asks for
+hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer models and starting points
 folder = Path("out") / "first_fit"
 folder.mkdir(parents=True, exist_ok=True)
 
 # %% [markdown]
 # ## The file
-# Twelve cycles between 0 V and an amplitude that falls from 100 V to 10 V. We write them the way a logger with a German
-# locale does: a preamble, names and units in two rows, semicolons, decimal commas, an event marked in the middle, the output
-# before the input, a channel that was never connected, and two samples at which the sensor gave nothing.
+# Twelve cycles between 0 V and an amplitude that falls from 100 V to 10 V. We write them as a logger with a German locale would:
+# a preamble, names and units in two rows, semicolons, decimal commas, an event marker in the middle, the output before the input,
+# an unconnected channel, and two samples without a sensor reading.
 
 
 # %%
@@ -64,8 +64,8 @@ write_as_a_logger(hf.datasets.load("stage-sweep"), file)
 print("\n".join(file.read_text(encoding="latin-1").splitlines()[:7]))
 
 # %% [markdown]
-# `read_csv` finds out how the file is written and which column is what. It says what it found, guessed and left out;
-# where a guess is wrong, `time=`, `input=` and `output=` take the columns' names or numbers.
+# `read_csv` detects the layout of the file and the role of each column, and notes what it detected, guessed and skipped. If a
+# guess is wrong, set `time=`, `input=` and `output=` to column names or numbers.
 
 # %%
 data = hf.read_csv(file)
@@ -74,8 +74,8 @@ for note in data.notes:
     print(" -", note)
 
 # %% [markdown]
-# ## Look first
-# A picture, then `check`: sampling, noise, loops, drift, lag, and which models these data can determine at all.
+# ## Inspect the data
+# A plot, then `check`: sampling, noise, loops, drift, lag, and which models these data can determine.
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 3.4), layout="constrained")
@@ -89,13 +89,13 @@ plt.show()
 print(hf.check(data))
 
 # %% [markdown]
-# Two things are worth keeping in mind. Many amplitudes were measured, which is what most models need. And the output still
-# moves for a fraction of a sample after the voltage has turned back: something in the actuator takes time, perhaps creep.
+# Two points matter below. The record covers many amplitudes, as most models need. And the output keeps moving for a fraction of
+# a sample after the voltage reverses: the actuator has some rate dependence, perhaps creep.
 #
 # ## A first fit
-# Bouc-Wen is the usual first model of a piezo actuator, five parameters in the normalized form
+# Bouc-Wen is the usual first model of a piezo actuator. It has five parameters in the normalized form
 # $y = y_0 + c\,v - h$ with $\mathrm{d}h/\mathrm{d}v = \mu c - (\tau\,\mathrm{sgn}(\dot v)\,\mathrm{sgn}(h) + \rho\tau)\,|h|$.
-# No starting values are needed: they are read off the data.
+# No starting values are needed; they are estimated from the data.
 
 # %%
 first = hf.fit("bouc-wen", data)
@@ -108,17 +108,15 @@ first.plot("residuals", axes[1])
 plt.show()
 
 # %% [markdown]
-# An rms error of 0.2 % of the range, and in the left picture model and measurement are one line. Is that good? The sensor's
-# noise is known from `check`; the residuals are several times as large, and they are not noise: they follow the
-# cycles and stay correlated for about a whole one. The model lacks something. The standard errors were widened for this
-# correlation (the verdict says by how much); had the residuals been taken for independent, they would have been too small
-# by that factor.
+# The rms error is 0.2 % of the range, and in the left plot model and measurement coincide. Is that good? The residuals are
+# several times larger than the sensor noise that `check` estimated, and they are not white: they follow the cycles and are
+# autocorrelated over about one cycle. The model is incomplete. The standard errors allow for the autocorrelation (the report
+# gives the factor); standard errors for independent residuals would be too small by that factor.
 #
 # ## Which model?
-# A smaller error on the samples that were fitted proves little, since every further parameter lowers it. `compare` leaves out
-# five contiguous blocks in turn, fits the rest, and predicts the block: the input drives the model through it, its output is
-# not seen. Beside Bouc-Wen we try weighted plays (Prandtl-Ishlinskii), and Bouc-Wen followed by logarithmic creep, because
-# of what `check` said about time.
+# A smaller error on the fitted samples proves little, since every additional parameter reduces it. `compare` uses
+# cross-validation: it leaves out five contiguous blocks in turn, fits the rest, and predicts the block from its input. Besides
+# Bouc-Wen we try weighted plays (Prandtl-Ishlinskii), and Bouc-Wen followed by logarithmic creep, because `check` found a lag.
 
 # %%
 models = ["bouc-wen", "prandtl-ishlinskii", "bouc-wen+log-creep"]
@@ -128,10 +126,10 @@ comparison = hf.compare(data, models)
 print(comparison)
 
 # %% [markdown]
-# With creep the error on blocks left out falls to about the noise, and is the same there as on the samples fitted: no sign
-# of overfitting. The plays fail here for a reason that can be read off the data. At every return to 0 V from a peak no
-# higher than the first, all plays are where they were at the return before (return-point memory), so that the model gives
-# the same displacement each time. The measured one differs from return to return:
+# With creep the cross-validation error falls to about the noise level and equals the error on the fitted samples: no sign of
+# overfitting. The plays fail for a reason visible in the data. At every return to 0 V from a peak no higher than the first, all
+# plays are in the same position as at the previous return (return-point memory), so the model gives the same displacement each
+# time. The measured displacement differs from return to return:
 
 # %%
 returns = np.flatnonzero((data.u == 0) & (data.t > 0))
@@ -141,11 +139,11 @@ for name in ("prandtl-ishlinskii", "bouc-wen+log-creep"):
 print(f"{'measured':<20}", " ".join(f"{value:5.2f}" for value in data.y[returns]), "µm")
 
 # %% [markdown]
-# Duhem (in the full run) fits well and fails on the blocks: the first of them holds the only cycles above 84 V, and its polynomials
-# do not extrapolate. An error on data left out judges the model and the experiment together.
+# Duhem (in the full run) fits well but has a large cross-validation error: the first block contains the only cycles above 84 V,
+# and its polynomials do not extrapolate. A cross-validation error assesses the model and the experiment together.
 #
-# All this speaks about this simulated actuator, whose hysteresis *is* a Bouc-Wen law. Small loops of real actuators tend to
-# close on themselves, and then plays or a Preisach model win: let the data left out decide, not habit.
+# These results hold for this simulated actuator, whose hysteresis *is* a Bouc-Wen law. Minor loops of real actuators tend to
+# close, and then plays or a Preisach model are better. Choose by cross-validation, not by habit.
 #
 # ## The better model
 
@@ -161,27 +159,27 @@ best.plot("autocorrelation", axes[2])
 plt.show()
 
 # %% [markdown]
-# The residuals are as large as the sensor's noise and uncorrelated, so that the standard errors can be taken at face value. The
-# actuator is simulated, and we may look the answer up.
+# The residuals are white and as large as the sensor noise, so the standard errors are reliable. Because the actuator is simulated,
+# we can compare with the true values.
 
 # %%
 truth = {"c": 0.1542, "mu": 0.45, "bouc_wen.tau": 0.01086, "rho": 0.00956 / 0.01086, "offset": 0.0, "gamma[0]": 0.0175}
-print(f"{'':<14}{'truth':>10}{'with creep':>12}{'(est. - truth) / stderr':>26}{'without creep':>16}{'likewise':>10}")
+print(f"{'':<14}{'truth':>10}{'with creep':>12}{'(est. - truth) / stderr':>26}{'without creep':>16}{'same, in stderr':>17}")
 for name, true in truth.items():
     p = best[name]
     line = f"{name:<14}{true:>10.5f}{p.value:>12.5f}{(p.value - true) / p.stderr:>26.1f}"
     if name != "gamma[0]":
         q = first[name.removeprefix("bouc_wen.")]
-        line += f"{q.value:>16.5f}{(q.value - true) / q.stderr:>10.1f}"
+        line += f"{q.value:>16.5f}{(q.value - true) / q.stderr:>17.1f}"
     print(line)
 
 # %% [markdown]
-# Without creep in the model its effect went into the other parameters: an error of the model, which no amount of data
-# averages out.
+# Without creep in the model, its effect biases the other parameters. This is a systematic model error, which more data do not
+# reduce.
 #
-# ## A record that was never touched
-# The same actuator on another day: a sine from -20 V to 100 V, which neither the fits nor the comparison have seen, and which
-# leaves the range of voltages fitted. The result says so.
+# ## An independent record
+# The same actuator on another day: a sine from -20 V to 100 V that was not used for any fit or comparison and that leaves the
+# fitted range of voltages. `extrapolates` warns about the range.
 
 # %%
 sine = hf.datasets.load("stage-sine")
@@ -197,18 +195,18 @@ plt.show()
 
 # %% [markdown]
 # ## What the data determine
-# Suppose that only one amplitude had been measured, and only settled cycles of it, as is often done. That is the sine from
-# its third second on (`window` lets the earlier samples drive the model without counting them). `check` warns before any fit:
+# Suppose that only one amplitude had been measured, and only its settled cycles, as is often done: the sine from its third second
+# on (`window` uses the earlier samples to drive the model but not to fit it). `check` warns before any fit:
 
 # %%
 settled = sine.window(2.0)
 for name, record in (("one amplitude", settled), ("twelve amplitudes", data)):
-    found = hf.check(record).verdict("bouc-wen-asymmetric")
-    print(f"{name:<18} {found.verdict}: {'; '.join(found.reasons)}")
+    finding = hf.check(record).verdict("bouc-wen-asymmetric")
+    print(f"{name:<18} {finding.verdict}: {'; '.join(str(reason) for reason in finding.reasons)}")
 
 # %% [markdown]
-# We fit the same model to both: the generalized Bouc-Wen with creep, whose exponent $n$, skew and bent backbone $b$ the
-# actuator does not need ($n = 1$, the others 0), as one does not know beforehand.
+# We fit the same model to both: the generalized Bouc-Wen with creep. This actuator does not need its exponent $n$, skew and
+# nonlinear backbone $b$ ($n = 1$, the others 0), but that is not known in advance.
 
 # %%
 model = "bouc-wen-asymmetric+log-creep"
@@ -225,14 +223,13 @@ for name in many.free_names:
     print(f"{name:<28}{words[0]:>18}{words[1]:>22}{words[2]:>8}")
 
 # %% [markdown]
-# On its own data either fit is as good as the sensor. But slope, rate of saturation, exponent and offset are tens of times
-# less certain from one settled amplitude: a change of one can be made up for by the others, and only other amplitudes
-# would show it. A good fit does not say that the parameters were determined. The experiment decides that, and sweeping the
-# amplitude costs nothing.
+# On its own data each fit reaches the sensor noise. But slope, saturation rate, exponent and offset are tens of times less
+# certain from one settled amplitude: the parameters compensate for each other, and only other amplitudes would separate them. A
+# good fit does not mean that the parameters are determined. The experiment decides that, and sweeping the amplitude costs nothing.
 #
-# Here the model can make exactly what the actuator does, so that even the loosely determined fit predicts the sweep well. With
-# a model that is wrong in something the two faults multiply. With creep left out of the same model (in the full run of this
-# notebook) one combination of parameters is lost altogether, which the verdict names, and the prediction with it:
+# Here the model class contains the actuator, so even the poorly determined fit predicts the sweep well. With a wrong model the two
+# faults add up. Without creep in the same model (in the full run of this notebook) one combination of parameters is not
+# determined at all, which the notes name, and the prediction fails:
 
 # %%
 if not QUICK:
@@ -242,8 +239,8 @@ if not QUICK:
         print(" -", note)
 
 # %% [markdown]
-# ## Keep it
-# A fit is saved with its data, errors and provenance, and comes back as the same object.
+# ## Save the fit
+# A fit is saved with its data, standard errors and provenance, and loads as the same object.
 
 # %%
 best.save(folder / "fit")
@@ -252,7 +249,7 @@ print(sorted(path.name for path in (folder / "fit").iterdir()))
 print("same prediction:", np.array_equal(again.predict(sine), best.predict(sine)))
 
 # %% [markdown]
-# The same from the shell, with the report as one HTML page:
+# The same at the shell, with the report as one HTML page:
 #
 #     hystfit check messung_07.csv
 #     hystfit compare messung_07.csv

@@ -13,13 +13,13 @@
 # %% [markdown]
 # # From reversal curves to a tracked trajectory
 #
-# A Preisach model says that a hysteretic device is a crowd of relays, each with its own pair of thresholds, and that the density of
-# the crowd over the plane of thresholds is all there is to know. First-order reversal curves measure that density. We measure
-# them on a device, find its density, draw the FORC diagram, ask whether the device is a Preisach device at all, invert the model,
-# and let the inverse drive the device along a trajectory, with and without feedback.
+# A Preisach model describes a hysteretic device as a superposition of relays, each with its own pair of thresholds; the density of
+# relays over the plane of thresholds defines the model. First-order reversal curves measure that density. We measure them on a
+# device, estimate its density, plot the FORC diagram, test whether the device has the properties of a Preisach model, invert the
+# model, and track a trajectory with the inverse, with and without feedback.
 #
 # The device is a *simulated* ferroelectric bender: voltage in, displacement out, 40 nm of sensor noise, a resonance at 16 Hz. Its
-# density is known, so that the answers can be checked; nothing below uses it before the comparison.
+# density is known, so the results can be checked; nothing below uses it before the comparison.
 
 # %%
 import itertools
@@ -34,12 +34,11 @@ import hystfit as hf
 from hystfit.control import Controller, design, export_c, run_loop
 
 from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.models.free_run import free_run
 from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
 from hystfit.models.preisach import check_preisach, fit_forc, forc_diagram
 from hystfit.models.preisach.properties import through
 
-hf.enable_x64()  # double precision, which every fit asks for
+hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer curves and cells
 folder = Path("out") / "reversal_curves"
 folder.mkdir(parents=True, exist_ok=True)
@@ -54,16 +53,16 @@ NOISE = 0.04  # um
 
 
 def measure(u: np.ndarray, name: str, seed: int) -> hf.Record:
-    """What the sensor gives on a slow input that starts at negative saturation."""
-    y = free_run(bender, np.append(-100.0, u))[1:]
+    """Sensor output for a slow input that starts at negative saturation."""
+    y = bender.free_run(np.append(-100.0, u))[1:]
     noise = NOISE * np.random.default_rng(seed).standard_normal(u.size)
     return hf.Record(u=u, y=y + noise, name=name, u_name="voltage", y_name="displacement", u_unit="V", y_unit="um")
 
 
 # %% [markdown]
 # ## The curves
-# `forc_protocol` goes to positive saturation, down to a reversal voltage and back up, to a lower one each time. It tells which samples
-# belong to which curve; the ways down are not used.
+# `forc_protocol` goes to positive saturation, down to a reversal voltage and back up, with a lower reversal each time. It returns
+# the curve that each sample belongs to; the descending parts are not used.
 
 # %%
 u, curve = hf.signals.forc_protocol(curves=40 if QUICK else 80, points=100 if QUICK else 200, low=-100.0, high=100.0)
@@ -79,42 +78,44 @@ print(len(family), "curves,", sum(len(r) for r in family), "samples")
 
 # %% [markdown]
 # ## The density
-# Every other curve is fitted, the rest is kept to see how well it is predicted. The plane is cut into cells, within each of which the density is
-# uniform: a point relay for each cell would let the output jump. The levels lie closer where the output is steep. Masses are not negative, and
-# smooth; how smooth is chosen on curves left out in turn. At the shell it is `hystfit fit FILE --by CURVE --model preisach-forc`, and `hystfit check`
-# says whether a file holds such curves.
+# Every other curve is fitted; the others test the prediction. The plane is divided into cells of uniform density: with one point
+# relay per cell the output would jump. The levels are closer where the output is steep. The masses are non-negative and smooth,
+# and the smoothing penalty is chosen by cross-validation over curves. At the shell use
+# `hystfit fit FILE --by CURVE --model preisach-forc`; `hystfit check` reports whether a file contains such curves.
 
 # %%
 fit = fit_forc(family[::2], 16 if QUICK else 32)
 held = family[1::2]
 error = np.concatenate([fit.predict(r.u) - r.y for r in held])
 span = np.ptp(np.concatenate([r.y for r in family]))
-print(f"fitted curves    {fit.train.nrmse_percent:.3f} % of the range")
+print(f"fitted curves    {fit.nrmse_percent:.3f} % of the range")
 print(f"the other curves {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
 print(f"sensor noise     {100 * NOISE / span:.3f} %")
 for note in fit.notes:
     print(" -", note)
 
 # %% [markdown]
-# The curves that were kept are predicted to about the noise of the sensor. Below, the density as it was found and as it is. Hatched cells were never
-# switched by the data: what stands there follows from smoothness alone.
+# The held-out curves are predicted to about the sensor noise. Below are the estimated and the true density. The data never switched
+# the hatched cells: their values follow from the smoothing penalty alone.
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
 plot_curves(held, [fit.predict(r.u) for r in held], axes[0], every=2 if QUICK else 4)
-axes[0].set_title("curves not fitted: measured, predicted")
+axes[0].set_title("held-out curves: measured, predicted")
 plot_density(fit.model, axes[1], reach=fit.reach)
-axes[1].set_title("density found [um/V$^2$]")
+axes[1].set_title("estimated density [um/V$^2$]")
 plot_density(bender, axes[2])
-axes[2].set_title("density of the device")
+axes[2].set_title("true density [um/V$^2$]")
 plt.show()
 
 # %% [markdown]
 # ## The FORC diagram
-# The field draws the same thing without a model: the mixed second derivative of the curves by local second-degree polynomials, turned so that
-# coercivity runs to the right and interaction upward. The peak should lie at a coercivity of 32 V and an interaction of 6 V.
+# A FORC diagram shows the same density without a model: the mixed second derivative of the curves from local quadratic polynomials,
+# with coercivity on the horizontal axis and interaction on the vertical one. The peak should be at a coercivity of 32 V and an
+# interaction of 6 V.
 #
-# A smoothing factor that is too small shows the noise, one that is too large rounds the peak; cells with a smoothness from data left out need no such choice.
+# A small smoothing factor leaves noise in the diagram, a large one broadens the peak; the cells above need no such choice, because
+# cross-validation sets their smoothing penalty.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
@@ -128,12 +129,12 @@ plt.show()
 
 # %% [markdown]
 # ## Is it a Preisach device?
-# Two properties together make a Preisach model, and nothing else has both. *Wiping-out*: a larger extremum erases what smaller ones left behind,
-# so that a minor loop closes where it began. *Congruency*: minor loops between the same two voltages have the same shape, wherever they
-# hang. `check_preisach` (`hystfit check LOOP --preisach` at the shell) measures both on any record with nested loops, and how well a model describes
-# states that remember more and more reversals.
+# A device is described by a Preisach model if and only if it has two properties. *Wiping-out*: a larger extremum erases the effect
+# of smaller ones, so a minor loop closes where it began. *Congruency*: minor loops between the same two voltages have the same
+# shape, whatever the history. `check_preisach` (`hystfit check LOOP --preisach` at the shell) measures both on any record with nested
+# loops, and how well a model describes states that depend on more and more reversals.
 #
-# Beside the bender stands a device that is none: a Bouc-Wen law, which remembers nothing but its present state.
+# For comparison: a Bouc-Wen law, which has no memory beyond its present state and is no Preisach device.
 
 # %%
 voltages = (-100, 40, -20, 40, -20, 80, -20, 40, -20, 100, -60, 60, -30, 30, 0, 90, -100)
@@ -152,9 +153,9 @@ for ax, record in zip(axes, records, strict=True):
 plt.show()
 
 # %% [markdown]
-# ## Fast enough to forget about
-# Which relays are up does not depend on their weights. An input is compiled once into the states that it visits; each run after
-# that is a few look-ups in a table of sums, with the same numbers as the sample-by-sample form, and so is its gradient.
+# ## Speed
+# Which relays are up does not depend on their weights. An input is compiled once into the states that it visits; every further
+# run, and its gradient, is a few look-ups in a table of sums, with the same numbers as the scan over samples.
 
 # %%
 compiled = compile_for(fit.model, nested)
@@ -164,9 +165,9 @@ print(f"{nested.size} samples, {compiled.parent.size} distinct states; the two f
 
 # %% [markdown]
 # ## The inverse
-# Given a wanted displacement the inverse finds the voltage: the stack of extrema says in which interval, a quadratic where in it. Each sample comes with a status.
-# The wanted trajectory below has nested loops of its own. Where it asks for more than the bender can reach the inverse says so,
-# gives the nearest voltage, and is right again as soon as the trajectory comes back.
+# For a given displacement the inverse computes the voltage: the stack of extrema gives the interval, a quadratic equation the position
+# in it. Every sample has a status. The reference below has nested loops. Where it exceeds the reach of the bender, the status says so
+# and the inverse returns the nearest voltage; it is exact again as soon as the reference returns into reach.
 
 # %%
 def trajectory(extrema: tuple[float, ...], rate: float, leg: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
@@ -191,16 +192,17 @@ for note in far.notes():
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
 axes[0].plot(t, found.u)
-axes[0].set(xlabel="time [s]", ylabel="voltage [V]", title="what the inverse asks for")
+axes[0].set(xlabel="time [s]", ylabel="voltage [V]", title="voltage of the inverse")
 axes[1].plot(found.u, wanted, lw=0.8)
-axes[1].set(xlabel="voltage [V]", ylabel="wanted displacement [um]", title="nested loops on the way")
+axes[1].set(xlabel="voltage [V]", ylabel="reference displacement [um]", title="nested loops of the reference")
 plt.show()
 
 # %% [markdown]
 # ## Tracking
-# Now the real bender with its resonance, 8 % weaker than on the day when its curves were measured. The inverse alone (feed-forward) suffers from that
-# change, feedback alone from its finite gain; together they do better than either. PD with lag is designed from the resonance and a secant gain for
-# a damping ratio of 0.5 and a static error of 1/16, at 5000 samples a second; `design` says what phase margin that leaves.
+# Now the bender with its resonance, and a gain 8 % below that of the day when its curves were measured. Feed-forward alone (the
+# inverse) suffers from that change, feedback alone from its finite gain; the combination has a smaller error than either. A PD and
+# lag controller is designed from the resonance and a secant gain for a damping ratio of 0.5 and a static error of 1/16 at
+# 5000 samples per second; `design` reports the resulting phase margin.
 
 # %%
 RATE, WEAKER = 5000.0, 0.92
@@ -223,7 +225,7 @@ for name, run in runs.items():
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
-axes[0].plot(time, reference, "k", lw=2, label="wanted")
+axes[0].plot(time, reference, "k", lw=2, label="reference")
 for name, run in runs.items():
     axes[0].plot(time, run.y, "--", lw=1, label=name)
     axes[1].plot(time, run.error, lw=0.8, label=name)
@@ -234,8 +236,8 @@ for ax in axes:
 plt.show()
 
 # %% [markdown]
-# ## Onto the board
-# The model and its inverse as one C99 file with fixed memory and no library beyond `math.h`, one call a sample: what runs on the controller.
+# ## C code for a controller
+# The model and its inverse as one C99 file with static memory, no library beyond `math.h`, and one call per sample.
 
 # %%
 files = export_c(fit.model, folder, name="bender", limits=(-100.0, 100.0))
@@ -244,21 +246,22 @@ print(files[0].read_text().split("#ifndef")[0])
 
 # %% [markdown]
 # ## A measured material
-# The same on 152 measured curves of iron-cobalt nanowires (pyforc), where the data are at hand: every fourth is fitted, the others are predicted.
+# The same for 152 measured curves of iron-cobalt nanowires (pyforc), if the data are available: every fourth curve is fitted, the
+# others are predicted.
 
 # %%
 try:
     wires = list(hf.datasets.load("mag_forc_pyforc/FeCo", download=False))
 except hf.HystfitError:
     wires = []
-    print("the measured curves are not at hand (hystfit datasets says how to get them)")
+    print("skipped: the measured curves were not found (`hystfit datasets` lists their source)")
 if wires and not QUICK:
     measured = fit_forc(wires[::4], 40)
     others = [r for k, r in enumerate(wires) if k % 4]
     pairs = [(measured.predict(r.u)[r.used], r.y[r.used]) for r in others]
     error = np.concatenate([p - y for p, y in pairs])
     span = np.ptp(np.concatenate([r.y[r.used] for r in wires]))
-    print(f"curves not fitted: {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
+    print(f"held-out curves: {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     plot_density(measured.model, axes[0], reach=measured.reach)
     plot_forc_diagram(forc_diagram([r.replace(u=r.u[r.used], y=r.y[r.used], weight=r.weight[r.used]) for r in wires]), axes[1])

@@ -11,15 +11,14 @@
 # ---
 
 # %% [markdown]
-# # Creep and the filter, from a record to tracking
+# # Creep and the Kalman filter, from a record to tracking
 #
-# A piezo actuator does not only lag behind its voltage, it also creeps: after a step it goes on moving for minutes. We take two
-# records of one, let an unscented Kalman filter identify hysteresis and creep sample by sample from a start that is far off,
-# ask what its answer is worth, and use the model to make the actuator follow a staircase. At last the actuator changes,
-# and the filter runs along to correct the model.
+# A piezo actuator has hysteresis and creep: after a step it keeps moving for minutes. From two records, an unscented Kalman filter
+# identifies hysteresis and creep sample by sample from poor starting values. We assess its estimates and use the model to track a
+# staircase. Finally the actuator changes, and the filter updates the model during tracking.
 #
-# The method is that of Minase, Lu, Cazzolato and Grainger (2010). The actuator is *simulated*, with 5 nm of sensor noise, a
-# surrogate of theirs: its parameters are known, so that the answers can be checked.
+# The method is that of Minase, Lu, Cazzolato and Grainger (2010). The actuator is *simulated*, a surrogate of theirs with 5 nm of
+# sensor noise: its parameters are known, so the results can be checked.
 
 # %%
 import os
@@ -30,15 +29,15 @@ import numpy as np
 
 import hystfit as hf
 from hystfit.identify import Phase, Ukf, identify_in_stages
-from hystfit.stage import Sensor, perturbed, piezo, refine
+from hystfit.stage import Sensor, perturbed, piezo, upsample
 from hystfit.stage.adaptive import track_adaptively
 
-hf.enable_x64()  # double precision, which every fit asks for
+hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: the last part on less time
 
 # %% [markdown]
 # ## Two records
-# Cycles of falling amplitude show the hysteresis; they are fast, so that creep is small in them. A step held for minutes shows the
+# Cycles of falling amplitude show the hysteresis; they are fast, so creep is small in them. A step held for minutes shows the
 # creep. `hystfit simulate stage --signal ... --out data.csv` writes such records; these two come with the package.
 
 # %%
@@ -54,12 +53,12 @@ axes[0].set(xlabel="voltage [V]", ylabel="displacement [µm]", title="cycles of 
 axes[1].plot(slow.t, slow.y, lw=1)
 axes[1].set(xlabel="time [s]", title="a step")
 axes[2].semilogx(since[creeping], slow.y[creeping], lw=1)
-axes[2].set(xlabel="time since the step [s]", title="the same: a straight line")
+axes[2].set(xlabel="time since the step [s]", title="the same on a logarithmic time axis")
 plt.show()
 
 # %% [markdown]
-# The line in the right picture is the law $L(t) = L_0\,[1 + \gamma \log_{10}(t / 0.1\,\mathrm{s})]$: every decade of time adds
-# the same, $\gamma L_0$. Read off by hand:
+# The straight line in the right plot is the law $L(t) = L_0\,[1 + \gamma \log_{10}(t / 0.1\,\mathrm{s})]$: every decade of time
+# adds the same displacement $\gamma L_0$. Its slope from a linear fit:
 
 # %%
 decades = np.log10(since[creeping] / 0.1)
@@ -68,10 +67,10 @@ before = float(np.mean(slow.y[since < 0]))
 print(f"{slope:.3f} µm a decade on a step of {first - before:.2f} µm: {100 * slope / (first - before):.2f} % a decade")
 
 # %% [markdown]
-# ## The filter, far from the truth
-# The filter carries states (here the hysteretic one, and ten relaxations that stand for the logarithm) and parameters together.
-# After each sample it compares the measured output with the one it predicted, the *innovation*, and moves both.
-# It starts with a model of the wrong slope, loop and rate; of creep it knows nothing yet, so it gets the fast record first.
+# ## The filter from poor starting values
+# The filter estimates states (the hysteretic one, and ten relaxations that approximate the logarithm) and parameters together. After
+# each sample it updates both from the *innovation*, the measured minus the predicted output. It starts with wrong slope, loop size
+# and rate and without creep, so we use the fast record first.
 
 # %%
 TRUE = {"c": 0.1542, "mu": 0.45, "tau": 0.01086, "rho": 0.00956 / 0.01086, "gamma": 0.0175}
@@ -90,18 +89,18 @@ left.axhline(1, color="0.4", lw=0.8)
 left.set(xlabel="time [s]", ylabel="estimate / truth", ylim=(0.3, 1.8))
 left.legend(ncols=2)
 right.plot(fast.t, 1e3 * (fast.y - alone.predict()[0]), lw=0.6)
-right.set(xlabel="time [s]", ylabel="measured less free run [nm]", title="without creep in the model")
+right.set(xlabel="time [s]", ylabel="measured - simulated [nm]", title="without creep in the model")
 plt.show()
 
 # %% [markdown]
-# The parameters come to rest, and the free run (the model on its input alone, the filter switched off) follows the record to a
-# fraction of a percent. Yet some of them come to rest off the truth: the creep that this model lacks went into them. A filter that
-# has settled says that the data agree with *some* parameters of its model, not that the model is right. What is left shows it.
+# The parameters converge, and the simulation (the model driven by the input only, without the filter) follows the record to a
+# fraction of a percent. But some parameters are biased: they absorb the creep that this model lacks. Convergence means that *some*
+# parameters of the model agree with the data, not that the model is right. The residuals show the difference.
 #
 # ## In stages
-# Hysteresis and creep at once from a cold start is badly conditioned, as slow relaxations look like an offset. So: hysteresis from
-# the fast record, then creep and offset from the step with the hysteresis held, then (in the full run of this notebook)
-# everything from both records.
+# Estimating hysteresis and creep together from poor starting values is ill-conditioned, because slow relaxations resemble an offset.
+# Therefore: hysteresis from the fast record, then creep and offset from the step with fixed hysteresis, then (in the full run of
+# this notebook) all parameters from both records.
 
 # %%
 stages = [
@@ -109,15 +108,15 @@ stages = [
     Phase(slow, ("gamma", "offset"), {"hold": "none"}),
     Phase([fast, slow], settings={"prior": 0.05, "hold": "none"}),
 ][: 2 if QUICK else 3]
-model, found = identify_in_stages(hf.Series(start, hf.LogCreep(gamma=0.005)), stages)
-for number, stage in enumerate(found, start=1):
+model, results = identify_in_stages(hf.Series(start, hf.LogCreep(gamma=0.005)), stages)
+for number, stage in enumerate(results, start=1):
     print(f"stage {number}: {stage.status:<14} free run {stage.free_run.nrmse_percent:.3f} % of the range")
 
 # %% [markdown]
-# ## What the answer is worth
-# Innovations can be checked: squared, over the variance that the filter predicted, they should be 1 on average. The filter's
-# covariance of the *parameters* cannot be checked that way, and it is known to be too small, often several times; hystfit
-# never prints it as an error bar. For errors, fit by least squares from where the filter ended:
+# ## Accuracy of the estimates
+# The innovations can be checked: the mean of their squares over the predicted variance should be 1. The filter's covariance of the
+# *parameters* cannot be checked that way and is known to be too small, often by a factor of several; hystfit never reports it as a
+# standard error. For standard errors, fit by least squares with the filter's result as a warm start:
 
 # %%
 fitted = hf.fit(model, [fast, slow], start="model", starts=1)
@@ -128,13 +127,13 @@ for name, label in (("c", "c"), ("mu", "mu"), ("bouc_wen.tau", "tau"), ("rho", "
     p, true = fitted[name], TRUE[label]
     numbers = f"{true:>10.5f}{float(filtered[label]):>10.5f}{p.value:>15.5f}{p.stderr:>10.1g}"
     print(f"{label:<8}{numbers}{(p.value - true) / p.stderr:>25.1f}")
-last = found[-1].free_run.nrmse_percent
-print(f"\nfree run, RMS: filter {last:.3f} %, least squares {fitted.train.nrmse_percent:.3f} % of the range")
+last = results[-1].free_run.nrmse_percent
+print(f"\nsimulation error, RMS: filter {last:.3f} %, least squares {fitted.train.nrmse_percent:.3f} % of the range")
 
 # %% [markdown]
-# Where a whole record is at hand, least squares is the better estimator and does not need the filter. The filter is for the other
-# case: samples that keep coming. It also knows when the experiment was poor. With cycles of one amplitude the free run is as
-# good, but the parameters are not determined, and it says so:
+# On a whole record least squares is the better estimator and does not need the filter. The filter is for on-line use. It also
+# detects a poor experiment: with cycles of one amplitude the simulation error is as small, but the parameters are not determined,
+# and a note says so:
 
 # %%
 sine = hf.datasets.load("stage-sine")
@@ -144,10 +143,9 @@ print(" -", one.notes[-1])
 
 # %% [markdown]
 # ## A staircase
-# The inverse of the model, hysteresis and creep together, gives the voltage sample by sample: what the relaxations will add is
-# taken off the target, the rest goes through the inverse of the loop. The actuator runs ten times finer than the inverse, so
-# that no error of the integration cancels. For comparison: no control (the best constant gain), and the same inverse
-# without creep.
+# The inverse of hysteresis and creep gives the voltage sample by sample: the predicted creep is subtracted from the reference, and
+# the rest is the input of the inverse of the loop. The actuator is simulated with ten times finer steps than the inverse, so
+# integration errors do not cancel. For comparison: no control (the best constant gain), and the same inverse without creep.
 
 # %%
 LIMITS = (-20.0, 120.0)
@@ -158,7 +156,7 @@ dt = float(t[1] - t[0])
 
 def drive(device, u):
     """Displacement of a device, which runs ten times finer, the voltage linear between samples."""
-    fine, steps = refine(np.asarray(u), np.full(len(u), dt), 10)
+    fine, steps = upsample(np.asarray(u), np.full(len(u), dt), 10)
     steps[0] = 0.0
     return np.asarray(hf.simulate(device, jnp.asarray(fine), jnp.asarray(steps))[0])[::10]
 
@@ -180,7 +178,7 @@ for name, u in voltages.items():
     print(
         f"{name:<24} largest error {np.max(np.abs(error)):6.2f} % of the staircase, RMS {np.sqrt(np.mean(error**2)):5.2f} %"
     )
-left.plot(t, reference, "k--", lw=0.7, label="wanted")
+left.plot(t, reference, "k--", lw=0.7, label="reference")
 left.set(xlabel="time [s]", ylabel="displacement [µm]")
 left.legend()
 right.set(xlabel="time [s]", ylabel="error [% of the staircase]")
@@ -188,9 +186,9 @@ plt.show()
 
 # %% [markdown]
 # ## The actuator changes
-# A day later it is warmer: slope, loop and rate have moved by some percent. The inverse does not notice, as nothing is fed back.
-# Now the filter listens to the sensor (20 nm of noise this time) while the inverse drives, and every half second the inverse
-# takes its model.
+# A day later it is warmer: slope, loop and rate have changed by some percent. The fixed inverse cannot correct for this, because
+# there is no feedback. Now the filter runs on the sensor signal (here with 20 nm of noise) beside the inverse, and every half
+# second the inverse uses the filter's current model.
 
 # %%
 warm = perturbed(actuator, c=1.04, mu=0.92, tau=1.15, delta=0.9)
@@ -201,19 +199,19 @@ fixed = drive(warm, hf.invert(fitted.model, reference, dt, limits=LIMITS).u)
 beside = Ukf.of(fitted.model, fast, start="model", noise=0.02, prior=0.2, caution=2.0, settling=100.0)
 adapted = track_adaptively(beside, warm, reference, dt, block=250, limits=LIMITS, sensor=Sensor(0.02, 0.0), seed=0)
 figure, axis = plt.subplots(figsize=(9.6, 3.4), layout="constrained")
-axis.plot(t, 1e3 * (reference - fixed), lw=1, label="model of yesterday")
-axis.plot(t, 1e3 * adapted.error, lw=1, label="filter beside")
+axis.plot(t, 1e3 * (reference - fixed), lw=1, label="fixed model")
+axis.plot(t, 1e3 * adapted.error, lw=1, label="updated by the filter")
 axis.set(xlabel="time [s]", ylabel="error [nm]")
 axis.legend(loc="lower right")
 plt.show()
 last = slice(-1000, None)
-for name, error in (("model of yesterday", reference - fixed), ("filter beside", adapted.error)):
-    print(f"{name:<20} largest error over the last 2 s: {1e3 * np.max(np.abs(error[last])):6.1f} nm")
+for name, error in (("fixed model", reference - fixed), ("updated by the filter", adapted.error)):
+    print(f"{name:<22} largest error over the last 2 s: {1e3 * np.max(np.abs(error[last])):6.1f} nm")
 
 # %% [markdown]
-# The sensor's noise does not reach the actuator, as there is no feedback of the output, only of what the filter has learned.
+# Sensor noise does not reach the actuator: the output is not fed back, only the filter's parameters are.
 #
-# The same from the shell (identification only; the filter starts from the record):
+# The same at the shell (identification only; starting values from the record):
 #
 #     hystfit simulate stage --signal amplitude-sweep --anchor low --low 0 --out sweep.csv
 #     hystfit fit sweep.csv --model bouc-wen+log-creep --method ukf --out fit

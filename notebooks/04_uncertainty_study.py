@@ -13,14 +13,13 @@
 # %% [markdown]
 # # How well are the parameters known? A study to copy
 #
-# From a CSV to error bars that can be published: what the residuals say about the errors, which parameters the data determine, draws
-# from the posterior, and what follows for the loop, for predictions and for the inverse. At the end: a poor experiment, and the
-# input that would have saved it.
+# From a CSV file to publishable error bars: residual analysis, parameters that the data determine, draws from the posterior, and the
+# resulting uncertainty of the loop, of predictions and of the inverse. At the end: a poor experiment, and the input that improves it.
 #
-# To use it on your own data, change the cell that reads the file and the name of the model; nothing else knows the example.
+# To use it on your own data, change the cell that reads the file and the model; nothing else depends on the example.
 #
-# The record is *simulated* (a Bouc-Wen actuator, slow drift and white noise in the sensor), so that the answers can be checked
-# against the truth. Nothing before the last table uses it.
+# The record is *simulated* (a Bouc-Wen actuator, slow drift and white noise in the sensor), so the results can be compared with the
+# truth. Nothing before the last table uses the truth.
 
 # %%
 import os
@@ -31,7 +30,7 @@ import numpy as np
 
 import hystfit as hf
 
-hf.enable_x64()  # double precision, which every fit asks for
+hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer draws
 folder = Path("out") / "uncertainty"
 folder.mkdir(parents=True, exist_ok=True)
@@ -39,14 +38,14 @@ folder.mkdir(parents=True, exist_ok=True)
 # %% [markdown]
 # ## The file
 # Eight cycles between 0 V and an amplitude that falls from 100 V to 20 V, then three more with other turning points, 800 samples. The
-# sensor has 10 nm of white noise, and 15 nm that wander within about 25 samples (temperature, cables).
+# sensor has 10 nm of white noise and 15 nm of slow noise with a correlation time of 25 samples (temperature, cables).
 
 # %%
 TRUTH = hf.BoucWen(c=0.2, mu=0.45, tau=0.06, rho=0.3, offset=0.1, scheme="exact")
 
 
 def measure(u: np.ndarray, seed: int) -> np.ndarray:
-    """Output of the true actuator [um], with the sensor's noise."""
+    """Output of the true actuator with sensor noise [um]."""
     rng = np.random.default_rng(seed)
     keep = np.exp(-1 / 25)
     slow = np.empty(u.size)
@@ -66,13 +65,13 @@ np.savetxt(file, np.column_stack([t, u, measure(u, 1)]), fmt="%.5f", delimiter="
 # %%
 record = hf.read_csv(file)
 fitted, held_back = record.window(0, 6.0), record.window(6.0, None)
-MODEL = hf.BoucWen(scheme="exact")  # the exact step: right at any sampling rate
+MODEL = hf.BoucWen(scheme="exact")  # the exact step, valid at any sampling rate
 print(hf.check(record))
 
 # %% [markdown]
-# ## Fit, and what the residuals say about the errors
-# A plain least-squares fit takes the residuals for independent. They are not: neighbors resemble each other, so that 600 samples hold the
-# information of far fewer. The report gives the residuals' correlation time and by how much the honest errors exceed the plain ones.
+# ## Fit and residuals
+# Plain least-squares errors assume independent residuals. These residuals are autocorrelated, so 600 samples contain the information
+# of far fewer. The report gives the correlation time of the residuals and the ratio of the corrected to the plain standard errors.
 
 # %%
 fit = hf.fit(MODEL, fitted)
@@ -80,14 +79,14 @@ print(fit)
 
 # %%
 plain = hf.fit(MODEL, fitted, noise="iid")
-print(f"residuals are correlated over {fit.correlation_time:.1f} samples; honest errors are {fit.honest_ratio:.1f} times the plain ones")
+print(f"correlation time {fit.correlation_time:.1f} samples; standard errors {fit.error_ratio:.1f} times those for independent residuals")
 for name in fit.free_names:
-    print(f"{name:7} {fit[name].value:9.5f}   honest {fit[name].stderr:.5f}   plain {plain[name].stderr:.5f}")
+    print(f"{name:7} {fit[name].value:9.5f}   stderr {fit[name].stderr:.5f}   for independent residuals {plain[name].stderr:.5f}")
 
 # %% [markdown]
 # ## What the data determine
-# The profile of a parameter is the best fit with that parameter held: where it rises on both sides, the data close it. Curved or lopsided
-# profiles are where symmetric error bars mislead.
+# The profile of a parameter is the likelihood of the best fit with that parameter fixed. If it falls on both sides, the parameter has
+# confidence limits on both sides. Where a profile is curved or asymmetric, symmetric error bars mislead.
 
 # %%
 profiles = hf.profile(fit)
@@ -97,8 +96,8 @@ plt.show()
 
 # %% [markdown]
 # ## Draws from the posterior
-# The noise is a parameter too: a slow part and a white part. NUTS starts at the fit and is whitened by its curvature. The first thing to
-# read is the status; then R-hat (1.01 at most) and the effective number of draws (400 at least), by parameter.
+# The noise has parameters too: a slow and a white part. NUTS starts at the fit, in coordinates whitened by its curvature. Read the
+# status first, then R-hat (1.01 at most) and the number of effective draws (400 at least) of each parameter.
 
 # %%
 posterior = hf.sample(fit, "nuts", noise="ou", draws=500 if QUICK else 2000, chains=4, seed=1)
@@ -113,20 +112,20 @@ posterior.plot("rank")
 plt.show()
 
 # %% [markdown]
-# The derived numbers (area of the loop, coercive input, remanence, hysteresis in percent of the stroke) come with the draws' spread:
-# each draw has its own loop.
+# The derived quantities (area of the loop, coercive input, remanence, hysteresis in percent of the stroke) are computed for each draw,
+# so they come with their uncertainty.
 #
 # ## Predictions
-# Two bands over the part that was held back: the narrow one is where the model's curve may lie, the wide one where measurements may. About
-# nine in ten samples should lie in the wide band.
+# Two bands over the held-out part: a narrow one for the model output, a wide one for measurements. About nine in ten samples should
+# lie in the wide band.
 
 # %%
 lower, median, upper = posterior.bands(held_back, level=0.9, seed=2)
 curve = posterior.bands(held_back, level=0.9, kind="credible", seed=2)
-late = held_back.used  # the part before only sets the memory right
+late = held_back.used  # the earlier part only sets the initial state
 inside = np.mean(((held_back.y >= lower) & (held_back.y <= upper))[late])
 figure, (top_axes, rest_axes) = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
-top_axes.plot(held_back.t[late], held_back.y[late], "k.", ms=2, label="held back")
+top_axes.plot(held_back.t[late], held_back.y[late], "k.", ms=2, label="held out")
 top_axes.plot(held_back.t[late], median[late], lw=1, label="median of the draws")
 top_axes.set_ylabel("y [um]")
 top_axes.legend()
@@ -136,12 +135,12 @@ rest_axes.plot(held_back.t[late], 1e3 * (held_back.y - median)[late], "k.", ms=2
 rest_axes.set(xlabel="t [s]", ylabel="residual [nm]")
 rest_axes.legend(loc="upper right")
 plt.show()
-print(f"{100 * inside:.1f} % of the samples held back lie in the 90 % band")
+print(f"{100 * inside:.1f} % of the held-out samples lie in the 90 % band")
 
 # %% [markdown]
 # ## The inverse
-# The voltage that makes the output follow a reference, by the fit and by draws; and the error that each draw expects of the fit's voltage:
-# the tracking error that the uncertainty of the parameters alone causes.
+# The voltage that makes the output follow a reference, from the fit and from each draw; and the output error of the fit's voltage under
+# each draw: the tracking error due to parameter uncertainty alone.
 
 # %%
 phase = np.arange(200) / 200
@@ -149,19 +148,19 @@ lowest, highest = float(np.quantile(fitted.y, 0.1)), float(np.quantile(fitted.y,
 reference = lowest + (highest - lowest) * 0.5 * (1 - np.cos(4 * np.pi * phase))
 bands = hf.inverse_bands(posterior, reference, 0.01, count=50)
 low_rms, high_rms = np.quantile(bands.rms, [0.05, 0.95])
-print(f"uncertain parameters alone make a tracking error of {1e3 * low_rms:.1f} to {1e3 * high_rms:.1f} nm rms (90 %)")
+print(f"tracking error due to parameter uncertainty: {1e3 * low_rms:.1f} to {1e3 * high_rms:.1f} nm rms (90 %)")
 bands.plot()
 plt.show()
 
 # %% [markdown]
 # ## A poor experiment, and a better one
-# Three cycles of 10 V at mid-range: the loop is hardly open. The fit says which combination of parameters it cannot tell apart and
-# prints no error where there is none, profiles stay open, and `design` looks for the input that closes them.
+# Three cycles of 10 V peak to peak at mid-range: the loop is nearly a line. The notes of the fit name the combinations of parameters
+# that the data cannot separate, these parameters have no standard error, and `design` finds an input that determines them.
 
 
 # %%
-def said(error: float | None) -> str:
-    """A standard error in words."""
+def error_text(error: float | None) -> str:
+    """A standard error as text."""
     return "unknown" if error is None else f"{error:.2g}"
 
 
@@ -171,7 +170,7 @@ poor = hf.fit(MODEL, hf.Record(u=small, y=measure(small, 3), t=short_t, u_unit="
 for note in poor.notes:
     print("-", note)
 for name in poor.free_names:
-    print(f"{name:7} {poor[name].value:10.4g} +- {said(poor[name].stderr)}")
+    print(f"{name:7} {poor[name].value:10.4g} +- {error_text(poor[name].stderr)}")
 
 # %%
 better = hf.design(poor, low=0.0, high=100.0, samples=300, steps=20 if QUICK else 150)
@@ -183,11 +182,11 @@ again = hf.fit(
     [poor.data[0], hf.Record(u=better.best.u, y=measure(better.best.u, 4), t=short_t, u_unit="V", y_unit="um", name="designed")],
 )
 for name in again.free_names:
-    print(f"{name:17} {again[name].value:10.4g} +- {said(again[name].stderr)}")
+    print(f"{name:17} {again[name].value:10.4g} +- {error_text(again[name].stderr)}")
 
 # %% [markdown]
 # ## Against the truth
-# How many standard deviations the truth lies from the posterior's mean; mostly within two.
+# Distance of the truth from the posterior mean in standard deviations; it should mostly be below two.
 
 # %%
 for row in posterior.table():

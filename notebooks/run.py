@@ -2,9 +2,9 @@
 
     python notebooks/run.py [--quick] [01_first_fit ...]
 
-The notebooks are jupytext's percent format: Python files that any editor reads. Each runs in a fresh kernel of this very
-interpreter; no kernel has to be registered, and no user's IPython configuration takes part. `--quick` sets HYSTFIT_QUICK=1,
-which the notebooks read. Exit status 1 where a cell fails, after the other notebooks have run.
+The notebooks are Python files in jupytext's percent format. Each runs in a fresh kernel of this interpreter; no kernel has to be
+registered, and the user's IPython configuration is ignored. `--quick` sets HYSTFIT_QUICK=1, which the notebooks read. Exit status 1
+if a cell fails, after the other notebooks have run.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-# Talk to the kernel by files, not by open ports, where the system can: their path must be shorter than about 100 characters.
+# Use Unix sockets instead of TCP ports where possible; their path must be shorter than about 100 characters.
 SOCKETS = sys.platform != "win32" and len(tempfile.gettempdir()) < 60
 
 
 def execute(source: Path, target: Path, limit: float) -> str | None:
-    """Run one notebook and write it, as far as it came; the failing cell and its error as text, None where all ran.
+    """Run one notebook and write it as far as it ran; returns the failing cell and its error as text, or None.
 
     Args:
         source: a percent-format notebook (.py).
@@ -64,8 +64,8 @@ def execute(source: Path, target: Path, limit: float) -> str | None:
         client.execute()
         return None
     except CellExecutionError as error:
-        return re.sub(r"\x1b\[[0-9;]*m", "", str(error))  # without its colors
-    except (CellTimeoutError, RuntimeError) as error:  # too slow; or the kernel died or never came up
+        return re.sub(r"\x1b\[[0-9;]*m", "", str(error))  # without color codes
+    except (CellTimeoutError, RuntimeError) as error:  # a time-out, or the kernel died or did not start
         started = [
             cell.source for cell in notebook.cells if "iopub.execute_input" in cell.metadata.get("execution", {})
         ]
@@ -75,10 +75,10 @@ def execute(source: Path, target: Path, limit: float) -> str | None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the notebooks that the command line names, or all; the exit status."""
+    """Run the notebooks named on the command line, or all; returns the exit status."""
     parser = argparse.ArgumentParser(description="Execute the notebooks of this folder.")
-    parser.add_argument("names", nargs="*", help="such as 01_first_fit; all where none is given")
-    parser.add_argument("--quick", action="store_true", help="the short form, on less data")
+    parser.add_argument("names", nargs="*", help="such as 01_first_fit; all by default")
+    parser.add_argument("--quick", action="store_true", help="short form, on less data")
     parser.add_argument("--limit", type=float, default=1800.0, help="seconds for one cell (default 1800)")
     chosen = parser.parse_args(arguments)
     found = {path.stem: path for path in sorted(HERE.glob("*.py")) if path != Path(__file__).resolve()}
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     (HERE / "out").mkdir(exist_ok=True)
     failed = 0
     with tempfile.TemporaryDirectory(prefix="hystfit-") as scratch:
-        # Read when jupyter_client is imported and by the kernel: nothing of the user's home is read or written.
+        # Read by jupyter_client on import and by the kernel, so that neither reads nor writes the user's home.
         os.environ |= {"IPYTHONDIR": f"{scratch}/ipython", "JUPYTER_RUNTIME_DIR": scratch}
         for name in names:
             started = time.perf_counter()

@@ -37,17 +37,20 @@ def test_invert_writes_an_input_that_the_model_follows(
     assert run([*command, "--limits", "0:20", "--out", str(tmp_path / "held")]) == 1
     content = json.loads((tmp_path / "held" / "result.json").read_text())
     assert content["status"] == "missed"
+    assert [note["code"] for note in content["notes"]] == ["missed"]
     assert content["counts"]["saturated"] > 0
     assert content["input"]["highest"] == 20.0
     capsys.readouterr()
-    for bad, words in (("0:", "both ends"), ("5:1", "must rise"), ("a:b", "both ends"), ("nan:3", "must rise")):
+    for bad in ("0:", "5:1", "a:b", "nan:3"):
         assert run([*command, "--limits", bad]) == 2
-        assert words in capsys.readouterr().err
-    # Rows without a value of the reference are not passed over in silence.
+        assert f"low:high; got {bad!r}" in capsys.readouterr().err
+    # Rows without a value of the reference are reported.
     lines[5] = f"{t[4]!r},"
     (tmp_path / "reference.csv").write_text("\n".join(lines) + "\n")
-    run(command)
-    assert "left out" in capsys.readouterr().out
+    assert run([*command, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert sum(content["counts"].values()) == 199
+    assert "left-out" in [note["code"] for note in content["reading"]]
 
 
 def test_export_writes_c(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

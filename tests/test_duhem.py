@@ -112,6 +112,7 @@ def test_powers_go_to_legendre_and_back() -> None:
     np.testing.assert_allclose(g, G, atol=1e-14)
     curves = model("midpoint").curves(jnp.linspace(LOW, HIGH, 5))
     np.testing.assert_allclose(curves[0], polynomial.polyval(np.linspace(LOW, HIGH, 5), F), atol=1e-13)
+    np.testing.assert_allclose(curves[1], polynomial.polyval(np.linspace(LOW, HIGH, 5), G), atol=1e-13)
 
 
 @pytest.mark.parametrize(("f", "g"), [(7, 5), (0, 0)])

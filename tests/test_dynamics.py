@@ -110,7 +110,6 @@ def test_the_resonance_is_differentiable_up_to_critical_damping() -> None:
         return simulate(model, u, dt)[0][-1]
 
     assert np.isfinite(float(jax.grad(last)(1.0)))
-    t = np.cumsum(dt)
     assert float(last(1.0)) == pytest.approx(float(last(1.0 - 1e-9)), abs=1e-7)
     # critical damping against the closed form of a step
     step = np.ones(50)
@@ -119,7 +118,6 @@ def test_the_resonance_is_differentiable_up_to_critical_damping() -> None:
     x = 40.0 * np.cumsum(jump)
     y = simulate(eqx.tree_at(lambda m: m.zeta, SecondOrder(omega=40.0), jnp.asarray(1.0)), step, jump)[0]
     np.testing.assert_allclose(y[1:], 1 - (1 + x[1:]) * np.exp(-x[1:]), atol=1e-9)
-    assert t[-1] > 0.5
 
 
 # -- rate terms ------------------------------------------------------------------------------------------------------------
@@ -202,8 +200,15 @@ def test_the_yielding_spring_is_bounded_and_the_oscillator_differentiable_at_res
     t = np.linspace(0.0, 20.0, 2001)
     model = BoucWenOscillator(**OSCILLATOR)
     state = model.init(jnp.zeros(()))
-    _, end = simulate(model, 30.0 * np.sin(t), 0.01)
-    assert abs(float(end.state[2])) <= OSCILLATOR["zy"] * 1.001
+    force, yielding = jnp.asarray(30.0 * np.sin(t)), [0.0]
+    at, now = state, force[0]
+    for later in force[1:]:
+        at, _ = STEP(model, at, now, later, jnp.asarray(0.01))
+        now = later
+        yielding.append(float(at[2]))
+    # The spring yields fully in both directions, and never beyond.
+    assert np.max(yielding) == pytest.approx(OSCILLATOR["zy"], rel=1e-3)
+    assert np.min(yielding) == pytest.approx(-OSCILLATOR["zy"], rel=1e-3)
     assert state.tolist() == [0.0, 0.0, 0.0]
     gradient = eqx.filter_grad(lambda m: jnp.sum(simulate(m, jnp.zeros(5), 0.1)[0]))(model)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree_util.tree_leaves(gradient))

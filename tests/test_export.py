@@ -34,7 +34,11 @@ SMOOTH = {"alpha": 3.0, "f": (0.0, 1.0, 0.1, 0.02), "g": (0.6, 0.02, 0.01), "w0"
 KNEE = {
     "c": 0.15, "mu": 0.45, "tau": 0.011, "rho": 0.6, "n": 1.7, "skew": 0.2, "b": (0.3, -0.1), "center": 50.0, "half": 70.0
 }  # fmt: skip
+CELLS = weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative"), offset=0.4)
+CREEP = hf.LinearCreep(a=(0.02,), tau=(0.01, 0.1, 1.0), low=-1.0, high=1.0, level=-0.5)
 CASES = {
+    "lag_preisach": (hf.Series(hf.Lag(tau=0.004, rest="first"), CELLS), -1.0, 1.0),
+    "preisach_creep": (hf.Sum(CELLS, CREEP), -1.0, 1.0),
     "bouc_wen": (hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88), -20.0, 120.0),
     "bouc_wen_exact": (PIEZO, -20.0, 120.0),
     "bouc_wen_creep": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175, 0.004), span=12.0)), -20.0, 120.0),
@@ -145,10 +149,21 @@ def test_exported_file_is_self_contained(tmp_path: Path) -> None:
 def test_names_and_models_without_c_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="C identifier"):
         export_c(PIEZO, tmp_path, name="2nd")
-    with pytest.raises(ModelError, match=r"BoucWenForce has no C code; these have: BoucWen, .*Preisach with cells"):
+    with pytest.raises(ModelError, match="BoucWenForce has no C code"):
         export_c(hf.BoucWenForce(), tmp_path)
-    with pytest.raises(ModelError, match="Lag has no C code"):
-        export_c(hf.Series(hf.Lag(), PIEZO), tmp_path)
+    with pytest.raises(ModelError, match="Delay has no C code"):
+        export_c(hf.Series(hf.Delay(), PIEZO), tmp_path)
     with pytest.raises(ModelError, match="cells"):
         export_c(hf.Preisach.uniform(4, elements="relays"), tmp_path)
     assert not any(itertools.chain(tmp_path.iterdir()))
+
+
+def test_a_resonance_is_exported_forward_only(tmp_path: Path) -> None:
+    model = hf.Series(CELLS, hf.SecondOrder(omega=90.0, zeta=0.15))
+    program, u = build(model, tmp_path), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u, 0.002)[0])
+    assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)
+    assert subprocess.run([str(program), "i"], input="0.0", capture_output=True, text=True).returncode == 2
+    assert "@" not in "".join(file.read_text() for file in tmp_path.iterdir() if file.suffix in (".c", ".h"))
+    with pytest.raises(ModelError):
+        InverseStep.of(model)

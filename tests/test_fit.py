@@ -8,9 +8,11 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.fitting.fit import ESTIMATORS
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
+from hystfit.fitting.registry import ESTIMATORS
+from hystfit.outcome import Code
+from hystfit.outcome.note import has
 
 T = np.linspace(0.0, 6.0, 600)
 TRUTH = {"c": 0.15, "mu": 0.45, "tau": 0.02, "rho": 0.6, "offset": 3.0}
@@ -50,11 +52,10 @@ def test_fit_needs_no_guess_and_reports_units(fitted):
 @pytest.mark.parametrize("method", ["dogleg", "trf", "lbfgsb", "projected-gradient"])
 def test_estimators_reach_one_optimum(fitted, piezo, method):
     other = hf.fit(hf.BoucWen(), piezo, method=method, starts=8 if method == "dogleg" else 1)
-    loose = (
-        2.0 if method == "projected-gradient" else 0.02
-    )  # a first-order method stops early along the flat directions
+    # A first-order method stops early along the flat directions. The start is off by thirty standard errors.
+    part = 0.2 if method == "projected-gradient" else 0.02
     for name in TRUTH:
-        assert abs(other[name].value - fitted[name].value) < loose * fitted[name].stderr
+        assert abs(other[name].value - fitted[name].value) < part * fitted[name].stderr
 
 
 def test_errors_equal_linear_regression():
@@ -79,10 +80,17 @@ def test_correlated_residuals_widen_the_errors(piezo):
         slow[k] = 0.95 * slow[k - 1] + rng.normal(0, 0.01)
     noisy = piezo.replace(y=piezo.y + slow)
     honest, naive = hf.fit(hf.BoucWen(), noisy), hf.fit(hf.BoucWen(), noisy, noise="iid")
-    expected = np.sqrt((1 + 0.95) / (1 - 0.95))  # of an AR(1) process alone; the white part dilutes it
-    ratio = honest["c"].stderr / naive["c"].stderr
-    assert 0.3 * expected < ratio < 1.5 * expected
-    assert any("correlated" in note for note in honest.notes)
+    # Least squares under the dense covariance of the noise that was added: white of sd 0.01, AR(1) with innovations of sd 0.01.
+    names = ["c", "mu", "tau", "rho", "offset"]
+    output = lambda x: hf.simulate(hf.BoucWen(**dict(zip(names, x, strict=True))), sweep())[0]
+    inverse = np.linalg.pinv(np.asarray(jax.jacfwd(output)(jnp.asarray([TRUTH[name] for name in names]))))
+    lag = np.abs(np.subtract.outer(np.arange(T.size), np.arange(T.size)))
+    covariance = 0.01**2 * np.eye(T.size) + 0.01**2 / (1 - 0.95**2) * 0.95**lag
+    expected = np.sqrt(np.diag(inverse @ covariance @ inverse.T))
+    for k, name in enumerate(names[:4]):  # the offset depends on the slowest noise, which one record hardly shows
+        assert honest[name].stderr == pytest.approx(expected[k], rel=0.2)
+        assert naive[name].stderr < 0.5 * expected[k]
+    assert has(honest.notes, Code.ERROR_RATIO)
 
 
 def test_several_records_share_the_model_and_keep_their_offsets():
@@ -118,14 +126,14 @@ def test_window_holds_its_samples_back(piezo):
     assert result.train.n == 300
     assert result.test.n == 200
     assert result.test.rmse < 0.02
-    assert any("extrapolation" in note for note in result.notes)  # the sweep still grows after 4 s
+    assert has(result.notes, Code.EXTRAPOLATION)  # the sweep still grows after 4 s
 
 
 def test_small_loops_leave_the_shape_open():
     """At a tenth of the amplitude the loop is all but straight: tau and rho trade against each other."""
     data = record(hf.BoucWen(**TRUTH), u=0.02 * sweep(), noise=0.01)
     result = hf.fit(hf.BoucWen(), data)
-    assert any("not determined" in note for note in result.notes)
+    assert has(result.notes, Code.NOT_DETERMINED)
     assert result["rho"].stderr is None
     assert result["rho"].identifiable is False
 
@@ -135,14 +143,14 @@ def test_parameter_without_influence_is_named(piezo):
     result = hf.fit(hf.AsymmetricBoucWen(), late, free=["h0"], fix={"n": 1.0, "skew": 0.0})
     # The memory of h0 has decayed by exp(-tau * path) long before the window.
     assert result["h0"].stderr is None
-    assert any("h0" in note for note in result.notes)
+    assert has(result.notes, Code.NO_INFLUENCE)
 
 
 def test_a_bound_reached_is_named(piezo):
     result = hf.fit(hf.BoucWenForce(), piezo)  # n = 1 generated these data, at the edge of n >= 1
     assert result["n"].at_bound == "lower"
     assert result["n"].stderr is None
-    assert any("n ran into its lower bound" in note for note in result.notes)
+    assert has(result.notes, Code.AT_BOUND)
 
 
 def test_a_model_that_cannot_make_the_loop_is_poor():
@@ -215,6 +223,9 @@ def compiled():
             events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
+    jax.jit(lambda x: x + len(events))(1.0)
+    assert events  # a new program is counted
+    events.clear()
     return events
 
 
@@ -262,7 +273,7 @@ def test_a_loop_that_loses_stiffness_is_refused():
     assert hf.fit("bouc-wen-force", hf.Record(u=u, y=force), starts=1).usable
     fit = hf.fit("bouc-wen-force", hf.Record(u=u, y=worn), starts=1)
     assert fit.status == "poor"
-    assert "loses stiffness" in " ".join(fit.notes)
+    assert has(fit.notes, Code.MODEL_MISMATCH)
 
 
 def test_white_noise_as_large_as_the_loop_is_no_fault_of_the_model():
@@ -273,7 +284,7 @@ def test_white_noise_as_large_as_the_loop_is_no_fault_of_the_model():
     noisy = hf.fit("bouc-wen", hf.Record(u=u, y=y + 0.01 * rng.normal(size=600)), starts=2)
     assert noisy.train.nrmse_percent > 3
     assert noisy.status == "ok"
-    assert any("all noise" in note for note in noisy.notes)
+    assert has(noisy.notes, Code.MEASUREMENT_NOISE)
     buried = 0.15 * np.sin(2 * np.pi * 8 * np.arange(400) / 400)  # noise alone looks like stiffness lost here
     y2 = np.asarray(hf.simulate(truth, buried)[0]) + 0.02 * np.random.default_rng(3).normal(size=400)
     assert hf.fit(truth, hf.Record(u=buried, y=y2), start="model", starts=1).status == "ok"

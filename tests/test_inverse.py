@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 import hystfit as hf
 from hystfit.control import InverseStep, Status, invert, lead
-from hystfit.control.bracketed import Root, solve_rising
 from hystfit.errors import DataError, ModelError
+from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.preisach import EverettTable
 from hystfit.models.relaxation import Relaxation
 

@@ -41,6 +41,18 @@ def test_the_future_is_predicted_from_plain_refits_to_the_past():
     assert left_out_error(fit, "future") == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-4)
 
 
+def test_blocks_are_predicted_from_plain_refits_to_the_others():
+    made = record(bouc_wen())
+    fit = hf.fit(hf.BoucWen(scheme="exact"), made)
+    squares = []
+    for part in fifths(U.size):
+        weight = np.where(np.isin(np.arange(U.size), part), 0.0, 1.0)
+        y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=weight)).predict(made)
+        squares.append((np.asarray(y)[part] - made.y[part]) ** 2)
+    assert left_out_error(fit, "blocks") == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-4)
+    assert left_out_error(fit, "blocks") > fit.train.rmse
+
+
 @pytest.mark.parametrize("model", [hf.Preisach.of(8), hf.PrandtlIshlinskii.of(6), hf.BoucWen(scheme="exact")])
 def test_nothing_of_what_is_predicted_enters_its_fit(model):
     """The last fifth moved by D: its errors move by D, and all others stay as they are."""

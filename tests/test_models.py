@@ -34,6 +34,8 @@ from hystfit.models import (
     registry,
     simulate,
 )
+from hystfit.models.base import AbstractStepInverse
+from hystfit.models.bracketed import Root
 from hystfit.params.param import param
 from hystfit.testing import check_model
 
@@ -279,6 +281,28 @@ class Eager(Whole):
         return u1[None], self.k * u1 + (1.0 if isinstance(u1, jax.core.Tracer) else 0.0)
 
 
+class Weighing(Whole):
+    """A spring that is declared linear in its square root."""
+
+    root: jax.Array = param(2.0, linear=True)
+
+    def step(self, state: Any, u0: Any, u1: Any, dt: Any) -> Any:
+        return u1[None], self.k * u1 + self.root**2 * u1
+
+
+class Halving(AbstractStepInverse):
+    model: Whole
+    needs_limits: ClassVar[bool] = False
+
+    def solve(self, state: Any, u0: Any, target: Any, dt: Any, low: Any, high: Any) -> Root:
+        return Root(0.5 * target / self.model.k, self.model.k > 0)
+
+
+class Misled(Whole):
+    def step_inverse(self, sign: float = 1.0) -> Halving:
+        return Halving(self)
+
+
 class Alien(Whole):
     def start(self, records: Any) -> Any:
         return BoucWen()
@@ -302,6 +326,8 @@ class Hopeless(Whole):
         (Rooted(), "derivative in k is not finite"),
         (Eager(), "without jit"),
         (Alien(), "start returned a BoucWen"),
+        (Weighing(), "design_matrix times the linear weights"),
+        (Misled(), "must give an input with the same output"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, AbstractHysteresis) else "",
 )

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 import hystfit as hf
 from hystfit import priors
 from hystfit.errors import DataError, ParameterError
-from hystfit.sampling.posterior import load_posterior
+from hystfit.sampling.files import load_posterior
 from hystfit.sampling.sample import sample
 from hystfit.sampling.setup import prepare
 
@@ -45,7 +45,7 @@ def test_evidence_is_that_of_quadrature_over_both_modes(two_modes, run):
     edge = np.linspace(-7, 7, 49)
     q = np.array(list(itertools.product(edge, repeat=3)))
     logs = eqx.filter_jit(
-        lambda q: jax.lax.map(lambda row: target.log_density(target.unwhitened(row)), q, batch_size=500)
+        lambda q: jax.lax.map(lambda row: target.density.log_density(target.unwhitened(row)), q, batch_size=500)
     )
     one_mode = logsumexp(np.asarray(logs(jnp.asarray(q)))) + 3 * np.log(edge[1] - edge[0])
     one_mode += np.linalg.slogdet(np.asarray(target.factor))[1]

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.models.free_run import free_run, has_short_cut
 from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.models.preisach.density import ParametricPreisach
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.everett import Everett, place
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.staircase import compile_input
 
 RESTS = ("demagnetized", "negative", "positive")
@@ -155,11 +154,13 @@ class TestTwoForms:
         density = ParametricPreisach(levels=np.linspace(-1, 1, 9), slope=0.3)
         slow = hf.Relaxation(a=(0.1, 0.2), tau=(0.05, 0.5))
         for model in (cells, make("relays", "demagnetized", 0.1, True, 5), density, hf.Sum(cells, hf.Offset(2.0))):
-            assert has_short_cut(model)
-            np.testing.assert_allclose(free_run(model, u), hf.simulate(model, u)[0], atol=1e-12)
-        for model in (hf.Series(cells, slow), hf.Series(hf.Lag(), cells), hf.Series(slow, hf.Lag())):
-            assert has_short_cut(model) == (model.parts[0] is cells)
-            np.testing.assert_allclose(free_run(model, u, dt), hf.simulate(model, u, dt)[0], atol=1e-12)
+            assert model.short_cut
+            np.testing.assert_allclose(model.free_run(u), hf.simulate(model, u)[0], atol=1e-12)
+        resonance = hf.SecondOrder(omega=20.0, zeta=0.2)
+        lagged = hf.Series(hf.Delay(lag=1.5), hf.Lag(level=0.3), cells, resonance)
+        for model in (hf.Series(cells, slow), hf.Series(hf.Lag(), cells), lagged, hf.Series(slow, hf.Lag())):
+            assert model.short_cut == (cells in model.parts)
+            np.testing.assert_allclose(model.free_run(u, dt), hf.simulate(model, u, dt)[0], atol=1e-12)
 
     def test_two_halves_equal_one_run(self):
         model = make("cells", "negative", 0.0, False, 4)

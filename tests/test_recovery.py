@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.covariance import near_bound, uncertainty
-from hystfit.fitting.fit import ESTIMATORS
+from hystfit.fitting.covariance import uncertainty
+from hystfit.fitting.registry import ESTIMATORS
 
 REPLICATES = 100
 T = np.linspace(0.0, 5.0, 500)
@@ -104,19 +104,22 @@ def test_parameters_are_recovered_within_their_errors(case):
         else:
             z = problem.space.unconstrained(x)
             off = rng.choice([-1.0, 1.0], (6, z.size)) * rng.uniform(0.5, 1.0, (6, z.size))
-            estimate = ESTIMATORS["lm"].estimate(problem, z + off)
-        errors = uncertainty(problem, estimate, honest=False)
-        inside = np.array([side is None for side in near_bound(problem, estimate.x)]) & errors.determined
+            estimate = ESTIMATORS.make("lm").estimate(problem, z + off)
+        errors = uncertainty(problem, estimate, correlated=False)
+        inside = np.array([side is None for side in problem.at_bound(estimate.x)]) & errors.determined
         pulls.append(np.where(inside, (estimate.x - x) / np.sqrt(np.diag(errors.covariance)), np.nan))
-    pulls = np.array(pulls)
-    kept = np.isfinite(pulls)
-    assert kept.mean(axis=0).min() > 0.5, f"{problem.space.names}: seldom determined"
-    within = np.array([np.mean(np.abs(column[np.isfinite(column)]) < 3) for column in pulls.T])
-    assert (within >= 0.95).all(), dict(zip(problem.space.names, within, strict=True))
-    for name, column in zip(problem.space.names, pulls.T, strict=True):
-        own = column[np.isfinite(column)]
-        assert abs(own.mean()) < 5 / np.sqrt(own.size), f"{name}: mean pull {own.mean():.2f}"
-        assert abs(own.var() - 1) < 5 * np.sqrt(2 / own.size), f"{name}: variance of pulls {own.var():.2f}"
+    check_pulls(problem.space.names, np.array(pulls))
+
+
+def check_pulls(names, pulls):
+    """Errors over standard errors, shape (replicates, parameters), look standard normal; NaN where one was not determined."""
+    determined = np.isfinite(pulls)
+    assert determined.mean(axis=0).min() > 0.5, f"{names}: seldom determined"
+    for name, column, kept in zip(names, pulls.T, determined.T, strict=True):
+        values = column[kept]
+        assert np.mean(np.abs(values) < 3) >= 0.95, f"{name}: {np.mean(np.abs(values) < 3):.0%} within three errors"
+        assert abs(values.mean()) < 5 / np.sqrt(values.size), f"{name}: mean pull {values.mean():.2f}"
+        assert abs(values.var() - 1) < 5 * np.sqrt(2 / values.size), f"{name}: variance of pulls {values.var():.2f}"
 
 
 def plain_weights(problem):
@@ -126,8 +129,16 @@ def plain_weights(problem):
     return Convex(strengths=(1e-14,)).estimate(problem, np.zeros((1, len(problem.space))))
 
 
-def test_pulls_of_a_wrong_error_are_noticed():
-    """The check itself: errors half as large as they should be fail it."""
-    pulls = np.random.default_rng(0).normal(0, 2, REPLICATES)
-    assert abs(pulls.var() - 1) > 5 * np.sqrt(2 / pulls.size)
-    assert np.mean(np.abs(pulls) < 3) < 0.95
+@pytest.mark.parametrize("wrong", ["small errors", "large errors", "bias", "seldom determined"])
+def test_pulls_of_a_wrong_error_are_noticed(wrong):
+    """Errors half or twice as large as they should be, a bias of one standard error, errors that are mostly unknown."""
+    right = np.random.default_rng(0).normal(size=(REPLICATES, 2))
+    check_pulls(("a", "b"), right)
+    column = {
+        "small errors": 2 * right[:, 1],
+        "large errors": 0.5 * right[:, 1],
+        "bias": right[:, 1] + 1,
+        "seldom determined": np.where(np.arange(REPLICATES) < 40, right[:, 1], np.nan),
+    }[wrong]
+    with pytest.raises(AssertionError, match=r"b:|seldom"):
+        check_pulls(("a", "b"), np.column_stack([right[:, 0], column]))

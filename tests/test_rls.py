@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import equinox as eqx
@@ -13,12 +14,14 @@ from hypothesis import strategies as st
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.identify import DuhemRegressor, Rls, Sample, identify, noise_bias
-from hystfit.identify.base import run_stream
-from hystfit.identify.linear import rows_of
+from hystfit.identify import DuhemRegressor, Rls, Sample, as_fit, identify, noise_bias, run_stream
+from hystfit.identify.duhem_regression import rank_of
 from hystfit.models.base import simulate
 from hystfit.models.bouc_wen import BoucWen
 from hystfit.models.duhem import Duhem
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
+from hystfit.results.timing import Stopwatch
 
 ALPHA, ALPHA_F, G = 0.0874, np.array([-0.015, 0.006, 5.57e-6, -8.6e-8]), np.array([0.053, -0.83e-4, 8.1e-6])
 PAPER = np.array([*ALPHA_F, ALPHA, *G])
@@ -56,7 +59,7 @@ def test_final_estimate_is_the_batch_solution_with_its_prior(form):
     data = record(decaying(401), noise=0.01)
     start = 1e-3 * np.arange(8.0)
     for prior in (1e-2, 1.0, 1e4):
-        rls = Rls.of(Duhem(), data, prior=prior, form=form).replace(theta0=jnp.asarray(start))
+        rls = dataclasses.replace(Rls.of(Duhem(), data, prior=prior, form=form), theta0=jnp.asarray(start))
         rows = rls.regressor.rows(data)
         stacked = np.vstack([rows.phi, np.eye(8) / np.sqrt(prior)])
         expected = np.linalg.lstsq(stacked, np.concatenate([rows.target, start / np.sqrt(prior)]), rcond=None)[0]
@@ -98,7 +101,7 @@ def test_noise_free_records_give_back_all_eight_parameters(scheme, u):
     found = rls.fit(data)
     np.testing.assert_allclose(rls.regressor.powers(found.theta), PAPER, rtol=1e-3)
     assert np.abs(found.predict()[0] - data.y).max() < 1e-4 * np.ptp(data.y)
-    assert (found.status, found.notes) == ("ok", ())
+    assert (found.status, found.notes) == (Status.OK, ())
     assert found.equation_error < 1e-9
     assert found.counts == {"total": u.size, "used": u.size - 1, "still": 0, "missing": 0, "first": 1}
 
@@ -241,56 +244,61 @@ def test_the_regressor_decides_how_far_noise_pulls_the_rate():
     [("midpoint", sine(), True), ("midpoint", decaying(), False), ("explicit", decaying(), True)],
     ids=["midpoint-sine", "midpoint-decaying", "explicit-decaying"],
 )
-def test_bias_is_estimated_from_the_residuals_and_warned_of(scheme, u, serious):
+def test_bias_is_estimated_from_the_residuals(scheme, u, serious):
     pulls, corrected = [], []
     for seed in range(6):
         data = record(u, scheme, 0.005, seed, w0=1.5 if u[0] > 1 else 0.0)
         found = identify(data, "rls", Duhem(scheme=scheme))
         rls = Rls.of(Duhem(scheme=scheme), data)
-        bias = noise_bias(rls.regressor, rows_of(rls.regressor, found.data), found.theta)
+        bias = noise_bias(rls.regressor, rls.regressor.rows(found.data), found.theta)
         assert bias.noise == pytest.approx(0.005, rel=0.1)
-        assert (found.status == "biased") is serious
-        assert any("output-error" in note for note in found.notes) is serious
-        assert any("midpoint" in note for note in found.notes) is (serious and scheme == "explicit")
+        assert found.status is (Status.BIASED if serious else Status.OK)
+        assert has(found.notes, Code.NOISE_BIAS) is serious
+        assert bias.explicit is (scheme == "explicit")
         pulls.append(found.history[-1, 0] / ALPHA)
         corrected.append(bias.corrected / ALPHA)
     assert abs(np.mean(corrected) - 1) < max(0.02, 0.4 * abs(np.mean(pulls) - 1))
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", "explicit"])
-def test_model_error_without_noise_is_not_called_noise(scheme):
+def test_model_error_is_not_reported_as_noise(scheme):
     data = record(decaying(), scheme)
     odd = data.replace(y=data.y + 0.02 * np.sin(data.u / 3))
     found = identify(odd, "rls", Duhem(scheme=scheme))
     assert found.equation_error > 1e-5
-    assert not any("noise" in note for note in found.notes)
+    assert found.status is not Status.BIASED
+    assert not has(found.notes, Code.NOISE_BIAS)
 
 
-# -- what cannot be identified is said -------------------------------------------------------------------------------------
+# -- what cannot be identified -----------------------------------------------------------------------------------------
 
 
 def test_input_that_never_turns_back_does_not_determine_all():
     u = np.linspace(0, 50, 400)
     found = identify(record(u, noise=1e-3))
-    assert found.status == "undetermined"
-    assert any("rank 5 of 8" in note and "reversals" in note for note in found.notes)
+    assert found.status is Status.UNDETERMINED
+    assert has(found.notes, Code.NOT_DETERMINED)
+    assert rank_of(DuhemRegressor.of(Duhem(), [found.data[0]]).rows(found.data).phi) == 5
     assert not found.usable
 
 
-def test_a_rate_that_is_not_positive_is_said():
+def test_a_rate_that_is_not_positive_is_no_model():
     u, w = decaying(401), [1.5]
     for v0, v1 in itertools.pairwise(u):
         w.append(w[-1] + 0.05 * (v1 - v0) + 0.02 * abs(v1 - v0) * w[-1])  # runs away: alpha = -0.02
     found = identify(Record(u=u, y=np.array(w)), "rls", Duhem(scheme="explicit"))
-    assert found.status == "failed"
+    assert found.status is Status.FAILED
+    assert has(found.notes, Code.INVALID_MODEL)
     assert found.model is None
-    assert found.predict() is None
-    assert found.to_dict()["metrics"]["train"] is None
-    assert found["alpha"].value == pytest.approx(-0.02, rel=1e-3)
-    assert any("not positive" in note for note in found.notes)
+    assert found.predict() == []
+    assert found.free_run is None
+    alpha = next(parameter for parameter in found.parameters if parameter.name == "alpha")
+    assert alpha.value == pytest.approx(-0.02, rel=1e-3)
+    with pytest.raises(ModelError, match="no usable model"):
+        as_fit(found, 0, Stopwatch())
 
 
-def test_unusable_requests_are_refused_with_the_remedy():
+def test_unusable_requests_are_refused():
     data = record(sine(101))
     with pytest.raises(DataError, match="4 usable steps cannot determine 8 parameters"):
         identify(record(sine(5)))
@@ -310,10 +318,10 @@ def test_unusable_requests_are_refused_with_the_remedy():
         identify(data, passes=0)
 
 
-def test_report_dictionary_names_every_parameter_with_its_unit():
-    told = identify(record(decaying(401))).to_dict()
-    assert told["parameters"]["alpha"]["unit"] == "1/V"
-    assert told["parameters"]["g[0]"]["unit"] == "um/V"
-    assert told["parameters"]["f[3]"]["stderr"] is None
-    assert set(told["metrics"]["train"]) >= {"rmse", "nrmse_percent", "max_error_percent"}
-    assert told["samples"]["used"] == 400
+def test_every_parameter_has_its_unit_and_no_error():
+    found = identify(record(decaying(401)))
+    parameters = {parameter.name: parameter for parameter in found.parameters}
+    assert list(parameters) == [*found.space.names, "center", "half"]
+    assert [parameters[name].unit for name in ("alpha", "f[3]", "g[0]", "w0")] == ["1/V", "um", "um/V", "um"]
+    assert all(parameter.stderr is None for parameter in found.parameters)
+    np.testing.assert_allclose(found.x[:-1], found.history[-1])

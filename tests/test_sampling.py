@@ -21,9 +21,12 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
-from hystfit.sampling.posterior import Posterior, load_posterior
+from hystfit.sampling.files import load_posterior
+from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.sample import beside_priors, sample
 from hystfit.sampling.setup import prepare
 
@@ -50,8 +53,8 @@ def posterior(fitted):
 def test_density_is_likelihood_prior_and_jacobian(fitted):
     setup = prepare(fitted, noise="iid", priors={"tau": priors.Normal(2.0, 0.3)})
     target, record = setup.target, fitted.data[0]
-    density = eqx.filter_jit(lambda z: target.log_density(z))
-    map_out = eqx.filter_jit(lambda z: target.physical(z))
+    density = eqx.filter_jit(lambda z: target.density.log_density(z))
+    map_out = eqx.filter_jit(lambda z: target.density.physical(z))
     physical = lambda z: np.asarray(map_out(jnp.asarray(z)))
     for shift in (0.0, 0.3):
         z = target.center + shift * target.factor[:, 0]
@@ -73,7 +76,7 @@ def test_density_is_likelihood_prior_and_jacobian(fitted):
 @pytest.mark.slow
 def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
     setup = prepare(fitted, noise="ou")
-    prior = setup.target.priors[setup.names.index("noise_time")]
+    prior = setup.problem.priors[setup.names.index("noise_time")]
     draws = np.asarray(prior.sample(jax.random.key(0), (20_000,)))
     assert np.quantile(draws, 0.977) == pytest.approx(500 / 3, rel=0.1)
     own = priors.LogNormal(40.0, 0.2)
@@ -84,7 +87,7 @@ def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
     target = prepare(fitted, noise="ou").target
     value = eqx.filter_jit(lambda q: target(q))
     slope = eqx.filter_jit(jax.grad(lambda q: target(q)))
-    lean = eqx.filter_jit(lambda q: target.log_density(target.unwhitened(q), lean=True))
+    lean = eqx.filter_jit(lambda q: target.density.log_density(target.unwhitened(q), lean=True))
     rng = np.random.default_rng(0)
     for _ in range(3):
         q = jnp.asarray(rng.normal(size=target.center.size))
@@ -104,7 +107,6 @@ def test_least_squares_nuts_and_emcee_agree_on_a_well_determined_problem(fitted,
         assert posterior[name].std() == pytest.approx(width, rel=0.1)
         assert ensemble[name].std() == pytest.approx(posterior[name].std(), rel=0.1)
         assert abs(ensemble[name].mean() - posterior[name].mean()) < 0.15 * width
-    assert "emcee.moves.DESnookerMove" not in str(ensemble)
 
 
 @pytest.mark.slow
@@ -116,11 +118,9 @@ def test_banana_in_two_dimensions_agrees_with_a_grid(fitted):
     fit = hf.fit(hf.BoucWen(), hf.Record(u=u, y=y), starts=1, fix={"rho": 0.5}, noise="iid")
     own = {"c": priors.LogNormal(1.0, 1e-6), "offset": priors.Normal(0.0, 1e-7), "tau": priors.LogNormal(2.0, 1.0)}
     own |= {"noise_white": priors.LogNormal(0.05, 1e-5)}
-    centered = dataclasses.replace(
-        fit,
-        model=eqx.tree_at(lambda m: (m.c, m.offset), fit.model, tuple(jnp.asarray(np.float64(v)) for v in (1.0, 0.0))),
-    )
-    centered = dataclasses.replace(centered, models=(centered.model,))
+    at_truth = {"c": 1.0, "offset": 0.0}
+    x = np.array([at_truth.get(name, value) for name, value in zip(fit.free_names, fit.x, strict=True)])
+    centered = dataclasses.replace(fit, x=x)
     setup = prepare(centered, noise="iid", priors=own)
     z, at = setup.target.center, [setup.names.index(name) for name in ("mu", "tau")]
     scale = setup.problem.scales.size("1/u")
@@ -128,10 +128,12 @@ def test_banana_in_two_dimensions_agrees_with_a_grid(fitted):
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     full = np.tile(np.asarray(z), (len(mesh), 1))
     full[:, at] = mesh
-    logs = np.asarray(eqx.filter_jit(lambda t, p: jax.lax.map(t.log_density, p))(setup.target, jnp.asarray(full)))
+    logs = np.asarray(
+        eqx.filter_jit(lambda t, p: jax.lax.map(t.log_density, p))(setup.target.density, jnp.asarray(full))
+    )
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
-    x = np.asarray(eqx.filter_jit(lambda z: jax.vmap(setup.target.physical)(z))(jnp.asarray(full)))
+    x = np.asarray(eqx.filter_jit(lambda z: jax.vmap(setup.target.density.physical)(z))(jnp.asarray(full)))
     skew = []
     for sampler, options in (
         ("nuts", {"chains": 2, "draws": 1500, "warmup": 200}),
@@ -165,14 +167,11 @@ def test_diagnostics_are_arvizs(posterior):
 def test_chains_apart_and_chains_too_short_are_told():
     rng = np.random.default_rng(0)
     apart = rng.normal(size=(4, 500, 1)) + np.arange(4)[:, None, None]
-    good, notes = Convergence.of(apart).verdict(("c",))
-    assert not good
-    assert "R-hat of c" in notes[0]
-    assert "more draws alone hardly help" in notes[0]
-    good, notes = Convergence.of(rng.normal(size=(2, 40, 1))).verdict(("c",))
-    assert not good
-    assert "effective draws" in notes[-1]
-    assert "times as many" in notes[-1]
+    notes = Convergence.of(apart).problems(("c",))
+    assert notes[0].code is Code.CHAINS
+    assert "R-hat of c" in notes[0].text
+    notes = Convergence.of(rng.normal(size=(2, 40, 1))).problems(("c",))
+    assert "effective draws" in notes[-1].text
 
 
 def test_a_short_run_is_not_called_converged(fitted):
@@ -201,7 +200,7 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
     record, model = loop(seed=9)
     low, _, high = posterior.bands(record, 0.9)
     inside = np.mean((record.y > low) & (record.y < high))
-    assert 0.8 < inside < 0.97
+    assert inside == pytest.approx(0.9, abs=0.045)  # three standard deviations of 500 samples, and the fit's own error
     inner = posterior.bands(record, 0.9, kind="credible")
     assert np.all(inner[2] - inner[0] < high - low)
     found = posterior.derived()
@@ -211,7 +210,11 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
     y = np.asarray(hf.simulate(model, np.tile(u, 3))[0])[-4000:]
     area = abs(np.trapezoid(y[:2000], u[:2000]) + np.trapezoid(y[2000:], u[2000:]))
     assert found["loop_area"].mean() == pytest.approx(area, rel=0.03)
-    assert found["hysteresis_percent"].std() > 0
+    rising, falling = y[:2000], y[2000:][::-1]
+    assert found["hysteresis_percent"].mean() == pytest.approx(
+        100 * np.abs(falling - rising).max() / np.ptp(y), rel=0.03
+    )
+    assert 0 < found["hysteresis_percent"].std() < 0.03 * found["hysteresis_percent"].mean()
     with pytest.raises(ParameterError, match="no creep"):
         posterior.derived(["creep_percent_per_decade"])
     figure = posterior.plot("corner")
@@ -226,6 +229,8 @@ KILLED = """
 import sys
 from tests.test_sampling import ENDLESS, loop
 import hystfit as hf
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
 from hystfit.sampling.sample import beside_priors, sample
 hf.enable_x64()
 record, model = loop()
@@ -373,46 +378,47 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
 
 def test_a_prior_that_contradicts_the_data_is_told_and_one_that_they_narrow_is_not(fitted):
     told = sample(fitted, noise="iid", chains=1, draws=100, priors={"tau": priors.Normal(1.2, 0.01)})
-    assert any(note.startswith("tau lies where its prior") for note in told.notes)
+    assert has(told.notes, Code.PRIOR)
     plain = sample(fitted, noise="iid", chains=1, draws=100)
-    assert not any("prior" in note for note in plain.notes), plain.notes
+    assert not has(plain.notes, Code.PRIOR), plain.notes
 
 
 def test_width_beside_a_prior_over_a_logarithm_is_that_of_the_logarithm(fitted):
     setup = prepare(fitted, noise="iid")
     at = setup.names.index("noise_white")
-    prior = setup.target.priors[at]
+    prior = setup.problem.priors[at]
     rng = np.random.default_rng(0)
-    draws = np.tile(np.asarray(setup.target.physical(setup.target.center)), (2, 500, 1))
+    draws = np.tile(np.asarray(setup.target.density.physical(setup.target.center)), (2, 500, 1))
     draws *= 1 + 1e-3 * rng.normal(size=draws.shape)
     for spread, told in ((0.1, False), (float(prior.spread), True)):
         draws[:, :, at] = (
             30 * float(prior.median) * np.exp(spread * rng.normal(size=(2, 500)))
         )  # narrow, though far out
         notes = beside_priors(setup, draws)
-        assert any("noise_white is hardly determined" in note for note in notes) == told, notes
+        assert any(note.code is Code.PRIOR and "noise_white" in note.text for note in notes) == told, notes
 
 
 def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):
-    poor = dataclasses.replace(fitted, status="poor")
+    poor = dataclasses.replace(fitted, status=Status.POOR)
     told = sample(poor, noise="iid", chains=4, draws=400, warmup=200)
-    assert told.convergence.verdict(told.names)[0]
+    assert not told.convergence.problems(told.names)
     assert told.status == "poor-fit"
     assert not told.usable
-    assert "not usable (poor)" in told.notes[0]
+    assert told.notes[0].code is Code.FIT_STATUS
 
 
 @pytest.mark.parametrize("noise", ["iid", "discrepancy"])
 def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
     # Residuals at their limit are a constant, and what repeats with input and direction explains a constant.
     setup = prepare(fitted, noise=noise)
-    target = setup.target
+    target, density = setup.target, setup.target.density
     far = target.center.at[setup.names.index("offset")].set(1e5)
     if noise == "discrepancy":
         far = far.at[setup.names.index("noise_loop")].set(np.log(1e5))
-    for likelihood in (target.log_likelihood, target.log_likelihood_lean):
+    for likelihood in (density.log_likelihood, density.log_likelihood_lean):
         assert float(eqx.filter_jit(likelihood)(far)) < -1e8
-    assert float(eqx.filter_jit(target.slope)(far)[0]) == -np.inf or noise == "iid"
+    if noise == "discrepancy":
+        assert float(eqx.filter_jit(density.slope)(far)[0]) == -np.inf
 
 
 def test_a_parameter_that_the_data_do_not_move_is_named(fitted):

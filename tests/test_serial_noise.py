@@ -10,14 +10,15 @@ import scipy.linalg
 
 import hystfit as hf
 from hystfit.data.batch import Batch
-from hystfit.fitting.covariance import leftover
-from hystfit.fitting.generalized import restricted
+from hystfit.fitting.covariance import analyze
+from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
 from hystfit.inference.newton import maximize
-from hystfit.inference.noise import LoopDiscrepancy, OrnsteinUhlenbeck, Setting
-from hystfit.inference.noise.serial import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
+from hystfit.inference.noise import OrnsteinUhlenbeck, Setting
+from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import CHANCE, Leftover
-from hystfit.results.metrics import autocorrelation_time, is_correlated
+from hystfit.inference.residuals import CHANCE, ResidualAnalysis
+from hystfit.inference.whitened import restricted
+from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import predictive_draws
@@ -127,12 +128,12 @@ def slow(rng: np.random.Generator, rho: float) -> np.ndarray:
     return e
 
 
-def left_of(u: np.ndarray, J: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, Leftover]:
+def left_of(u: np.ndarray, J: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ResidualAnalysis]:
     x = np.linalg.lstsq(J, y, rcond=None)[0]
     batch = Batch.of(hf.Record(u=u, y=y))
     full = np.zeros((batch.u.shape[1], J.shape[1] + 1))
     full[:T] = np.column_stack([y - J @ x, J])
-    return x, Leftover.of(batch, full[:, 0], full[:, 1:])
+    return x, ResidualAnalysis.of(Setting.of(batch), full[:, 0], full[:, 1:])
 
 
 @pytest.mark.parametrize("white", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
@@ -201,8 +202,8 @@ def test_white_residuals_keep_plain_errors_and_slow_ones_widen_profiles_alike():
     wide = hf.fit(
         model, white.replace(y=y + 0.002 * slow(rng, 0.97) + 0.001 * rng.normal(size=T)), start="model", starts=1
     )
-    assert wide.honest_ratio > 2
-    assert set(wide.provenance["noise"]["parameters"]) == {"noise_white", "noise_slow", "noise_time"}
+    assert wide.error_ratio > 2
+    assert set(wide.noise.parameters) == {"noise_white", "noise_slow", "noise_time"}
     found = hf.profile(wide, ["c", "tau"])
     for name in ("c", "tau"):
         assert found[name].upper - found[name].lower == pytest.approx(2 * 1.96 * wide[name].stderr, rel=0.1)
@@ -224,13 +225,12 @@ def test_a_repeating_error_is_predicted_as_a_dense_gaussian_process_does():
     y = np.asarray(hf.simulate(model, u)[0]) + 0.05 * np.sin(4 * u) + 0.02 * rng.normal(size=240)
     fit = hf.fit(model, hf.Record(u=u, y=y), start="model", starts=1)
     noise = {"noise_white": 0.02, "noise_slow": 0.03, "noise_time": 5.0, "noise_loop": 0.06, "noise_length": 0.4}
-    p = len(fit.free_names)
     row = np.concatenate([[fit[n].value for n in fit.free_names], list(noise.values())])
     names = (*fit.free_names, *noise)
     nothing = Convergence(*(np.ones(row.size) for _ in range(3)))
     draws = np.tile(row, (1, 4000, 1))
     posterior = Posterior(
-        fit, "nuts", "discrepancy", names, ("",) * row.size, draws, np.zeros((1, 4000)), {}, nothing, "ok", (), {}, 0.0, 0, {}
+        fit, "nuts", "discrepancy", names, ("",) * row.size, draws, np.zeros((1, 4000)), {}, nothing, Status.OK, (), {}, 0.0, 0, {}
     )  # fmt: skip
     ahead = hf.Record(u=0.8 * np.sin(2 * np.pi * np.arange(60) / 60), y=np.zeros(60))
     got = predictive_draws(posterior, ahead, 4000, 0)
@@ -248,7 +248,6 @@ def test_a_repeating_error_is_predicted_as_a_dense_gaussian_process_does():
     variance = 0.06**2 + 0.03**2 + 0.02**2 - np.einsum("ij,ji->i", across, np.linalg.solve(K, across.T))
     np.testing.assert_allclose(got.mean(axis=0), mean, atol=0.003)
     np.testing.assert_allclose(got.std(axis=0), np.sqrt(variance), rtol=0.06)
-    assert p == 5
 
 
 def test_what_is_left_of_a_fit_is_its_residuals():
@@ -257,7 +256,6 @@ def test_what_is_left_of_a_fit_is_its_residuals():
     record = hf.Record(u=u, y=np.asarray(hf.simulate(model, u)[0]) + 0.01 * slow(np.random.default_rng(0), 0.9))
     fit = hf.fit(model, record, start="model", starts=1)
     problem = Problem(fit.model, record)
-    left = leftover(problem, problem.space.vector(fit.model))
+    left = analyze(problem, problem.space.vector(fit.model))
     np.testing.assert_allclose(left.residual, fit.predict(record) - record.y, atol=1e-10)
     assert np.abs(left.basis.T @ left.residual).max() < 1e-4 * np.linalg.norm(left.residual)
-    assert isinstance(LoopDiscrepancy(), OrnsteinUhlenbeck)

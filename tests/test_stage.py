@@ -2,13 +2,14 @@
 
 import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hystfit import BoucWen, ParameterSpace, signals, simulate
+from hystfit import BoucWen, signals, simulate
 from hystfit.control import invert
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
@@ -21,8 +22,8 @@ from hystfit.stage import (
     Sensor,
     Stage,
     axis_plant,
-    calibrate,
-    in_turn,
+    drive_in_turn,
+    identify_jacobian,
     perturbed,
     piezo,
     population,
@@ -81,13 +82,14 @@ def test_creep_may_depend_on_the_displacement():
         assert (y[-1] / y[1] - 1) / 3 == pytest.approx(expected, rel=1e-3)
 
 
-def test_noise_resolution_and_limits_are_as_said():
+def test_noise_resolution_and_limits_are_those_of_the_settings():
     t, u = signals.sine(5.0, 1000.0, frequency=1.0, low=-60.0, high=160.0)
     actuator = Actuator(sensor=Sensor(noise=0.005, resolution=0.001))
     record = actuator.record(t, u, seed=0)
     assert record.u.min() == -20
     assert record.u.max() == 120
     assert [note.code for note in record.notes] == [Code.PREPARED]
+    assert Actuator().record(t, np.clip(u, -20, 120), seed=0).notes == ()
     np.testing.assert_allclose(record.y * 1000, np.round(record.y * 1000), atol=1e-9)
     noise = record.y - actuator.displacement(t, u)
     # standard deviation of 5000 readings: 1 % of itself; rounding adds 0.29 nm in quadrature
@@ -106,7 +108,7 @@ def test_a_finer_run_is_the_same_actuator():
     np.testing.assert_array_equal(fine.u, coarse.u)
 
 
-def test_bad_numbers_are_refused_in_words():
+def test_bad_numbers_are_refused():
     with pytest.raises(ParameterError, match="low < high"):
         Amplifier(low=1.0, high=1.0)
     with pytest.raises(ParameterError, match="must not be negative"):
@@ -115,7 +117,7 @@ def test_bad_numbers_are_refused_in_words():
         Actuator().record(np.zeros(3), np.zeros(4), seed=0)
     with pytest.raises(ParameterError, match="parameters are"):
         population(piezo(), 3, spread={"alpha": 0.1}, seed=0)
-    with pytest.raises(ParameterError, match="beyond the bounds"):
+    with pytest.raises(ParameterError, match="leaves the bounds"):
         population(BoucWen(mu=0.9), 500, spread={"mu": 0.5}, seed=0)
     for count, spread in ((0, {"c": 0.1}), (3, {"c": -0.1}), (3, {"c": float("nan")})):
         with pytest.raises(ParameterError, match="at least one device"):
@@ -133,7 +135,7 @@ def test_bad_numbers_are_refused_in_words():
             Stage.of().simulate(np.zeros((5, 3)), dt)
 
 
-def test_a_population_scatters_as_asked_and_runs_as_one():
+def test_a_population_scatters_by_the_given_spread_and_runs_vectorized():
     spread = {"c": 0.05, "mu": 0.02, "gamma": 0.1}
     many = population(piezo(), 400, spread=spread, seed=5)
     hysteresis, creep = many.parts
@@ -152,7 +154,6 @@ def test_a_population_scatters_as_asked_and_runs_as_one():
     for k in range(5):
         one = jax.tree.map(lambda leaf, k=k: leaf[k], few)
         np.testing.assert_allclose(together[k], simulate(one, jnp.asarray(u), dt)[0], rtol=1e-12)
-    assert "c" in ParameterSpace.of(jax.tree.map(lambda leaf: leaf[0], few)).names
 
 
 # -- three axes --------------------------------------------------------------------------------------------------------
@@ -167,21 +168,21 @@ def test_jacobian_and_its_closed_inverse():
     assert reach[2] == pytest.approx(1.93, abs=0.02)
 
 
-def test_calibration_recovers_the_jacobian():
+def test_identification_recovers_the_jacobian():
     t = np.arange(4000) / 1000.0
     length = np.stack([6 + 6 * np.sin(2 * np.pi * f * t) for f in (1.0, 1.3, 1.7)], axis=1)
     truth = Kinematics(amplification=6.2, arm=41.0, direction=0.05)
     rng = np.random.default_rng(0)
-    found = calibrate(
+    found = identify_jacobian(
         length, np.asarray(truth.pose(jnp.asarray(length))) + [1.0, 2.0, 0.1] + 0.005 * rng.standard_normal((4000, 3))
     )
     pulls = (found.jacobian - np.asarray(truth.jacobian())) / found.stderr
     assert np.max(np.abs(pulls)) < 4
     np.testing.assert_allclose(found.offset, [1.0, 2.0, 0.1], atol=0.002)
     with pytest.raises(ParameterError, match="independently"):
-        calibrate(np.repeat(length[:, :1], 3, axis=1), length)
+        identify_jacobian(np.repeat(length[:, :1], 3, axis=1), length)
     with pytest.raises(DataError, match="one shape"):
-        calibrate(length, length[:, :2])
+        identify_jacobian(length, length[:, :2])
 
 
 def test_stage_is_its_parts_in_turn():
@@ -219,15 +220,18 @@ def test_finer_integration_changes_little_and_limits_hold():
         perturbed(piezo(), alpha=1.1)
 
 
-def test_stages_and_seeds_run_as_one():
+def test_stages_run_vectorized():
     t = np.arange(300) / 10_000.0
     u = jnp.asarray(np.stack([50 - 50 * np.cos(2 * np.pi * 40 * t)] * 3, axis=1))
     dt = jnp.full(300, 1e-4).at[0].set(0.0)
-    many = Stage.of().scattered(4, spread={"c": 0.03, "gamma": 0.2}, seed=1)
+    devices = population(piezo(), 12, spread={"c": 0.03, "gamma": 0.2}, seed=1)
+    grouped = jax.tree.map(lambda leaf: leaf.reshape(4, 3, *leaf.shape[1:]), devices)
+    repeated = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (4, *jnp.shape(leaf))), Stage.of())
+    many = eqx.tree_at(lambda stage: stage.actuators, repeated, grouped)
     together = jax.vmap(lambda stage: stage.run(u, dt))(many)
     one = jax.tree.map(lambda leaf: leaf[2], many)
     np.testing.assert_allclose(together[2], one.simulate(u, 1e-4), atol=1e-10)
-    assert np.std(np.asarray(together)[:, 100, 0]) > 0
+    assert not np.allclose(together[0], together[2], rtol=1e-3)
     records = Stage.of().records(t, u, seed=0)
     assert [record.y_unit for record in records.values()] == ["um", "um", "mrad"]
     assert np.std(records["x"].y - Stage.of().simulate(u, np.diff(t, prepend=0.0))[:, 0]) == pytest.approx(
@@ -235,10 +239,10 @@ def test_stages_and_seeds_run_as_one():
     )
 
 
-def test_a_calibration_from_the_stages_own_records():
+def test_a_jacobian_from_records_of_the_stage():
     """Gauges and probes while each actuator moves in turn; the modes rest when the drive is slow."""
     t, u = signals.sine(2.0, 500.0, frequency=1.0, low=0.0, high=100.0)
-    times, volts = in_turn(t, u)
+    times, volts = drive_in_turn(t, u)
     np.testing.assert_allclose(np.diff(times), 0.002, rtol=1e-9)
     for k in range(3):
         turn = slice(1000 * k, 1000 * (k + 1))
@@ -246,13 +250,13 @@ def test_a_calibration_from_the_stages_own_records():
         assert (np.ptp(np.delete(volts[turn], k, axis=1), axis=0) == 0).all()
     truth = Stage.of(kinematics=Kinematics(amplification=6.2, arm=41.0, direction=0.05))
     measured = truth.measure(times, volts, seed=0)
-    found = calibrate(measured.extension, measured.pose)
+    found = identify_jacobian(measured.extension, measured.pose)
     np.testing.assert_allclose(found.jacobian, truth.kinematics.jacobian(), rtol=1e-3, atol=1e-3)
     np.testing.assert_array_equal(truth.records(times, volts, seed=0)["theta"].y, measured.pose[:, 2])
     assert list(measured.columns())[-1] == "theta_mrad"
     again = truth.measure(times, 2 * volts, seed=1)
     assert again.u.max() == 120
-    assert "beyond the amplifiers" in again.notes[0]
+    assert (len(measured.notes), len(again.notes)) == (0, 1)
     assert not np.array_equal(again.pose, measured.pose)
     with pytest.raises(DataError, match="rising"):
         truth.measure(times[::-1], volts, seed=0)
@@ -271,7 +275,7 @@ def test_an_axis_is_the_scaled_actuator():
 
 
 @pytest.mark.slow
-def test_a_filter_beside_the_inverse_corrects_the_model():
+def test_a_filter_in_parallel_with_the_inverse_corrects_the_model():
     plant, dt = axis_plant(mode=None), 2e-3
     wrong = perturbed(plant, c=1.05, mu=0.9, tau=1.2, delta=0.85)
     t = dt * np.arange(3000)

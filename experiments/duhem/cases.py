@@ -1,4 +1,4 @@
-"""The surrogate records: the paper's recovered parameters, inputs of our choice."""
+"""The surrogate records: the paper's parameters, with inputs chosen here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import hystfit as hf
 from hystfit import signals
 from hystfit.models.base import simulate
 
-LOW, HIGH = 0.0, 50.0  # V; the paper's range is not recoverable: within these limits its parameters give a piezo's loop
+LOW, HIGH = (
+    0.0,
+    50.0,
+)  # V; the paper does not give its range: within these limits its parameters give the loop of a piezo
 ALPHA = 0.0874  # 1/V
 ALPHA_F = np.array([-0.015, 0.006, 5.57e-6, -8.6e-8])  # um/V^(i+1)
 G = np.array([0.053, -0.83e-4, 8.1e-6])  # um/V^(j+1)
@@ -24,12 +27,12 @@ DURATION, CYCLES, DECAY = 2.0, {"sine": 2, "decaying sine": 5}, 1.0  # s, -, 1/s
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One surrogate record and what is true of it.
+    """One surrogate record and its truth.
 
     Attributes:
         record: with noise.
         y: output without noise [um], shape (T,).
-        model: the truth.
+        model: the true model.
     """
 
     record: hf.Record
@@ -42,7 +45,7 @@ class Case:
         return float(np.ptp(self.y))
 
     def error(self, model: hf.Duhem | None) -> float:
-        """Largest error of a model's free run against the noise-free output [um]; infinite without a valid model."""
+        """Largest simulation error of a model against the noise-free output [um]; infinite without a valid model."""
         if model is None:
             return float("inf")
         worst = float(np.max(np.abs(np.asarray(simulate(model, self.record.u)[0]) - self.y)))
@@ -50,12 +53,12 @@ class Case:
 
 
 def truth(scheme: str = "midpoint", w0: float = 0.0) -> hf.Duhem:
-    """The model with the RLS column of the paper's table."""
+    """The model with the RLS column of the table in the paper."""
     return hf.Duhem.from_powers(ALPHA, ALPHA_F / ALPHA, G, LOW, HIGH, w0=w0, scheme=scheme)
 
 
 def drive(wave: str, count: int) -> np.ndarray:
-    """Input [V]: two periods from rest at 0 V, or a decaying sine about the middle."""
+    """Input [V], shape (count,): two periods from rest at 0 V, or a decaying sine about the center of the range."""
     rate = (count - 1) / DURATION
     options = {"duration": count / rate, "rate": rate, "low": LOW, "high": HIGH, "frequency": CYCLES[wave] / DURATION}
     if wave == "sine":
@@ -64,9 +67,17 @@ def drive(wave: str, count: int) -> np.ndarray:
 
 
 def case(wave: str, count: int = 2001, noise: float = 0.0, seed: int = 0, scheme: str = "midpoint") -> Case:
-    """A record of `count` samples with white noise of standard deviation `noise` [um]."""
+    """A surrogate record.
+
+    Args:
+        wave: one of `WAVES`.
+        count: number of samples.
+        noise: standard deviation of white noise [um].
+        seed: of the noise.
+        scheme: of the true model.
+    """
     u = drive(wave, count)
-    w0 = 0.0 if wave == "sine" else float(truth().curves(jnp.asarray(u[0]))[0])  # at rest on the anhysteretic curve
+    w0 = 0.0 if wave == "sine" else float(truth().curves(jnp.asarray(u[0]))[0])  # from the anhysteretic curve
     model = truth(scheme, w0)
     y = np.asarray(simulate(model, u)[0])
     noisy = y + noise * np.random.default_rng(seed).normal(size=count)
@@ -76,5 +87,5 @@ def case(wave: str, count: int = 2001, noise: float = 0.0, seed: int = 0, scheme
 
 
 def near(values: np.ndarray, seed: int) -> np.ndarray:
-    """Each of the paper's parameters off by up to 10 %."""
+    """Parameters with relative errors of up to 10 %, shape (p,)."""
     return values * (1 + np.random.default_rng(seed).uniform(-0.1, 0.1, values.size))

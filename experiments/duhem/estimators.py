@@ -1,4 +1,4 @@
-"""Every way to identify the same Duhem model, side by side, and what each costs."""
+"""Estimators of the same Duhem model, and the computing time of the sequential ones."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ from hystfit.identify import (
     decimate,
     identify,
     integrated_regression,
-    output_error,
+    run_stream,
 )
-from hystfit.identify.base import run_stream
 
-INCREMENT = 2.0  # V, of the decimation
+INCREMENT = 2.0  # input increment of the decimation [V]
 
 
 class Outcome(NamedTuple):
-    """What an estimator makes of one record: rate over the true one, equation error [um], largest free-run error [um]."""
+    """Result of an estimator on one record: identified over true rate, equation error [um], largest simulation error [um]."""
 
     alpha: float
     equation: float
@@ -43,11 +42,18 @@ def one_step(case: Case, model: hf.Duhem | None) -> float:
     if model is None:
         return float("nan")
     rls = Rls.of(model, case.record)
-    return float(np.sqrt(np.mean(rls.one_step(rls.regressor.theta(model), hf.Dataset.of(case.record)) ** 2)))
+    return float(np.sqrt(np.mean(rls.one_step(rls.regressor.theta(model), rls.regressor.rows(case.record)) ** 2)))
 
 
 def gradient_correction(case: Case, seed: int, *, floor: float = 1.0, passes: int = 1) -> hf.Duhem | None:
-    """From a start within 10 % of the paper's parameters."""
+    """Gradient correction from a start within 10 % of the paper's parameters; None where it diverges or the rate is not positive.
+
+    Args:
+        case: the record.
+        seed: of the start.
+        floor: of the normalized step.
+        passes: over the record.
+    """
     identifier = GradientCorrection.of(case.model, case.record, start="model", floor=floor)
     regressor = identifier.regressor
     start = jnp.asarray(regressor.from_powers(near(PAPER_RLS, seed)))
@@ -57,10 +63,15 @@ def gradient_correction(case: Case, seed: int, *, floor: float = 1.0, passes: in
     return identifier.model(theta, case.record) if np.isfinite(theta).all() else None
 
 
+def output_error(record: hf.Record, scheme: str = "midpoint") -> hf.FitResult:
+    """Least squares on the simulated output, started from integrated regression."""
+    start = integrated_regression(hf.Duhem(scheme=scheme).start([record]), record)
+    return hf.fit(start.model, record, method="lm", start="model", starts=1, noise="iid")
+
+
 def estimators(scheme: str) -> dict[str, Callable[[Case, int], Any]]:
-    """By name: (case, seed) to a model."""
+    """Functions of (case, seed) to a model, by name."""
     blank = hf.Duhem(scheme=scheme)
-    started = lambda case: blank.start([case.record])
     return {
         "RLS": lambda case, seed: identify(case.record, "rls", blank).model,
         "RLS, bias-compensated": lambda case, seed: bias_compensated(blank, case.record).model,
@@ -68,13 +79,21 @@ def estimators(scheme: str) -> dict[str, Callable[[Case, int], Any]]:
             identify(decimate(case.record, INCREMENT), "rls", blank).model
         ),
         "gradient correction": gradient_correction,
-        "integrated regression": lambda case, seed: integrated_regression(started(case), case.record).model,
-        "output error": lambda case, seed: output_error(started(case), case.record).model,
+        "integrated regression": lambda case, seed: (
+            integrated_regression(blank.start([case.record]), case.record).model
+        ),
+        "output error": lambda case, seed: output_error(case.record, scheme).model,
     }
 
 
 def outcome(estimate: Callable[[Case, int], hf.Duhem | None], case: Case, seed: int) -> Outcome:
-    """Of one estimator on one record; infinite errors where it finds no valid model."""
+    """Result of one estimator on one record; infinite errors where it finds no valid model.
+
+    Args:
+        estimate: one of `estimators`.
+        case: the record.
+        seed: of the estimator.
+    """
     try:
         model = estimate(case, seed)
     except HystfitError:
@@ -85,7 +104,7 @@ def outcome(estimate: Callable[[Case, int], hf.Duhem | None], case: Case, seed: 
 
 def costs(case: Case) -> dict[str, float]:
     """Seconds of one `update` beyond the dispatch of a jitted call, inside a scan, and of a scan of 1e5 samples."""
-    found = {}
+    seconds = {}
     for name, kind in (("RLS", Rls), ("gradient correction", GradientCorrection)):
         identifier = kind.of(hf.Duhem(), case.record)
         state, sample = identifier.init(), Sample.of(1.0, 1.0)
@@ -93,20 +112,20 @@ def costs(case: Case) -> dict[str, float]:
         shapes = jax.eval_shape(identifier.update, state, sample)[1]
         empty = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
         update = jax.jit(lambda s, x, identifier=identifier: identifier.update(s, x))
-        # the same leaves in and out, and no work: what any jitted call costs
+        # the same leaves in and out without work: the cost of any jitted call
         nothing = jax.jit(lambda s, x, empty=empty: (jax.tree.map(lambda leaf: leaf + 0, s), empty))
-        found[f"{name}: update beyond dispatch"] = _beyond(update, nothing, state, sample)
+        seconds[f"{name}: update beyond dispatch"] = _beyond(update, nothing, state, sample)
         repeats = -(-100_000 // len(case.record))
         stream = jax.tree.map(lambda leaf: leaf[:100_000], Sample.stream([case.record], repeats))
         jax.block_until_ready(run_stream(identifier, identifier.init(), stream))
-        found[f"{name}: scan of 1e5 samples"] = min(
+        seconds[f"{name}: scan of 1e5 samples"] = min(
             _clock(lambda i=identifier, s=stream: run_stream(i, i.init(), s)) for _ in range(3)
         )
-    return found
+    return seconds
 
 
 def _beyond(call: Callable, floor: Callable, *args: object) -> float:
-    """What `call` costs more than `floor`, timed in turn so that whatever else runs slows both."""
+    """Time of `call` beyond that of `floor`, timed alternately so that other processes slow both."""
     jax.block_until_ready((call(*args), floor(*args)))
     pairs = [(_clock(lambda: call(*args)), _clock(lambda: floor(*args))) for _ in range(1000)]
     spent, least = np.quantile(pairs, 0.1, axis=0)
@@ -120,5 +139,5 @@ def _clock(call: Callable) -> float:
 
 
 def quiet() -> None:
-    """Simulations of hopeless estimates overflow, and are reported as infinite."""
+    """Hide overflow warnings: simulations of diverged estimates overflow and are reported as infinite."""
     warnings.filterwarnings("ignore", category=RuntimeWarning)

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from cases import case
 from common import Results
+from estimators import output_error
 
 import hystfit as hf
-from hystfit.identify import GradientCorrection, Rls, identify, output_error
+from hystfit.identify import GradientCorrection, Rls, identify
 from hystfit.models.base import simulate
 from hystfit.results.metrics import Metrics
 
@@ -21,9 +22,9 @@ HERE = Path(__file__).resolve().parent
 
 
 class RunErrors(NamedTuple):
-    """Free run over a measured record, and its errors in percent of the range; None without a valid model.
+    """Simulation of a measured record and its errors in percent of the range; None without a valid model.
 
-    `rest` is all that was not fitted, `after` the part of it behind the last fitted sample.
+    `rest` is the part that was not fitted, `after` the part of it after the last fitted sample.
     """
 
     record: hf.Record
@@ -41,15 +42,21 @@ class RunErrors(NamedTuple):
 
 
 def free_run_errors(model: Any, whole: hf.Record, train: hf.Record) -> RunErrors:
-    """One simulation over the whole input, judged on the fitted part and on the rest."""
+    """One simulation over the whole input, with errors on the fitted part and on the rest.
+
+    Args:
+        model: None where there is none.
+        whole: the record.
+        train: the same record, in which only the fitted samples count.
+    """
     fitted = train.used
     rest = whole.used & ~fitted
     after = rest & (np.arange(len(whole)) > np.flatnonzero(fitted)[-1])
     if model is None:
         return RunErrors(whole, fitted, None, None, None, None, None)
     run = np.asarray(simulate(model, whole.u)[0])
-    part = [Metrics.of([whole.y[mask]], [run[mask]]) for mask in (fitted, rest, after)]
-    percents = (part[0].nrmse_percent, part[1].nrmse_percent, part[1].max_error_percent, part[2].nrmse_percent)
+    parts = [Metrics.of([whole.y[mask]], [run[mask]]) for mask in (fitted, rest, after)]
+    percents = (parts[0].nrmse_percent, parts[1].nrmse_percent, parts[1].max_error_percent, parts[2].nrmse_percent)
     return RunErrors(whole, fitted, run, *percents)
 
 
@@ -81,13 +88,13 @@ def _save(plt: Any, figure: Any, path: Path) -> None:
 
 
 def _loops(plt: Any, out: Path) -> None:
-    """Loops and free-run errors on noisy data."""
+    """Loops and simulation errors on noisy data."""
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.4), layout="constrained", height_ratios=(1.25, 1))
     for column, (wave, scheme) in enumerate((("sine", "explicit"), ("decaying sine", "midpoint"))):
         c = case(wave, 2001, 0.005, 0, scheme)
         models = {
             "RLS": identify(c.record, "rls", hf.Duhem(scheme=scheme)).model,
-            "output error": output_error(hf.Duhem(scheme=scheme).start([c.record]), c.record).model,
+            "output error": output_error(c.record, scheme).model,
         }
         top, low = axes[:, column]
         top.plot(c.record.u, c.record.y, ".", ms=1.5, color="0.6", label="record, 5 nm noise")
@@ -122,7 +129,7 @@ def _histories(plt: Any, out: Path) -> None:
     for label, identifier, c, ink in runs:
         relative = identifier.fit(c.record).theta_history / identifier.regressor.theta(m)
         for k, axis in enumerate(axes.flat):
-            inside = np.where(np.abs(relative[:, k] - 1) < 1.7, relative[:, k], np.nan)  # no strokes across the picture
+            inside = np.where(np.abs(relative[:, k] - 1) < 1.7, relative[:, k], np.nan)  # no lines across the figure
             axis.plot(inside, color=ink, lw=1.1, label=label)
     names = ("αf0", "αf1", "αf2", "αf3", "α", "g0", "g1", "g2")
     for k, axis in enumerate(axes.flat):
@@ -140,16 +147,16 @@ def _histories(plt: Any, out: Path) -> None:
 
 
 def _rates(plt: Any, out: Path, outcomes: dict) -> None:
-    """alpha over its true value, and free-run errors, of every estimator and seed."""
+    """alpha over its true value, and simulation errors, of every estimator and seed."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained", sharey=True)
     names = list(reversed([*next(iter(outcomes.values()))]))
     marks = {"explicit": "o", "midpoint": "^"}
-    for (scheme, wave), found in outcomes.items():
+    for (scheme, wave), by_name in outcomes.items():
         shift = 0.27 - 0.18 * list(outcomes).index((scheme, wave))
         ink = "#1f6fb4" if wave == "sine" else "#e08e0b"
         fill = ink if scheme == "midpoint" else "none"
         for row, name in enumerate(names):
-            alpha, _, error = found[name].T
+            alpha, _, error = by_name[name].T
             good = np.isfinite(error)
             style = {"marker": marks[scheme], "ls": "", "ms": 4, "mec": ink, "mfc": fill, "alpha": 0.7}
             label = f"{scheme} regressors, {wave}" if row == 0 else None
@@ -164,7 +171,7 @@ def _rates(plt: Any, out: Path, outcomes: dict) -> None:
 
 
 def _measured(plt: Any, out: Path, loops: dict) -> None:
-    """Free-run errors over measured records."""
+    """Simulation errors over measured records."""
     records = list(dict.fromkeys(name for name, _ in loops))
     shape = {"figsize": (11, 3.4 * len(records)), "layout": "constrained", "width_ratios": (1, 1.8)}
     figure, axes = plt.subplots(len(records), 2, **shape)
@@ -194,7 +201,15 @@ def _measured(plt: Any, out: Path, loops: dict) -> None:
 def write(
     folder: Path, parts: dict[str, str | None], timing: dict[str, float], outcomes: dict, results: Results
 ) -> None:
-    """RESULTS.md from page.md, and the figures that it shows."""
+    """Write RESULTS.md from page.md, and copy the figures that it shows.
+
+    Args:
+        folder: where to write.
+        parts: Markdown by name; None where the measured records are missing.
+        timing: seconds by name.
+        outcomes: arrays of `Outcome` by (scheme, wave) and estimator.
+        results: numbers of the experiment.
+    """
     explicit = outcomes["explicit", "sine"]
     seconds = lambda name, value: f"{1e6 * value:.1f} µs" if "update" in name else f"{1e3 * value:.0f} ms"
     cost = "\n".join(f"* {name}: {seconds(name, value)}" for name, value in timing.items())
@@ -207,7 +222,7 @@ def write(
         "wrong": f"{np.mean(explicit['RLS'][:, 0]):.0f}",
         "cost": cost,
         **{
-            name.replace(" ", "_"): part or "The measured records were not at hand for this run.\n"
+            name.replace(" ", "_"): part or "The measured records were not available for this run.\n"
             for name, part in parts.items()
         },
     }

@@ -1,8 +1,8 @@
-"""Zhou and Wang 2013 on a surrogate: recursive least squares, gradient correction, and the free-run error that they miss.
+"""Zhou and Wang 2013 on a surrogate: recursive least squares, gradient correction, and their simulation error.
 
     python experiments/duhem/run.py [--quick] [--out FOLDER]
 
-Writes figures and results.json to out/ and the page RESULTS.md here; status 1 where a number misses expected.json.
+Writes figures and results.json to out/ and the page RESULTS.md here; exit status: see experiments/common.py.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import sys
 from pathlib import Path
 
-os.environ["OMP_NUM_THREADS"] = "1"  # matrices of eight columns: threads would only wait for each other
+os.environ["OMP_NUM_THREADS"] = "1"  # threads slow down matrices of eight columns
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import estimators
@@ -19,11 +19,12 @@ import numpy as np
 import page
 from cases import LABELS, PAPER_GC, PAPER_RLS, WAVES, case
 from common import Results, arguments, table
-from estimators import costs, gradient_correction, outcome
+from estimators import costs, gradient_correction, outcome, output_error
 
 import hystfit as hf
-from hystfit.errors import DataError
-from hystfit.identify import GradientCorrection, Rls, identify, output_error
+from hystfit.identify import GradientCorrection, Rls, identify
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
 
 HERE = Path(__file__).resolve().parent
 SCHEMES = ("explicit", "midpoint")
@@ -37,13 +38,13 @@ def noise_free(results: Results) -> dict[str, str]:
             for scheme in SCHEMES:
                 c = case(wave, count, scheme=scheme)
                 rls = Rls.of(hf.Duhem(scheme=scheme), c.record)
-                found = rls.fit(c.record)
-                worst = float(np.max(np.abs(rls.regressor.powers(found.theta) / PAPER_RLS - 1)))
-                error = c.error(found.model) / c.span
+                identified = rls.fit(c.record)
+                worst = float(np.max(np.abs(rls.regressor.powers(identified.theta) / PAPER_RLS - 1)))
+                error = c.error(identified.model) / c.span
                 results.add(f"noise free: RLS free-run maximum / range, {wave}, N={count}, {scheme}", error)
                 rows.append([wave, count, scheme, worst, 100 * error])
                 if count == 2001 and scheme == "midpoint":
-                    columns.append(rls.regressor.powers(found.theta))
+                    columns.append(rls.regressor.powers(identified.theta))
                     gc = identify(c.record, "gradient-correction", _off(c), start="model", passes=100)
                     columns.append(rls.regressor.powers(gc.theta))
     results.add("noise free: RLS worst parameter, relative", max(row[3] for row in rows))
@@ -54,13 +55,13 @@ def noise_free(results: Results) -> dict[str, str]:
 
 
 def _off(c) -> hf.Duhem:
-    """A start 5 % off in f and 5 % in the rate."""
+    """A start with errors of 5 % in f and in the rate."""
     m = c.model
     return hf.Duhem(1.05 * m.alpha, 0.95 * m.f, m.g, m.w0, m.center, m.half, scheme=m.scheme)
 
 
 def gradient(results: Results) -> str:
-    """Gradient correction from forty starts within 10 %, noise free; and with noise, with and without floor."""
+    """Gradient correction without noise from forty starts within 10 %, and with noise, with and without floor."""
     rows = []
     for wave in WAVES:
         c = case(wave)
@@ -70,16 +71,16 @@ def gradient(results: Results) -> str:
             share = np.mean(np.array(errors) <= 2.5)
             results.add(f"gradient: median free-run maximum %, {wave}, {passes} passes", np.median(errors))
             rows.append([wave, "0", "1", passes, np.median(errors), max(errors), f"{share:.0%}"])
-    far = lambda found: float(np.linalg.norm(found.theta - truth) / np.linalg.norm(truth))
+    distance = lambda theta: float(np.linalg.norm(theta - truth) / np.linalg.norm(truth))
     for floor in (1.0, 0.0):
         c = case("decaying sine", noise=0.005)
         truth = np.asarray(GradientCorrection.of(c.model, c.record, start="model").theta0)
-        found = identify(c.record, "gradient-correction", c.model, start="model", floor=floor)
-        results.add(f"gradient: distance from the truth, 5 nm noise, floor {floor:g}", far(found))
-        error = 100 * c.error(found.model) / c.span
-        rows.append(["decaying sine", "5 nm", f"{floor:g}", 1, error, error, found.status])
+        identified = identify(c.record, "gradient-correction", c.model, start="model", floor=floor)
+        results.add(f"gradient: distance from the truth, 5 nm noise, floor {floor:g}", distance(identified.theta))
+        error = 100 * c.error(identified.model) / c.span
+        rows.append(["decaying sine", "5 nm", f"{floor:g}", 1, error, error, identified.status])
         if floor == 0:
-            warned = found.status == "diverged" and any("floor" in note for note in found.notes)
+            warned = identified.status is Status.DIVERGED and has(identified.notes, Code.STEP_SIZE)
             results.add("gradient: divergence without floor is told", float(warned))
     head = [
         "input",
@@ -94,24 +95,24 @@ def gradient(results: Results) -> str:
 
 
 def free_run(results: Results) -> tuple[str, dict]:
-    """The table that the paper lacks: 5 nm noise, N = 2001, every estimator."""
+    """Simulation errors, which the paper does not give: 5 nm noise, N = 2001, every estimator."""
     seeds = 4 if results.quick else 20
     rows, kept = [], {}
     for scheme in SCHEMES:
         for wave in WAVES:
-            found = {name: [] for name in estimators.estimators(scheme)}
+            by_name = {name: [] for name in estimators.estimators(scheme)}
             for seed in range(seeds):
                 c = case(wave, 2001, 0.005, seed, scheme)
                 for name, estimate in estimators.estimators(scheme).items():
-                    found[name].append(outcome(estimate, c, seed))
-            for name, outcomes in found.items():
+                    by_name[name].append(outcome(estimate, c, seed))
+            for name, outcomes in by_name.items():
                 alpha, equation, error = np.array(outcomes).T
                 spread = f"{np.nanmean(alpha):.3g} [{np.nanmin(alpha):.3g}, {np.nanmax(alpha):.3g}]"
                 lost = int(np.sum(~np.isfinite(error)))
                 rows.append(
                     [scheme, wave, name, 1e3 * np.nanmean(equation), spread, 1e3 * np.median(error), lost or ""]
                 )
-            kept[scheme, wave] = {name: np.array(outcomes) for name, outcomes in found.items()}
+            kept[scheme, wave] = {name: np.array(outcomes) for name, outcomes in by_name.items()}
             _judge(results, f"{scheme}, {wave}", kept[scheme, wave])
     head = [
         "regressors",
@@ -125,20 +126,20 @@ def free_run(results: Results) -> tuple[str, dict]:
     return table(head, rows), kept
 
 
-def _judge(results: Results, where: str, found: dict[str, np.ndarray]) -> None:
-    rls, oe, gc = found["RLS"], found["output error"], found["gradient correction"]
-    off = np.abs(rls[:, 0] - 1)
+def _judge(results: Results, where: str, outcomes: dict[str, np.ndarray]) -> None:
+    rls, oe, gc = outcomes["RLS"], outcomes["output error"], outcomes["gradient correction"]
+    deviation = np.abs(rls[:, 0] - 1)
     if where.startswith("explicit") and "decaying" not in where:
         results.add(f"5 nm: RLS alpha / truth, least, {where}", rls[:, 0].min())
     else:
-        results.add(f"5 nm: RLS alpha off by, worst, {where}", off.max())
+        results.add(f"5 nm: RLS alpha off by, worst, {where}", deviation.max())
     results.add(f"5 nm: output-error alpha off by, worst, {where}", np.abs(oe[:, 0] - 1).max())
     results.add(f"5 nm: output-error / RLS free-run maximum, {where}", np.median(oe[:, 2]) / np.median(rls[:, 2]))
     results.add(f"5 nm: gradient / RLS free-run maximum, {where}", np.median(gc[:, 2]) / np.median(rls[:, 2]))
 
 
 def sampling(results: Results) -> str:
-    """Sampling faster makes explicit one-step regression worse: one seed each."""
+    """Faster sampling makes explicit one-step regression worse; one seed each."""
     rows = []
     for count in (201, 2001):
         for noise in (0.020,) if results.quick else (0.005, 0.020):
@@ -161,34 +162,32 @@ def sampling(results: Results) -> str:
 
 
 def measured(results: Results) -> tuple[str | None, dict]:
-    """The same Duhem by three methods on measured loops; None where the data cannot be had."""
-    try:
-        piezo = hf.datasets.load("piezo_dbo/model", download=not results.quick)
-        steel = hf.datasets.load("steel_resspylab/example_1", download=not results.quick)
-    except DataError as error:
-        print(f"  measured loops are left out: {error}")
+    """The same Duhem model by three methods on measured loops; None where the data are not available."""
+    loaded = results.load(("piezo", "steel"), "piezo_dbo/model", "steel_resspylab/example_1")
+    if loaded is None:
         return None, {}
-    lag = 2  # samples by which this sensor is late: taken out of both columns in the second case
+    piezo, steel = loaded
+    lag = 2  # delay of this sensor in samples, removed in the second case
     prompt = hf.Record(u=piezo.u[:-lag], y=piezo.y[lag:], t=np.asarray(piezo.t)[:-lag], u_unit="V", y_unit="um")
     pairs = {
         "piezo, 5-25 s": (piezo, piezo.window(5, 25)),
         "piezo without its lag, 5-25 s": (prompt, prompt.window(5, 25)),
         "steel 1, first 60 %": (steel, steel.window(0, int(0.6 * len(steel)))),
     }
-    ways = {
+    methods = {
         "RLS": lambda r: identify(r, "rls"),
         "gradient correction": lambda r: identify(r, "gradient-correction"),
-        "output error": lambda r: output_error(hf.Duhem().start([r]), r),
+        "output error": output_error,
     }
     rows, kept = [], {}
     for name, (whole, train) in pairs.items():
-        for method, way in ways.items():
-            found = way(train)
-            status = getattr(found, "status", "ok" if getattr(found, "converged", True) else "not-converged")
-            errors = page.free_run_errors(found.model, whole, train)
-            rows.append([name, method, status, float(found.model.alpha) if found.model else None, *errors.numbers])
+        for method, estimate in methods.items():
+            result = estimate(train)
+            errors = page.free_run_errors(result.model, whole, train)
+            alpha = float(result.model.alpha) if result.model else None
+            rows.append([name, method, result.status, alpha, *errors.numbers])
             kept[name, method] = errors
-            if found.model:
+            if result.model:
                 results.add(f"{name}: {method}, fitted part %", errors.train)
                 results.add(f"{name}: {method}, rest %", errors.rest)
         if kept[name, "RLS"].train is not None:
@@ -200,13 +199,13 @@ def measured(results: Results) -> tuple[str | None, dict]:
 
 
 def main() -> None:
-    """Run everything."""
-    given = arguments(
+    """Run all parts, and write figures, numbers and the page."""
+    options = arguments(
         "Recursive least squares and gradient correction of a Duhem model on a surrogate of Zhou and Wang 2013."
     )
     hf.enable_x64()
     estimators.quiet()
-    results = Results(HERE, given.quick, given.out)
+    results = Results(HERE, options.quick, options.out)
     parts = noise_free(results)
     parts["gradient"] = gradient(results)
     parts["free run"], outcomes = free_run(results)
@@ -219,7 +218,8 @@ def main() -> None:
             seconds * (1e6 if "update" in name else 1),
         )
     page.figures(results.out, outcomes, loops)
-    page.write(HERE if given.out is None and not given.quick else results.out, parts, timing, outcomes, results)
+    complete = not (options.out or options.quick or results.skipped)
+    page.write(HERE if complete else results.out, parts, timing, outcomes, results)
     results.finish()
 
 

@@ -1,7 +1,10 @@
-"""Fits of the public measured loops, with the error on what was never fitted: piezo, dampers, steel, magnetic materials.
+"""Fits of public measured loops with their errors on held-out samples: piezo, dampers, steel, magnetic materials.
 
-No starting value, structure or strength is given by hand: the search of the Prandtl-Ishlinskii family and the Preisach fit choose
-theirs on blocks left out of the fitting window. Records come from the folder that HYSTFIT_DATA names, or by download.
+    python experiments/measured/run.py [--quick] [--out FOLDER]
+
+No starting values, structure or regularization are set by hand: the structure search of the Prandtl-Ishlinskii family and the
+Preisach fit choose them by cross-validation within the fitting window. Writes results.json and the tables to out/ and, in the full
+form with all data, RESULTS.md here. Exit status: see experiments/common.py.
 """
 
 from __future__ import annotations
@@ -17,11 +20,23 @@ from common import Results, arguments, table
 import hystfit as hf
 from hystfit.fitting.compare import SEARCH
 
-TARGET = {"steel_resspylab/example_1": 3.2, "steel_resspylab/example_2": 6.2, "struct_slotboom/u-damper": 2.7}
+LOOPS = ("steel_resspylab/example_1", "steel_resspylab/example_2", "struct_slotboom/u-damper")
+MAGNETIC = ("mag_ja_bh/M130_27s", "mag_ja_bh/MnZn_HP_ferrite", "mag_ja_bh/MnZn_ferrite")
 
 
-def held_out(results: Results, rows: list, name: str, train, test, *, refit_offset: bool = False) -> hf.FitResult:
-    """Search and fit on `train`, report the error on `test`."""
+def held_out(
+    results: Results, rows: list, name: str, train: hf.Record, test: hf.Record, *, refit_offset: bool = False
+) -> hf.FitResult:
+    """Search the structure and fit on `train`; report the error on `test`.
+
+    Args:
+        results: receives the errors.
+        rows: receives a row of the table.
+        name: of the split, as printed.
+        train: fitted samples.
+        test: held-out samples.
+        refit_offset: whether the offset of the test record is fitted to it.
+    """
     started = time.perf_counter()
     comparison = hf.compare(train, [SEARCH])
     fit = comparison.winner
@@ -29,71 +44,69 @@ def held_out(results: Results, rows: list, name: str, train, test, *, refit_offs
     results.add(f"{name}: held out", error.nrmse_percent)
     results.add(f"{name}: held out, largest", error.max_error_percent)
     results.add(f"{name}: in sample", fit.train.nrmse_percent)
-    seconds = time.perf_counter() - started
-    rows.append(
-        [
-            name,
-            comparison.rows[0].note,
-            fit.train.nrmse_percent,
-            error.nrmse_percent,
-            error.max_error_percent,
-            fit.status,
-            seconds,
-        ]
-    )
+    structure, seconds = comparison.rows[0].note, time.perf_counter() - started
+    errors = [fit.train.nrmse_percent, error.nrmse_percent, error.max_error_percent]
+    rows.append([name, structure, *errors, fit.status, seconds])
     return fit
 
 
-def rest_of(record: hf.Record, window: hf.Record) -> hf.Record:
+def outside(record: hf.Record, window: hf.Record) -> hf.Record:
     """The samples that a window leaves out."""
     return record.replace(weight=record.weight - window.weight)
 
 
 def predictions(results: Results) -> list:
-    """Everything that has a held-out part."""
+    """Errors on held-out samples."""
     rows: list = []
-    model, test = hf.datasets.load("piezo_dbo/model"), hf.datasets.load("piezo_dbo/test")
-    window = model.window(5, 25)
-    fit = held_out(results, rows, "piezo a: fit 5-25 s, predict the rest", window, rest_of(model, window))
-    late = rest_of(model, window).window(0.1, None)
-    results.add("piezo a: held out without the first 0.1 s", fit.metrics(late).nrmse_percent)
-    held_out(results, rows, "piezo b: fit Model, predict Test", model, test, refit_offset=True)
-    held_out(results, rows, "piezo c: fit 27 s of Test, predict the rest", test.window(None, 27), test.window(27, None))
+    if (piezo := results.load("piezo", "piezo_dbo/model", "piezo_dbo/test")) is not None:
+        model, test = piezo
+        window = model.window(5, 25)
+        fit = held_out(results, rows, "piezo a: fit 5-25 s, predict the rest", window, outside(model, window))
+        late = outside(model, window).window(0.1, None)
+        results.add("piezo a: held out without the first 0.1 s", fit.metrics(late).nrmse_percent)
+        held_out(results, rows, "piezo b: fit Model, predict Test", model, test, refit_offset=True)
+        early, late = test.window(None, 27), test.window(27, None)
+        held_out(results, rows, "piezo c: fit 27 s of Test, predict the rest", early, late)
     for name, label in (("struct_slotboom/u-damper", "U-damper"), ("steel_resspylab/example_1", "steel 1")):
-        record = hf.datasets.load(name)
-        split = round(0.6 * len(record))
-        train, test = record.window(None, split), record.window(split, None)
-        fit = held_out(results, rows, f"{label}: fit 60 %, predict 40 %", train, test)
-        if label == "U-damper":
-            results.add("U-damper: warned of extrapolation", float(fit.extrapolates(test) is not None))
-    record = hf.datasets.load("mr_labcontrol/4.1")
-    held_out(results, rows, "MR damper: fit 0-6 s, predict 6-15 s", record.window(None, 6), record.window(6, 15))
+        if (loaded := results.load(label, name)) is not None:
+            split = round(0.6 * len(loaded[0]))
+            train, test = loaded[0].window(None, split), loaded[0].window(split, None)
+            fit = held_out(results, rows, f"{label}: fit 60 %, predict 40 %", train, test)
+            if label == "U-damper":
+                results.add("U-damper: warned of extrapolation", float(fit.extrapolates(test) is not None))
+    if (loaded := results.load("MR damper", "mr_labcontrol/4.1")) is not None:
+        train, test = loaded[0].window(None, 6), loaded[0].window(6, 15)
+        held_out(results, rows, "MR damper: fit 0-6 s, predict 6-15 s", train, test)
     return rows
 
 
 def in_sample(results: Results) -> list:
     """Whole records fitted: the best structure, plain Bouc-Wen, and Preisach for the magnetic loops."""
     rows = []
-    for name in TARGET:
-        record = hf.datasets.load(name)
-        comparison = hf.compare(record, [SEARCH])
-        best, plain = comparison.winner, hf.fit(hf.BoucWenForce(), record)
+    for name in LOOPS:
+        if (loaded := results.load(name, name)) is None:
+            continue
+        best, plain = hf.compare(loaded[0], [SEARCH]).winner, hf.fit(hf.BoucWenForce(), loaded[0])
         for label, fit in (("best", best), ("plain Bouc-Wen", plain)):
             results.add(f"{name}: {label}", fit.train.nrmse_percent)
             rows.append([name, label, fit.train.nrmse_percent, fit.train.max_error_percent, fit.status])
-    for name in ("M130_27s", "MnZn_HP_ferrite", "MnZn_ferrite"):
-        fit = hf.fit("preisach-magnetic", hf.datasets.load(f"mag_ja_bh/{name}"))
-        results.add(f"mag_ja_bh/{name}: all loops", fit.train.nrmse_percent)
-        rows.append([f"mag_ja_bh/{name}", "Preisach", fit.train.nrmse_percent, fit.train.max_error_percent, fit.status])
+    for name in MAGNETIC:
+        if (loaded := results.load(name, name)) is None:
+            continue
+        fit = hf.fit("preisach-magnetic", loaded[0])
+        results.add(f"{name}: all loops", fit.train.nrmse_percent)
+        rows.append([name, "Preisach", fit.train.nrmse_percent, fit.train.max_error_percent, fit.status])
     return rows
 
 
 def refused(results: Results) -> list:
-    """Records that no plain loop model makes: the software has to say so."""
+    """Records that no plain loop model describes: fit and check must both reject them."""
     rows = []
     for name in ("steel_resspylab/example_3", "struct_slotboom/trial2", "struct_slotboom/spc1"):
-        fit = hf.fit(hf.BoucWenForce(), hf.datasets.load(name))
-        verdict = hf.check(hf.datasets.load(name)).verdict("bouc-wen")
+        if (loaded := results.load(name, name)) is None:
+            continue
+        fit = hf.fit(hf.BoucWenForce(), loaded[0])
+        verdict = hf.check(loaded[0]).verdict("bouc-wen")
         results.add(f"{name}: refused by the fit", float(not fit.usable))
         results.add(f"{name}: refused by the check", float(verdict.verdict == "no"))
         rows.append([name, fit.train.nrmse_percent, fit.status, fit.notes[0] if fit.notes else ""])
@@ -103,81 +116,79 @@ def refused(results: Results) -> list:
 def loops_left_out(results: Results) -> list:
     """Each magnetic loop predicted from the others of its material."""
     rows = []
-    for name in ("M130_27s", "MnZn_HP_ferrite", "MnZn_ferrite"):
-        data = hf.datasets.load(f"mag_ja_bh/{name}")
-        for record in data:
-            others = hf.Dataset(tuple(r for r in data if r.name != record.name))
+    for name in MAGNETIC:
+        if (loaded := results.load(name, name)) is None:
+            continue
+        for record in loaded[0]:
+            others = hf.Dataset(tuple(r for r in loaded[0] if r.name != record.name))
             fit = hf.compare(others, ["preisach-magnetic"]).winner
             error = fit.metrics(record)
-            full = max(r.y.max() for r in data) - min(r.y.min() for r in data)
+            full_scale = max(r.y.max() for r in loaded[0]) - min(r.y.min() for r in loaded[0])
+            percent = 100 * error.rmse / full_scale
             warned = fit.extrapolates(record) is not None
-            results.add(f"mag_ja_bh/{name} {record.name} left out, % of full scale", 100 * error.rmse / full)
+            results.add(f"{name} {record.name} left out, % of full scale", percent)
             if warned:
-                results.add(f"mag_ja_bh/{name} {record.name}: warned of extrapolation", 1.0)
+                results.add(f"{name} {record.name}: warned of extrapolation", 1.0)
             else:
-                results.add(f"mag_ja_bh/{name} {record.name} left out, % of its range", error.nrmse_percent)
-            rows.append(
-                [name, record.name, 100 * error.rmse / full, error.nrmse_percent, "extrapolates" if warned else ""]
-            )
+                results.add(f"{name} {record.name} left out, % of its range", error.nrmse_percent)
+            material = name.partition("/")[2]
+            rows.append([material, record.name, percent, error.nrmse_percent, "extrapolates" if warned else ""])
     return rows
 
 
 def drift(results: Results) -> list:
-    """The drift of the piezo's loops is creep of the step from rest at 0 V with which the record began; a fit not told of it fails."""
-    record, rows = hf.datasets.load("piezo_dbo/model"), []
+    """The drift of the piezo's loops is the creep of the step from rest at 0 V that starts the record.
+
+    Without the rest state the creep estimate is meaningless; the row without it shows so.
+    """
+    rows: list = []
+    if (loaded := results.load("piezo drift", "piezo_dbo/model")) is None:
+        return rows
     plays = "lag+prandtl-ishlinskii-generalized+log-creep"
     for label, model, rest in (
         ("Bouc-Wen", "bouc-wen+log-creep", 0.0),
         ("", "bouc-wen+log-creep", None),
         ("plays", plays, 0.0),
     ):
-        fit = hf.fit(model, record if rest is None else record.resting_on(rest), starts=2)
-        gamma, found = fit["gamma[0]"], hf.explain_drift(fit)
+        fit = hf.fit(model, loaded[0] if rest is None else loaded[0].resting_on(rest), starts=2)
+        gamma, explained = fit["gamma[0]"], hf.explain_drift(fit)
         percent = [100 * gamma.value, None if gamma.stderr is None else 100 * gamma.stderr]
-        parts = [found.measured, found.modeled, found.stderr, found.without_creep, found.left]
+        parts = [explained.measured, explained.modeled, explained.stderr, explained.without_creep, explained.left]
         rows.append([model, "first input" if rest is None else "0 V", *percent, *parts, fit.train.nrmse_percent])
         if label:
             results.add(f"piezo drift, {label}: creep, % a decade", 100 * gamma.value)
-            results.add(f"piezo drift, {label}: explained, um/decade", found.modeled)
-            results.add(f"piezo drift, {label}: left, um/decade", abs(found.left))
+            results.add(f"piezo drift, {label}: explained, um/decade", explained.modeled)
+            results.add(f"piezo drift, {label}: left, um/decade", abs(explained.left))
     results.add("piezo drift: measured, um/decade", rows[0][4])
     return rows
 
 
+HELD_OUT_HEAD = ["record", "structure", "in sample %", "held out %", "largest %", "status", "s"]
+DRIFT_HEAD = ["model", "initial rest at", "creep, % per decade", "+-", "measured drift, um/decade", "modeled", "+-",
+              "modeled without creep", "unexplained", "in sample %"]  # fmt: skip
+
+
 def main() -> None:
     """Run, check and write the page."""
-    options = arguments(__doc__)
+    options = arguments(__doc__.splitlines()[0])
     hf.enable_x64()
     folder = Path(__file__).resolve().parent
-    try:
-        hf.datasets.load("piezo_dbo/model", download=False)
-    except hf.HystfitError as error:
-        print(f"no measured data, nothing checked: {error}")
-        return
     results = Results(folder, options.quick, options.out)
-    pages = ["# Measured loops\n\nErrors in percent of the range of the samples they are taken on. Made by `run.py`.\n"]
-    head = ["record", "terms found", "in sample %", "held out %", "largest %", "status", "s"]
-    pages += ["## Held out\n", table(head, predictions(results))]
+    pages = [
+        "# Measured loops\n\nNRMSE and largest error in percent of the measured output range. Written by `run.py`.\n"
+    ]
+    pages += ["## Held-out samples\n", table(HELD_OUT_HEAD, predictions(results))]
     pages += ["## In sample\n", table(["record", "model", "error %", "largest %", "status"], in_sample(results))]
-    pages += ["## Not to be fitted\n", table(["record", "Bouc-Wen error %", "status", "why"], refused(results))]
+    pages += ["## Rejected records\n", table(["record", "Bouc-Wen error %", "status", "reason"], refused(results))]
     if not options.quick:
-        head = [
-            "model",
-            "rested on",
-            "creep % a decade",
-            "+-",
-            "drift um/decade",
-            "modeled",
-            "+-",
-            "without creep",
-            "left",
-            "in sample %",
-        ]
-        pages += ["## Drift of the piezo\n", table(head, drift(results))]
+        pages += ["## Drift of the piezo\n", table(DRIFT_HEAD, drift(results))]
         head = ["material", "loop", "% of full scale", "% of its own range", ""]
-        pages += ["## Magnetic loops, each left out in turn (Preisach)\n", table(head, loops_left_out(results))]
-        (folder / "RESULTS.md").write_text("\n".join(pages), encoding="utf-8")
-    (results.out / "RESULTS.md").write_text("\n".join(pages), encoding="utf-8")
+        pages += [
+            "## Magnetic loops, each predicted from the others (Preisach)\n",
+            table(head, loops_left_out(results)),
+        ]
+    complete = not (options.quick or options.out or results.skipped)
+    (folder if complete else results.out).joinpath("RESULTS.md").write_text("\n".join(pages), encoding="utf-8")
     results.finish()
 
 

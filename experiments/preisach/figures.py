@@ -1,4 +1,4 @@
-"""Figures in the manner of the paper's."""
+"""Figures like those of the paper."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def measured(out: Path, found: Measured) -> None:
     """Reversal curves of nanowires with their density and FORC diagram, and a piezo's minor loops, as measured and predicted."""
     figure, axes = plt.subplots(2, 3, figsize=(16, 9.5), layout="constrained")
     plot_curves(found.curves, found.predicted, axes[0, 0], every=8)
-    axes[0, 0].set_title("reversal curves that were not fitted")
+    axes[0, 0].set_title("held-out reversal curves")
     plot_density(found.fit.model, axes[0, 1], reach=found.fit.reach)
     axes[0, 1].set_title("density of the cells")
     plot_forc_diagram(found.diagram, axes[0, 2])

@@ -14,7 +14,7 @@ TOP, CURVES = 180.0, 12
 
 
 def reversal_record(plant: AbstractHysteresis, frequency: float, rate: float, seed: int | None) -> hf.Record:
-    """0 -> alpha -> 0 for alpha = 15 .. 180 V, as the paper measured them."""
+    """0 -> alpha -> 0 for alpha = 15 .. 180 V, as in the paper."""
     extrema = [0.0]
     for alpha in np.linspace(TOP / CURVES, TOP, CURVES):
         extrema += [float(alpha), 0.0]
@@ -43,8 +43,8 @@ def static_model(record: hf.Record) -> hf.Preisach:
 
 
 def with_relaxation(records: list[hf.Record], tau: tuple[float, ...] = (0.1, 1.0, 10.0)) -> hf.Series:
-    """Preisach followed by relaxation: for given weights of the relaxation it is undone in the output, and the cells follow from a
-    convex solve; the weights then come from least squares on what the cells leave.
+    """Preisach followed by relaxation: for given weights the relaxation is inverted in the output and the cells follow from a convex
+    solve; an outer least squares finds the weights.
     """
     inner: dict[str, hf.Preisach] = {}
 

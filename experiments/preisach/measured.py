@@ -1,6 +1,4 @@
-"""Measured curves and loops: every fourth reversal curve fitted and the others predicted; minor loops of a piezo stack predicted from its
-major one.
-"""
+"""Measured records: every fourth reversal curve fitted and the others predicted; minor loops of a piezo stack predicted from major ones."""
 
 from __future__ import annotations
 
@@ -15,19 +13,19 @@ from hystfit.models.preisach import fit_forc, forc_diagram
 from hystfit.models.preisach.forc import ForcDiagram
 from hystfit.models.preisach.solve import PreisachFit, fit_preisach
 
-CLOSE = 0.5  # s after which the piezo has come from 0 V, where it had rested, to the signal's first input
+CLOSE = 0.5  # s after which the piezo, at rest at 0 V before, follows the input
 
 
 @dataclasses.dataclass(frozen=True)
 class Measured:
-    """What is drawn of the measured records.
+    """Data of the figure of measured records.
 
     Attributes:
-        curves, predicted: reversal curves that were not fitted, and their outputs as predicted.
-        fit: of the others.
-        diagram: of all of them.
+        curves, predicted: held-out reversal curves and their predicted outputs.
+        fit: of the other curves.
+        diagram: FORC diagram of all curves.
         loops: the piezo's record of minor loops.
-        runs: its outputs as predicted by each route.
+        runs: its outputs as predicted by each model.
     """
 
     curves: list[hf.Record]
@@ -39,13 +37,12 @@ class Measured:
 
 
 def measured(results: Results) -> Measured | None:
-    """All of it; None where the records are not at hand and cannot be fetched."""
-    try:
-        wires = [_counting(r) for r in hf.datasets.load("mag_forc_pyforc/FeCo")]
-        model, test = hf.datasets.load("piezo_dbo/model"), hf.datasets.load("piezo_dbo/test")
-    except hf.HystfitError as error:
-        results.skip("measured", str(error))
+    """Reversal curves and minor loops; None where a data set is not found."""
+    loaded = results.load("measured", "mag_forc_pyforc/FeCo", "piezo_dbo/model", "piezo_dbo/test")
+    if loaded is None:
         return None
+    curves, model, test = loaded
+    wires = [_counting(record) for record in curves]
     held, predicted, fit = reversal_curves(results, wires)
     runs = minor_loops(results, model, test)
     return Measured(held, predicted, fit, forc_diagram(wires), test, runs)
@@ -87,7 +84,7 @@ def reversal_curves(results: Results, wires: list[hf.Record]) -> tuple[list[hf.R
 
 
 def _between(record: hf.Record, curves: list[hf.Record]) -> np.ndarray:
-    """Linear interpolation between the neighbors in reversal, at fields as far along the way from reversal to the end."""
+    """Linear interpolation between the curves with neighboring reversals, at the same fraction of the way from reversal to end."""
     starts = np.array([r.u[0] for r in curves])
     order = np.argsort(starts)
     k = int(np.clip(np.searchsorted(starts[order], record.u[0]) - 1, 0, starts.size - 2))
@@ -101,7 +98,7 @@ def _between(record: hf.Record, curves: list[hf.Record]) -> np.ndarray:
 
 
 def minor_loops(results: Results, model: hf.Record, test: hf.Record) -> dict[str, np.ndarray]:
-    """Loops of all sizes predicted from 40 cycles of one size: cells behind a lag (as `check` estimates it), and what `compare` takes."""
+    """Loops of all sizes predicted from 40 cycles of one size: cells after a lag (as `check` estimates it), and the winner of `compare`."""
     lag = hf.check(model).records[0].lag
     if lag is None or lag.seconds is None:
         raise RuntimeError("no lag was found in the major loop")
@@ -116,7 +113,7 @@ def minor_loops(results: Results, model: hf.Record, test: hf.Record) -> dict[str
     parts["loops of less than half the range"] = late & (size < 0.5 * size.max())
     span = float(np.ptp(test.y))
     for name, y in runs.items():
-        shifted = y - np.mean(y - test.y)  # another zero of the sensor
+        shifted = y - np.mean(y - test.y)  # the zero of the sensor differs between records
         runs[name] = shifted
         for part, at in parts.items():
             error = (shifted - test.y)[at]

@@ -1,4 +1,4 @@
-"""The surrogate of the paper's curved actuator (THUNDER TH-8R), written out in closed form: no table of hystfit is in it."""
+"""The surrogate of the paper's curved actuator (THUNDER TH-8R) in closed form, independent of the Preisach code of hystfit."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ NOISE = 0.05  # um rms of the displacement sensor
 
 
 class Thunder(AbstractHysteresis):
-    """Displacement [um] of u >= 0 [V], static: a Preisach model of closed-form Everett function behind a bent line.
+    """Displacement [um] of u >= 0 [V], static: a Preisach model of closed-form Everett function followed by a nonlinearity.
 
     X(alpha, beta) = k1 (alpha - beta) + rho (alpha - beta)^2 (1 + 0.25 ((alpha + beta) / 180 - 1)),  y = gain psi(h),
-    psi(h) = h + 0.08 h (1 - h / 120), which breaks congruency by some percent as the paper saw it.
+    psi(h) = h + 0.08 h (1 - h / 120), which violates congruency by some percent, as in the paper.
     """
 
     rate_independent: ClassVar[bool] = True
 
-    gain: Float[Array, ""] = param(1.0, doc="change of the device since it was identified")
+    gain: Float[Array, ""] = param(1.0, doc="change since the identification")
     k1: Float[Array, ""] = param(0.370, unit="y/u", doc="reversible slope")
     rho: Float[Array, ""] = param(1.646e-3, unit="y/u^2", doc="density of relays")
-    bend: Float[Array, ""] = param(0.08, doc="of the line that breaks congruency")
+    bend: Float[Array, ""] = param(0.08, doc="of the nonlinearity that violates congruency")
 
     def _everett(self, a: Array, b: Array) -> Array:
         d = a - b
@@ -46,7 +46,7 @@ class Thunder(AbstractHysteresis):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Wipe out what u1 passed, and add up the stack."""
+        """Wipe out the extrema that u1 passed, and sum over the stack."""
         before = jnp.concatenate([jnp.zeros(1), state[:-1]])
         low, high = jnp.minimum(before, state), jnp.maximum(before, state)
         inside = (low < u1) & (u1 < high)
@@ -59,7 +59,7 @@ class Thunder(AbstractHysteresis):
         return state, self.gain * (h + self.bend * h * (1 - h / 120))
 
     def start(self, records: Sequence[hf.Record]) -> Thunder:
-        """Itself: it is a truth, not fitted."""
+        """Itself: it is not fitted."""
         return self
 
 

@@ -12,7 +12,7 @@ from hystfit.control import Controller, Design, LoopResult, assess, design, iden
 from hystfit.models import AbstractHysteresis
 
 RATE = 10_000.0
-SLOW = 500.0  # samples per second of the inverse, between which the voltage runs straight
+SLOW = 500.0  # samples per second of the inverse, with linear voltage in between
 FULL = 100.0  # um
 
 
@@ -55,7 +55,7 @@ def reference(extrema: tuple[float, ...], frequency: float, rate: float = RATE) 
 def feedforward(
     model: AbstractHysteresis, extrema: tuple[float, ...], frequency: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The inverse of a model along a reference, at the loop's rate, and which samples it says can be reached."""
+    """The inverse of a model along a reference, at the loop's rate, and which samples are within reach."""
     slow = min(SLOW * max(frequency / 0.01, 1.0), RATE)
     coarse = reference(extrema, frequency, slow)
     found = hf.invert(model, coarse, 1 / slow)
@@ -72,7 +72,7 @@ def track(
     gain: float = 1.0,
     frequency: float = 0.01,
 ) -> LoopResult:
-    """One run on the whole plant, `gain` of it changed since it was identified."""
+    """One run on the whole plant, with `gain` relative to the identified plant."""
     controller = None if made is None else Controller.of(made.controller, RATE)
     return run_loop(
         actuator(gain=gain),

@@ -17,7 +17,15 @@ from hystfit.stage import piezo
 def all_of_them(
     out: Path, kept: Any, example: Tracking, runs: dict[str, Tracking], poses: dict[str, np.ndarray]
 ) -> None:
-    """Write loops.png, filter.png, tracking.png and stage.png."""
+    """Write loops.png, filter.png, tracking.png and stage.png.
+
+    Args:
+        out: folder.
+        kept: record and identification of the filter.
+        example: tracking of a sine.
+        runs: tracking of the staircase by name.
+        poses: reference and poses of the stage by name, shape (T, 3).
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -57,16 +65,16 @@ def _loops(plt: Any) -> Any:
     return figure
 
 
-def _filter(plt: Any, record: Any, found: Any) -> Any:
+def _filter(plt: Any, record: Any, identified: Any) -> Any:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 3.8), layout="constrained")
-    x = found.history[:, :4].copy()
+    x = identified.history[:, :4].copy()
     x[:, 3] *= x[:, 2]
     for column, name in enumerate(("c", "μ", "τ", "δ")):
         left.plot(record.t, x[:, column] / TRUE[column], lw=1.2, label=name)
     left.axhline(1, color="0.4", lw=0.8)
     left.set(xlabel="time / s", ylabel="estimate / truth", title="parameters, started far off (M4)", ylim=(0.4, 1.8))
     left.legend()
-    run = np.asarray(simulate(found.model, jnp.asarray(record.u))[0])
+    run = np.asarray(simulate(identified.model, jnp.asarray(record.u))[0])
     right.plot(record.t, 1e3 * (record.y - run), ".", ms=1, color="0.65", label="record less free run")
     right.plot(
         record.t,

@@ -1,4 +1,4 @@
-"""M1 to M4: the actuator's loops and creep, and what identifies it from records."""
+"""M1 to M4: loops and creep of the actuator, and its identification from records."""
 
 from __future__ import annotations
 
@@ -14,22 +14,30 @@ from plants import FAR, bare, hysteresis_record, modulated, off
 from hystfit import Duhem, LogCreep, Series, datasets, simulate
 from hystfit.fitting.fit import fit
 from hystfit.identify import Phase, Ukf, identify, identify_in_stages
+from hystfit.outcome import Status
 from hystfit.stage import axis_plant, piezo
 
 TRUE = np.array([0.1542, 0.45, 0.01086, 0.00956])
 
 
 def width(model: Any, frequency: float = 1.0, low: float = -20.0, high: float = 100.0, count: int = 1000) -> float:
-    """Opening of the third loop at the middle of the swing."""
+    """Width of the third loop at the center of its input range [um].
+
+    Args:
+        model: voltage to displacement.
+        frequency: of the sine [Hz].
+        low, high: its range [V].
+        count: samples of one period.
+    """
     k = np.arange(3 * count + 1)
     start = np.arcsin(np.clip(-(high + low) / (high - low), -1, 1))
     u = 0.5 * (high + low) + 0.5 * (high - low) * np.sin(2 * np.pi * k / count + start)
     y = np.asarray(simulate(model, jnp.asarray(u), jnp.full(u.size, 1 / (frequency * count)).at[0].set(0.0))[0])
     u, y, rising = u[-count:], y[-count:], np.gradient(u[-count:]) > 0
-    middle = [
+    branches = [
         np.interp(0.5 * (high + low), *(v[side][np.argsort(u[side])] for v in (u, y))) for side in (rising, ~rising)
     ]
-    return float(middle[1] - middle[0])
+    return float(branches[1] - branches[0])
 
 
 def loops_and_creep(results: Results) -> str:
@@ -58,7 +66,7 @@ def loops_and_creep(results: Results) -> str:
 
 
 def _judge(model: Any, record: Any) -> tuple[float, float]:
-    """Worst parameter error and largest free-run error against the noise-free truth, both in percent."""
+    """Largest parameter error and largest simulation error against the noise-free truth, both in percent."""
     x = np.array([model.c, model.mu, model.tau, model.tau * model.rho])
     clean = np.asarray(simulate(bare(), jnp.asarray(record.u))[0])
     run = np.asarray(simulate(model, jnp.asarray(record.u))[0])
@@ -66,17 +74,17 @@ def _judge(model: Any, record: Any) -> tuple[float, float]:
 
 
 def filter_and_least_squares(results: Results, seeds: int) -> tuple[str, Any]:
-    """M4: the filter from far off, and least squares on the same records."""
+    """M4: the filter from a start far from the truth, and least squares on the same records."""
     rows, kept, ratios = [], None, []
     for noise in (0.005, 0.02):
         for seed in range(seeds if noise == 0.005 else max(1, seeds // 4)):
             record = hysteresis_record(seed, noise)
-            found = Ukf.of(off(bare(), FAR), record, start="model").fit(record)
-            fitted = fit(found.model, record, start="model", starts=1)
-            ratios.append(fitted.train.rmse / found.free_run.rmse)
-            ours, theirs = _judge(found.model, record), _judge(fitted.model, record)
-            rows.append([noise, seed, *ours, float(found.state.tally[5]), *theirs])
-            kept = kept or (record, found)
+            identified = Ukf.of(off(bare(), FAR), record, start="model").fit(record)
+            fitted = fit(identified.model, record, start="model", starts=1)
+            ratios.append(fitted.train.rmse / identified.free_run.rmse)
+            errors = _judge(identified.model, record)
+            rows.append([noise, seed, *errors, float(identified.state.tally[5]), *_judge(fitted.model, record)])
+            kept = kept or (record, identified)
     near = [row for row in rows if row[0] == 0.005]
     results.add("M4: worst parameter %, 5 nm", max(row[2] for row in near))
     results.add("M4: free-run maximum %, 5 nm", max(row[3] for row in near))
@@ -98,36 +106,42 @@ def filter_and_least_squares(results: Results, seeds: int) -> tuple[str, Any]:
 
 
 def methods(results: Results, starts: int) -> str:
-    """The filter, least squares and the sequential regressions on one record: error, time, robustness to the start."""
+    """The filter, least squares and the sequential regressions on one record: errors, times, and sensitivity to the start."""
     record = hysteresis_record(0, signal=lambda: modulated(10.0, 500.0))
     rng = np.random.default_rng(3)
     factors = [dict(zip(FAR, np.exp(rng.uniform(np.log(0.4), np.log(2.0), 4)), strict=True)) for _ in range(starts)]
     factors = [{**f, "mu": min(f["mu"], 2.0), "delta": min(f["delta"], 1.1 * f["tau"])} for f in factors]
-    known: dict[str, Any] = {
+    estimators: dict[str, Any] = {
         "filter": lambda model: Ukf.of(model, record, start="model").fit(record).model,
         "least squares": lambda model: fit(model, record, start="model", starts=1).model,
         "least squares, start from the record": lambda model: fit(model, record, starts=1).model,
     }
     rows = []
-    for name, run in known.items():
+    for name, run in estimators.items():
         run(off(bare(), factors[0]))  # compile
-        begin = time.perf_counter()
+        started = time.perf_counter()
         errors = [_judge(run(off(bare(), f)), record)[1] for f in factors]
-        took = (time.perf_counter() - begin) / len(factors)
+        seconds = (time.perf_counter() - started) / len(factors)
         rows.append(
-            [f"Bouc-Wen, {name}", float(np.median(errors)), max(errors), float(np.mean(np.array(errors) < 0.2)), took]
+            [
+                f"Bouc-Wen, {name}",
+                float(np.median(errors)),
+                max(errors),
+                float(np.mean(np.array(errors) < 0.2)),
+                seconds,
+            ]
         )
         results.add(f"methods: share of starts within 0.2 %, {name}", rows[-1][3])
     clean = np.asarray(simulate(bare(), jnp.asarray(record.u))[0])
     for name in ("rls", "gradient-correction"):
         identify(record, name, Duhem())
-        begin = time.perf_counter()
+        started = time.perf_counter()
         model = identify(record, name, Duhem()).model
-        took = time.perf_counter() - begin
+        seconds = time.perf_counter() - started
         error = (
             np.inf if model is None else np.max(np.abs(np.asarray(simulate(model, jnp.asarray(record.u))[0]) - clean))
         )
-        rows.append([f"Duhem, {name} (needs no start)", 100 * float(error / np.ptp(clean)), None, None, took])
+        rows.append([f"Duhem, {name} (needs no start)", 100 * float(error / np.ptp(clean)), None, None, seconds])
     head = ["method", "free run max %, median", "worst", "share within 0.2 %", "s a run, report included"]
     return table(head, rows)
 
@@ -135,18 +149,18 @@ def methods(results: Results, starts: int) -> str:
 def creep_in_stages(results: Results) -> str:
     """Hysteresis, creep, then both, from the bundled records."""
     fast, slow = datasets.load("stage-sweep"), datasets.load("stage-step")
-    begin = Series(off(bare(), {"c": 1.1, "mu": 0.9, "tau": 1.2, "delta": 1.0}), LogCreep(gamma=(0.01,)))
+    start = Series(off(bare(), {"c": 1.1, "mu": 0.9, "tau": 1.2, "delta": 1.0}), LogCreep(gamma=(0.01,)))
     phases = [
         Phase(fast, ("c", "mu", "bouc_wen.tau", "rho", "offset")),
         Phase(slow, ("gamma", "offset"), {"hold": "none"}),
         Phase([fast, slow], settings={"prior": 0.05, "hold": "none"}),
     ]
-    model, found = identify_in_stages(begin, phases)
+    model, stages = identify_in_stages(start, phases)
     hysteresis, creep = model.parts
     x = np.array([hysteresis.c, hysteresis.mu, hysteresis.tau, hysteresis.tau * hysteresis.rho])
     results.add("M4: staged, gamma off by %", 100 * abs(float(creep.gamma[0]) / 0.0175 - 1))
     results.add("M4: staged, worst hysteresis parameter %", 100 * np.max(np.abs(x / TRUE - 1)))
-    rows = [[k + 1, ", ".join(result.names), result.free_run.nrmse_percent] for k, result in enumerate(found)]
+    rows = [[k + 1, ", ".join(result.names), result.free_run.nrmse_percent] for k, result in enumerate(stages)]
     if not results.quick:
         both = fit(model, [fast, slow], start="model", starts=1)
         results.add(
@@ -158,13 +172,13 @@ def creep_in_stages(results: Results) -> str:
 
 
 def one_amplitude(results: Results) -> None:
-    """A sine of one amplitude is told to determine nothing."""
+    """A sine of one amplitude does not determine the parameters, and the status must be "undetermined"."""
 
     def sine() -> tuple[np.ndarray, np.ndarray]:
         t = np.arange(10_000) / 1000.0
         return t, 40 + 60 * np.sin(2 * np.pi * t + np.arcsin(-2 / 3))
 
     record = hysteresis_record(0, signal=sine)
-    found = Ukf.of(off(bare(), FAR), record, start="model").fit(record)
-    results.add("M4: one amplitude is called undetermined", float(found.status == "undetermined"))
-    results.add("M4: one amplitude, free-run maximum %", _judge(found.model, record)[1])
+    identified = Ukf.of(off(bare(), FAR), record, start="model").fit(record)
+    results.add("M4: one amplitude is called undetermined", float(identified.status is Status.UNDETERMINED))
+    results.add("M4: one amplitude, free-run maximum %", _judge(identified.model, record)[1])

@@ -1,4 +1,4 @@
-"""The simulated actuator of one axis, its perturbed model, and a plant that runs ten times finer than the controller."""
+"""The simulated actuator of one axis, its perturbed model, and a plant with ten integration steps per controller sample."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit import BoucWen, Record, SecondOrder, Series, simulate
 from hystfit.control import invert
-from hystfit.stage import Actuator, Sensor, axis_plant, perturbed, piezo, refine
+from hystfit.stage import Actuator, Sensor, axis_plant, perturbed, piezo, upsample
 
 LIMITS = (-20.0, 120.0)
 FINER = 10
@@ -35,18 +35,17 @@ def hysteresis_record(seed: int, noise: float = 0.005, signal=modulated) -> Reco
 
 
 def off(model: BoucWen, factors: dict[str, float]) -> BoucWen:
-    """Bouc-Wen parameters times factors."""
-    made = perturbed(Series(model, *piezo().parts[1:]), **factors)
-    return made.parts[0]
+    """The model with its parameters multiplied by factors."""
+    return perturbed(Series(model, *piezo().parts[1:]), **factors).parts[0]
 
 
 @dataclasses.dataclass(frozen=True)
 class Tracking:
-    """What a voltage does to the plant.
+    """A tracking run.
 
     Attributes:
-        t, reference, u, y: shape (T,).
-        cycles: samples of one cycle; the last two are judged (all, where it is None).
+        t, reference, u, y: time, reference, voltage and output, shape (T,).
+        cycle: samples of one cycle; errors are those of the last two cycles, or of all samples where it is None.
     """
 
     t: np.ndarray
@@ -57,38 +56,54 @@ class Tracking:
 
     @property
     def percent(self) -> np.ndarray:
-        """Error in percent of the reference's range, over what is judged."""
-        judged = slice(None) if self.cycle is None else slice(-2 * self.cycle, None)
-        return 100 * (self.reference - self.y)[judged] / np.ptp(self.reference)
+        """Error in percent of the range of the reference, in the last two cycles."""
+        last = slice(None) if self.cycle is None else slice(-2 * self.cycle, None)
+        return 100 * (self.reference - self.y)[last] / np.ptp(self.reference)
 
     @property
     def worst(self) -> float:
-        """Largest error, percent."""
+        """Largest error in percent."""
         return float(np.max(np.abs(self.percent)))
 
 
 def drive(plant: Series, reference: np.ndarray, u: np.ndarray, dt: float, cycle: int | None) -> Tracking:
-    """Run the plant ten times finer than the controller, the voltage linear between its samples."""
+    """Simulate the plant with `FINER` steps per controller sample, the voltage linear between samples.
+
+    Args:
+        plant: voltage to displacement.
+        reference, u: reference and voltage, shape (T,).
+        dt: sampling interval of the controller [s].
+        cycle: see `Tracking`.
+    """
     steps = np.full(reference.size, dt)
-    fine, times = refine(u, steps, FINER)
-    times[0] = 0.0
-    y, _ = simulate(plant, jnp.asarray(fine), jnp.asarray(times))
+    fine, fine_steps = upsample(u, steps, FINER)
+    fine_steps[0] = 0.0
+    y, _ = simulate(plant, jnp.asarray(fine), jnp.asarray(fine_steps))
     return Tracking(dt * np.arange(reference.size), reference, u, np.asarray(y)[::FINER], cycle)
 
 
 def track(plant: Series, model: Series, reference: np.ndarray, dt: float, cycle: int | None = None) -> Tracking:
-    """Feed-forward: the inverse of a model drives the plant."""
+    """Feed-forward: the inverse of a model drives the plant. Args as `drive`; `model` is inverted."""
     u = invert(model, reference, dt, limits=LIMITS).u
     return drive(plant, reference, u, dt, cycle)
 
 
 def rate(frequency: float) -> float:
-    """Sampling rate of the controller: a thousand a cycle, between 1 and 10 kHz."""
+    """Sampling rate of the controller [Hz]: a thousand samples per cycle, between 1 and 10 kHz."""
     return float(np.clip(1000 * frequency, 1000, 10_000))
 
 
 def cosine(frequency: float, stroke: float, cycles: int = 5) -> tuple[np.ndarray, float, int]:
-    """0..stroke, starting at rest at 0; reference, sampling time, samples a cycle."""
+    """A cosine from 0 to `stroke`, from rest at 0.
+
+    Args:
+        frequency: in Hz.
+        stroke: in um.
+        cycles: their number.
+
+    Returns:
+        Reference [um], sampling interval [s], samples of one cycle.
+    """
     dt = 1 / rate(frequency)
     cycle = round(1 / (frequency * dt))
     t = dt * np.arange(cycles * cycle)

@@ -2,8 +2,8 @@
 
     python experiments/ukf/run.py [--quick] [--out FOLDER]
 
-Writes figures and results.json to out/, the tables to RESULTS.md (where quick, to report.md in
-out/); status 1 where a number misses expected.json.
+Writes figures and results.json to out/ and the tables to RESULTS.md (report.md in out/ in the quick form); exit status 1 where a
+number misses expected.json.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import sys
 from pathlib import Path
 
-os.environ["OMP_NUM_THREADS"] = "1"  # matrices of eight columns: threads would only wait for each other
+os.environ["OMP_NUM_THREADS"] = "1"  # threads slow down matrices of eight columns
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import figures
@@ -26,7 +26,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def main() -> None:
-    """All numbers, tables and figures."""
+    """Compute all numbers, tables and figures."""
     options = arguments(__doc__.splitlines()[0])
     hf.enable_x64()
     results = Results(HERE, options.quick, options.out)

@@ -1,4 +1,4 @@
-"""M5 to M9: tracking by the inverse of the model, on one axis and on three."""
+"""M5 to M9: feed-forward tracking with the inverse of the model, on one axis and on three."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hystfit.control import invert
 from hystfit.data.record import Record
 from hystfit.identify import Ukf
 from hystfit.signals import staircase
-from hystfit.stage import Kinematics, Sensor, Stage, calibrate, perturbed, piezo
+from hystfit.stage import Kinematics, Sensor, Stage, identify_jacobian, perturbed, piezo
 from hystfit.stage.adaptive import track_adaptively
 
 FREQUENCIES = (0.1, 1.0, 10.0, 50.0, 100.0)
@@ -25,32 +25,39 @@ STROKES = (5.0, 20.0, 50.0, 100.0)
 
 
 def sines(results: Results, quick: bool) -> tuple[str, Tracking]:
-    """M5 and M6: table over frequency and stroke, the model right and perturbed."""
+    """M5 and M6: tracking errors over frequency and stroke, with the true and with a perturbed model."""
     model, rows = axis(), []
     wrong, plant = perturbed(model, **ALL_AT_ONCE), with_mode(model)
     for frequency in FREQUENCIES:
         for stroke in STROKES[::3] if quick else STROKES:
             reference, dt, cycle = cosine(frequency, stroke)
-            right = track(plant, model, reference, dt, cycle).worst
-            rows.append([frequency, stroke, right, track(plant, wrong, reference, dt, cycle).worst])
+            matched = track(plant, model, reference, dt, cycle).worst
+            rows.append([frequency, stroke, matched, track(plant, wrong, reference, dt, cycle).worst])
     results.add("M6: maximum error %, 0.1-50 Hz, perturbed", max(row[3] for row in rows if row[0] < 100))
     results.add("M6: maximum error %, 100 Hz, perturbed", max(row[3] for row in rows if row[0] == 100))
     results.add("M6: maximum error %, 0.1-50 Hz, matched", max(row[2] for row in rows if row[0] < 100))
     reference, dt, cycle = cosine(10.0, 20.0)
     example = track(plant, wrong, reference, dt, cycle)
     results.add("M5: 20 um at 10 Hz, maximum error %, perturbed", example.worst)
-    led = []
+    inverted = []
     for frequency, stroke in ((50.0, 50.0), (100.0, 20.0), (100.0, 100.0)):
         reference, dt, cycle = cosine(frequency, stroke)
-        led.append([frequency, stroke, track(plant, plant, reference, dt, cycle).worst])
-    results.add("M6: maximum error %, 100 Hz, matched, resonance inverted", max(row[2] for row in led if row[0] == 100))
+        inverted.append([frequency, stroke, track(plant, plant, reference, dt, cycle).worst])
+    results.add(
+        "M6: maximum error %, 100 Hz, matched, resonance inverted", max(row[2] for row in inverted if row[0] == 100)
+    )
     head = ["frequency / Hz", "stroke / um", "matched, max error %", "perturbed, max error %"]
-    extra = table(["frequency / Hz", "stroke / um", "matched, resonance inverted, max error %"], led)
+    extra = table(["frequency / Hz", "stroke / um", "matched, resonance inverted, max error %"], inverted)
     return table(head, rows) + "\n" + extra, example
 
 
 def least(make: Callable[[float], Tracking], low: float, high: float) -> Tracking:
-    """The run whose largest error is least, over one number between low and high."""
+    """The run with the least largest error, over one factor.
+
+    Args:
+        make: the run for a factor.
+        low, high: range of the factor.
+    """
     best = minimize_scalar(
         lambda x: make(float(x)).worst, bounds=(low, high), method="bounded", options={"xatol": 3e-3}
     )
@@ -58,7 +65,14 @@ def least(make: Callable[[float], Tracking], low: float, high: float) -> Trackin
 
 
 def uncontrolled(plant: Series, reference: np.ndarray, dt: float, *, centered: bool) -> Tracking:
-    """The voltage is the reference over the best gain; `centered` takes the best offset too."""
+    """The voltage is the reference over the best gain.
+
+    Args:
+        plant: voltage to displacement.
+        reference: shape (T,) [um].
+        dt: sampling interval [s].
+        centered: also use the best offset.
+    """
     gain = 100.0 / float(np.ptp(simulate(plant, jnp.linspace(0.0, 100.0, 200), jnp.full(200, 0.01))[0]))
 
     def make(factor: float) -> Tracking:
@@ -71,7 +85,7 @@ def uncontrolled(plant: Series, reference: np.ndarray, dt: float, *, centered: b
 
 
 def ladder(results: Results) -> tuple[str, dict[str, Tracking]]:
-    """M7 and M8: a staircase with and without control, and what each part of the model is worth."""
+    """M7 and M8: a staircase with and without control, and with parts of the model left out."""
     model = axis()
     t, reference = staircase(250.0, levels=9, hold=4.0, ramp=0.1, low=0.0, high=80.0)
     dt = float(t[1] - t[0])
@@ -100,12 +114,12 @@ def ladder(results: Results) -> tuple[str, dict[str, Tracking]]:
 
 
 def _refitted(plant: Series, model: Series, reference: np.ndarray, dt: float) -> Tracking:
-    """Tracking with the gain of a wrong model chosen so that its largest error is least."""
+    """Tracking with an incomplete model whose gain minimizes the largest error. Args as `drive`."""
     return least(lambda factor: track(plant, perturbed(model, c=factor), reference, dt), 0.5, 1.2)
 
 
 def three_axes(results: Results) -> tuple[str, dict[str, np.ndarray]]:
-    """M9: a circle that turns, by three unequal actuators, with the Jacobian as designed and as calibrated."""
+    """M9: a circle with rotation by three unequal actuators, with the Jacobian of the design and the identified one."""
     devices = [perturbed(piezo(), c=1 + 0.03 * (k - 1), gamma=1 + 0.1 * (k - 1)) for k in range(3)]
     truth = Stage.of(devices, kinematics=Kinematics(amplification=6.3, arm=41.0, direction=0.02))
     t, dt = np.arange(20_000) / 10_000.0, 1e-4
@@ -115,12 +129,12 @@ def three_axes(results: Results) -> tuple[str, dict[str, np.ndarray]]:
         [15 * np.cos(2 * np.pi * 5 * t), 15 * np.sin(2 * np.pi * 5 * t), 0.15 * np.sin(2 * np.pi * 10 * t)], axis=1
     )
     poses = grow[:, None] * (middle + shape)
-    runs, designed, found = {}, np.asarray(Kinematics().jacobian()), _calibrated(truth)
+    runs, designed, identified = {}, np.asarray(Kinematics().jacobian()), _identified_jacobian(truth)
     wrong = [perturbed(device, **ALL_AT_ONCE) for device in devices]
     for name, jacobian, models in (
         ("designed", designed, devices),
-        ("calibrated", found, devices),
-        ("calibrated, actuators perturbed", found, wrong),
+        ("calibrated", identified, devices),
+        ("calibrated, actuators perturbed", identified, wrong),
     ):
         lengths = poses @ np.linalg.inv(jacobian).T
         u = np.stack([invert(models[k], lengths[:, k], dt, limits=LIMITS).u for k in range(3)], axis=1)
@@ -141,8 +155,8 @@ def three_axes(results: Results) -> tuple[str, dict[str, np.ndarray]]:
     }
 
 
-def _calibrated(truth: Stage) -> np.ndarray:
-    """From records of the three actuators at frequencies of their own: strain gauges and probes with 5 nm of noise."""
+def _identified_jacobian(truth: Stage) -> np.ndarray:
+    """Jacobian from records of the three actuators at different frequencies: strain gauges and probes with 5 nm of noise."""
     t = np.arange(20_000) / 10_000.0
     u = np.stack([50 - 50 * np.cos(2 * np.pi * f * t) for f in (2.0, 3.0, 4.5)], axis=1)
     rng = np.random.default_rng(5)
@@ -151,24 +165,24 @@ def _calibrated(truth: Stage) -> np.ndarray:
     lengths = np.stack([simulate(device, jnp.asarray(u[:, k]), steps)[0] for k, device in enumerate(devices)], axis=1)
     noise = np.array([0.005, 0.005, 0.005 / 40])
     poses = truth.simulate(u) + noise * rng.standard_normal(u.shape)
-    return calibrate(lengths + 0.005 * rng.standard_normal(u.shape), poses).jacobian
+    return identify_jacobian(lengths + 0.005 * rng.standard_normal(u.shape), poses).jacobian
 
 
 def _cross(truth: Stage, devices: list[Any]) -> float:
-    """Motion of y (and of theta on its arm) while x alone is asked for, in percent of x."""
+    """Motion of y, and of theta times its arm, for a reference in x only, in percent of x."""
     t, dt = np.arange(10_000) / 10_000.0, 1e-4
     middle = np.asarray(truth.kinematics.pose(jnp.full(3, 6.0)))
     poses = np.minimum(t / 0.2, 1.0)[:, None] * (
         middle + np.stack([20 * np.sin(2 * np.pi * 5 * t), 0 * t, 0 * t], axis=1)
     )
-    lengths = poses @ np.linalg.inv(_calibrated(truth)).T
+    lengths = poses @ np.linalg.inv(_identified_jacobian(truth)).T
     u = np.stack([invert(devices[k], lengths[:, k], dt, limits=LIMITS).u for k in range(3)], axis=1)
-    off = np.abs(truth.simulate(u, dt, finer=FINER) - poses)[t > 0.4]
-    return float(100 * max(off[:, 1].max(), 40 * off[:, 2].max()) / 40.0)
+    error = np.abs(truth.simulate(u, dt, finer=FINER) - poses)[t > 0.4]
+    return float(100 * max(error[:, 1].max(), 40 * error[:, 2].max()) / 40.0)
 
 
 def adaptive(results: Results) -> str:
-    """The filter beside the inverse: a model that starts wrong corrects itself as it tracks."""
+    """The filter in parallel with the inverse: a wrong model is corrected during tracking."""
     plant = axis()
     wrong = perturbed(plant, c=1.05, mu=0.9, tau=1.2, delta=0.85, gamma=1.1)
     dt, block = 1e-3, 500

@@ -1,4 +1,4 @@
-"""Least squares, NUTS and emcee on a well-determined problem; NUTS and emcee on bent posteriors, beside a grid and a long run."""
+"""Least squares, NUTS and emcee on a well-determined problem; NUTS and emcee on curved posteriors, compared with a grid and a long run."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _grid(target: object, at: list[int], axes: list[np.ndarray]) -> tuple[np.nda
 
 
 def _bent(fix: dict[str, float], seed: int) -> hf.FitResult:
-    """One small amplitude in much noise: what tau gains mu may lose."""
+    """One small amplitude with large noise: tau and mu compensate for each other."""
     return hf.fit(TRUTH, _measured(0.15, 0.02, 400, seed), start="model", starts=1, noise="iid", fix=fix)
 
 
@@ -71,7 +71,7 @@ def _in_z(draws: hf.Posterior, names: tuple[str, ...]) -> np.ndarray:
 
 
 def banana_on_a_grid(results: Results) -> str:
-    """mu and tau alone: samplers against the grid, in standard deviations of the grid."""
+    """Only mu and tau free: samplers compared with the grid, in standard deviations of the grid."""
     fit = _bent({"c": 1.0, "rho": 0.5, "offset": 0.0}, 3)
     own = {"tau": priors.LogNormal(2.0, 1.0), "noise_white": priors.LogNormal(0.02, 1e-4)}
     setup = prepare(fit, noise="iid", priors=own)
@@ -94,7 +94,7 @@ def banana_on_a_grid(results: Results) -> str:
 
 
 def banana_in_full(results: Results) -> str:
-    """All parameters free: runs beside a reference of 24 000 draws; only small steps follow the bend, so 0.9 of them are accepted."""
+    """All parameters free: short runs compared with 24 000 draws; small steps (target acceptance 0.9) follow the curvature."""
     fit = _bent({}, 5)
     names = ("c", "mu", "tau", "rho")
     own = {"c": priors.LogNormal(1.0, 0.3), "tau": priors.LogNormal(2.0, 1.0)}

@@ -1,4 +1,4 @@
-"""Width and coverage of every kind of error bar that hystfit gives, on loops whose truth is known."""
+"""Width and coverage of every kind of error bar of hystfit, on loops with known truth."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from scipy.stats import norm
 
 import hystfit as hf
 from hystfit.identify import Ukf
+from hystfit.outcome import Code
+from hystfit.outcome.note import has
 from hystfit.uncertainty.robust_errors import covariance
 
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
@@ -41,13 +43,13 @@ def _numbers(result: hf.FitResult) -> tuple[np.ndarray, np.ndarray]:
 
 
 def by_fit(result: hf.FitResult) -> Row:
-    """Errors of `fit`; it warns where its notes say that model error repeats."""
-    return _row(*_numbers(result), warned=any("repeats" in note for note in result.notes))
+    """Errors of `fit`, and whether a note warns of recurring model error."""
+    return _row(*_numbers(result), warned=has(result.notes, Code.REPEATING_RESIDUALS))
 
 
 @functools.lru_cache(maxsize=1)
 def plain(kind: str, seed: int) -> hf.FitResult:
-    """The default fit, which several kinds of error start from."""
+    """The default fit, shared by several methods."""
     return hf.fit(TRUTH, record(kind, seed), start="model", starts=1)
 
 
@@ -67,14 +69,14 @@ def by_profile(result: hf.FitResult) -> Row:
 
 
 def by_filter(measured: hf.Record) -> Row:
-    """The belief of an unscented Kalman filter that starts near the truth and is told the sensor's noise."""
+    """Covariance of an unscented Kalman filter with good starting values and the true sensor noise."""
     ukf = Ukf.of(TRUTH, measured, start="model", prior=0.05, noise=WHITE)
     found = ukf.fit(measured)
     p = len(ukf.free)
     z = jnp.asarray(found.theta)[-p:]
-    belief = np.sqrt(np.diag(np.asarray(ukf.covariance(found.state))))[-p:]
+    spread = np.sqrt(np.diag(np.asarray(ukf.covariance(found.state))))[-p:]
     at = [ukf.free.index(name) for name in NAMES]
-    sd = np.asarray(ukf.coordinates.slope(z)) * belief
+    sd = np.asarray(ukf.coordinates.slope(z)) * spread
     return _row(np.asarray(ukf.coordinates.physical(z))[at], sd[at])
 
 
@@ -102,7 +104,7 @@ def row_of(kind: str, method: str, seed: int) -> Row:
 
 
 class Store:
-    """Replicates as lines of a file, so that a run goes on where it was stopped."""
+    """Replicates as lines of a file, from which an interrupted run resumes."""
 
     def __init__(self, file: Path | None):
         self.file = file
@@ -113,7 +115,7 @@ class Store:
                 try:
                     entry = json.loads(line)
                 except ValueError:
-                    continue  # half a line, of a run that was killed
+                    continue  # incomplete line of an interrupted run
                 self.rows[entry["key"]] = entry["row"]
 
     def get(self, kind: str, method: str, seed: int) -> Row:
@@ -128,7 +130,13 @@ class Store:
 
 
 class Summary(NamedTuple):
-    """Mean and least coverage by parameter, median standard error over the estimates' spread, parts that warned and had no error bar."""
+    """Statistics over replicates of one method.
+
+    Attributes:
+        covered, least: mean and least coverage over the parameters.
+        width: median standard error over the standard deviation of the estimates.
+        warned, none: fraction of replicates with a warning, and of parameters without an error bar.
+    """
 
     covered: float
     least: float
@@ -138,7 +146,7 @@ class Summary(NamedTuple):
 
 
 def summary(rows: Sequence[Row]) -> Summary:
-    """What replicates say of a kind of error bar. No finite error bar is no interval: it neither covers nor misses."""
+    """Summary over replicates; a parameter without a finite error bar counts neither as covered nor as missed."""
     value, sd, inside = (np.array([row[k] for row in rows], float) for k in ("value", "sd", "inside"))
     covered = np.nanmean(np.where(np.isfinite(sd), inside, np.nan), axis=0)
     width = np.nanmedian(sd, axis=0) / np.std(value, axis=0)
@@ -148,7 +156,7 @@ def summary(rows: Sequence[Row]) -> Summary:
 
 
 def methods_of(kind: str, quick: bool) -> tuple[str, ...]:
-    """Which kinds of error bars are tried on a kind of error."""
+    """Methods that are run on a kind of error."""
     if quick:
         return ("iid", "default", "ou", *(("discrepancy",) if "repeating" in kind else ()))
     if kind in ("white", "AR(1)", "AR(1) + white", "repeating + white"):
@@ -157,7 +165,7 @@ def methods_of(kind: str, quick: bool) -> tuple[str, ...]:
 
 
 def replicates_of(kind: str, method: str, quick: bool) -> int:
-    """How many: all of the default, and of the default likelihood where it is right; fewer of the others."""
+    """Number of replicates: most for the default, and for its likelihood where that is the true one."""
     if quick:
         return 12
     if method == "default" or (method == "ou" and "repeating" not in kind and "strong" not in kind):

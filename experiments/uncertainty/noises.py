@@ -1,4 +1,4 @@
-"""Simulated loops whose truth is known, with white, slow or repeating error."""
+"""Simulated loops with known truth and white, slow or recurring error."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ NAMES = ("c", "mu", "tau", "rho")
 VALUES = np.array([1.0, 0.5, 2.0, 0.5])
 SAMPLES, CYCLES = 1600, 8
 WHITE, LOOP = 0.01, 0.02  # standard deviations; the output's range is 1.4
-LENGTH = 0.25  # over which the repeating error changes, in parts of the input range
+LENGTH = 0.25  # length scale of the recurring error, in parts of the input range
 
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """An error: standard deviations of its white, autoregressive and repeating parts, and the coefficient of the autoregression."""
+    """Standard deviations of the white, autoregressive and recurring parts of an error, and the coefficient of the autoregression."""
 
     white: float = 0.0
     slow: float = 0.0

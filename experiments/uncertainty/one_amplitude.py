@@ -1,4 +1,4 @@
-"""Classic Bouc-Wen trouble: one small amplitude determines slopes, not the law; what the verdict, the profiles and the design say."""
+"""One small amplitude does not determine a Bouc-Wen model: notes, profiles and a designed input."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from common import Results, table
 from noises import NAMES, TRUTH
 
 import hystfit as hf
+from hystfit.outcome import Code
 
 SIGMA = 0.01
 
 
 def measured(u: np.ndarray, seed: int, name: str = "") -> hf.Record:
-    """The true device on an input."""
+    """Measured output of the true device."""
     y = np.asarray(hf.simulate(TRUTH, u)[0])
     return hf.Record(u=u, y=y + SIGMA * np.random.default_rng(seed).normal(size=u.size), name=name or "one amplitude")
 
@@ -23,13 +24,13 @@ def sine(amplitude: float, samples: int = 600) -> np.ndarray:
 
 
 def run(results: Results) -> dict[str, str]:
-    """The verdict, the count of finite errors beside open profiles, and the profiles with the designed input."""
+    """Notes, number of finite standard errors for parameters without limits, and profiles with the designed input."""
     result = hf.fit(TRUTH, measured(sine(0.1), 0), starts=4, noise="iid")
-    told = [note for note in result.notes if "not determined" in note]
+    undetermined = [note for note in result.notes if note.code is Code.NOT_DETERMINED]
     found = hf.profile(result)
     opened = [name for name, p in found.profiles.items() if not p.closed]
     results.add("one amplitude: rank", float(result.rank or 0))
-    results.add("one amplitude: undetermined directions named", len(told))
+    results.add("one amplitude: undetermined directions named", len(undetermined))
     results.add("one amplitude: open profiles", len(opened))
     results.add("one amplitude: finite errors beside open profiles", contradictions(result, found))
     made = hf.design(result, low=-1.0, high=1.0, samples=600, steps=20 if results.quick else 150)
@@ -40,7 +41,10 @@ def run(results: Results) -> dict[str, str]:
     rows = [[n, result[n].value, result[n].stderr, _limits(found[n]), again[n].value, again[n].stderr, _limits(closed[n])]
             for n in NAMES]  # fmt: skip
     head = ["", "one amplitude", "error", "profile", f"with the designed input ({made.best.name})", "error", "profile"]
-    tables = {"profiles": table(head, rows), "verdict": "\n".join(f"- {note}" for note in (*told, *made.notes)) + "\n"}
+    tables = {
+        "profiles": table(head, rows),
+        "verdict": "\n".join(f"- {note}" for note in (*undetermined, *made.notes)) + "\n",
+    }
     if not results.quick:
         tables["sweep"] = sweep(results)
     return tables
@@ -51,7 +55,7 @@ def _limits(profile: object) -> str:
 
 
 def contradictions(result: hf.FitResult, found: object) -> int:
-    """Parameters whose error is printed as finite while their profile is open."""
+    """Number of parameters with a finite standard error but without a confidence limit."""
     profiles = found.profiles  # type: ignore[attr-defined]
     return sum(not p.closed and result[name].stderr is not None for name, p in profiles.items())
 
@@ -71,6 +75,12 @@ def sweep(results: Results) -> str:
         rows.append([amplitude, counts[0] / 10, counts[1] / 10, int(counts[2]), int(counts[3])])
     results.add("one amplitude, sixty records: finite errors beside open profiles", total)
     return table(
-        ["amplitude", "open profiles a record", "finite errors a record", "both at once, of 50", "full rank, of 10"],
+        [
+            "amplitude",
+            "profiles without limits per record",
+            "finite errors per record",
+            "both at once, of 50",
+            "full rank, of 10",
+        ],
         rows,
     )

@@ -1,4 +1,4 @@
-"""The set-ups whose calibration is stated: five models, each with the default noise model and with independent noise."""
+"""Setups whose calibration is tested: five models, each with the default noise model and with independent noise."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 import hystfit as hf
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.preisach.density import ParametricPreisach
+from hystfit.models.preisach.parametric import ParametricPreisach
 
 SAMPLES = 240
 RATE = 60.0  # samples a second, for creep
@@ -18,12 +18,12 @@ RATE = 60.0  # samples a second, for creep
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """A model about whose values parameters are drawn, and the input that data are simulated on.
+    """A model whose values center the drawn parameters, and the input for simulated data.
 
     Attributes:
         name: as printed.
         model: its values center the priors.
-        record: input and time; its output only sets the size of the noise.
+        record: input and time; its output only sets the noise level.
     """
 
     name: str
@@ -38,7 +38,7 @@ def growing(samples: int = SAMPLES, cycles: float = 6.0) -> np.ndarray:
 
 
 def models() -> dict[str, AbstractHysteresis]:
-    """The five models with values of a piezo's or a magnet's loop."""
+    """The five models, with values typical of piezo or magnetic loops."""
     bouc_wen = hf.BoucWen(
         c=1.0, mu=0.5, tau=2.0, rho=0.5, scheme="exact"
     )  # forty samples a cycle are too few for the other

@@ -1,9 +1,9 @@
-"""Error bars on trial: width and coverage where the truth is known, calibration of stated pairs, and a measured piezo stack.
+"""Width and coverage of error bars on simulated loops, calibration of stated setups, and predictions of a measured piezo stack.
 
     python experiments/uncertainty/run.py [--quick] [--out FOLDER] [--only SECTION ...]
 
-Writes results.json to out/ and, in full, the page RESULTS.md here; the full form goes on from what an interrupted one left in out/.
-Status 1 where a number misses expected.json.
+Writes results.json to out/ and, in full, the page RESULTS.md here; the full form resumes from the sections of an earlier one in out/.
+Exit status: see experiments/common.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait for each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are too small for threads
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import agreement
@@ -29,11 +29,11 @@ from common import Results, arguments
 import hystfit as hf
 
 HERE = Path(__file__).resolve().parent
-warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy")  # columns without one finite error bar
+warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy")  # columns without a finite error bar
 
 
 class Page:
-    """Sections of the page; in full each is kept with its numbers when it is done, and a later run goes on from there."""
+    """Sections of the page; the full form stores each finished section with its numbers, and a later run resumes from there."""
 
     def __init__(self, results: Results):
         self.results = results
@@ -43,7 +43,7 @@ class Page:
             self.kept.mkdir(parents=True, exist_ok=True)
 
     def add(self, name: str) -> None:
-        """A section, made now or found ready."""
+        """A section, computed now or read from an earlier run."""
         file = None if self.kept is None else self.kept / f"{name}.json"
         if file is not None and file.exists():
             stored = json.loads(file.read_text(encoding="utf-8"))
@@ -70,8 +70,8 @@ def coverages(results: Results) -> dict[str, str]:
     tables = coverage.run(results, None if results.quick else results.out / "coverage.jsonl")
     titles = {
         "coverage": "Coverage of 95 % intervals, % (least of the four parameters in brackets)",
-        "width": "Median standard error over the spread of the estimates",
-        "none": "Parameters without an error bar, and replicates that were warned of repeating error, %",
+        "width": "Median standard error over the standard deviation of the estimates",
+        "none": "Parameters without an error bar, and replicates with a warning of recurring error, %",
         "samplers": f"Samplers on the first {coverage.SOME} replicates",
     }
     return {title: tables[name] for name, title in titles.items() if name in tables}
@@ -81,10 +81,8 @@ def measured(results: Results) -> dict[str, str] | None:
     """The tables of `piezo.py` under their titles."""
     found = piezo.run(results)
     if found is None:
-        for name in [name for name in results.expected if name.startswith("piezo")]:
-            del results.expected[name]  # nothing to hold them against
         return None
-    return {"piezo_dbo: fitted 5 to 25 s, predicted 25 to 40 s": found["bands"], "What that fit says": found["notes"]}
+    return {"piezo_dbo: fitted 5 to 25 s, predicted 25 to 40 s": found["bands"], "Notes of that fit": found["notes"]}
 
 
 def calibrations(results: Results) -> dict[str, str]:
@@ -92,13 +90,15 @@ def calibrations(results: Results) -> dict[str, str]:
     return {"Simulation-based calibration": sbc.run(results, None if results.quick else results.out / "sbc")}
 
 
-# In the order of the page; those of FULL (long samplers, measured loops) belong to the full form alone.
+# In the order of the page; those of FULL (long samplers, measured loops) run only in the full form.
 SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
     "well-determined": lambda r: {
         "Least squares, NUTS and emcee on a well-determined problem": agreement.well_determined(r)
     },
-    "grid": lambda r: {"A bent posterior of two parameters, beside a grid": agreement.banana_on_a_grid(r)},
-    "long-run": lambda r: {"A bent posterior of all parameters, beside a long run": agreement.banana_in_full(r)},
+    "grid": lambda r: {"A curved posterior of two parameters, compared with a grid": agreement.banana_on_a_grid(r)},
+    "long-run": lambda r: {
+        "A curved posterior of all parameters, compared with a long run": agreement.banana_in_full(r)
+    },
     "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
     "piezo": measured,
     "calibration": calibrations,
@@ -117,15 +117,15 @@ def main() -> None:
     results = Results(HERE, given.quick, given.out)
     if not given.quick:
         for name in [name for name in results.expected if name.endswith(", quick")]:
-            del results.expected[name]  # of the short form alone
+            del results.expected[name]  # checked in the short form only
     page = Page(results)
     for name in SECTIONS:
         if name in (given.only or SECTIONS) and not (given.quick and name in FULL):
             page.add(name)
     if given.only:
         return
-    head = "# Error bars on trial\n\nMade by `run.py` (full form).\n\n"
-    target = results.out if given.quick else HERE
+    head = "# Width and coverage of error bars\n\nWritten by `run.py` (full form).\n\n"
+    target = results.out if given.quick or results.skipped else HERE
     (target / "RESULTS.md").write_text(head + "\n".join(page.parts), encoding="utf-8")
     results.finish()
 

@@ -1,4 +1,4 @@
-"""Simulation-based calibration of the stated pairs: are posterior draws and truth exchangeable?"""
+"""Simulation-based calibration: rank statistics of the truth among posterior draws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hystfit.uncertainty.calibration import Calibration, calibrate
 NOISES = ("ou", "iid")  # the default noise model, and independent noise
 METHODS = ("laplace", "nuts", "emcee")
 REPLICATES = 200
-FALSE_ALARM = 0.05  # for the whole table: with right set-ups, one table in twenty holds a study that fails
+FALSE_ALARM = 0.05  # for the whole table: with correct setups, one table in twenty contains a study that fails
 
 
 def every_study() -> list[tuple[str, str, str]]:
@@ -22,7 +22,7 @@ def every_study() -> list[tuple[str, str, str]]:
 
 
 def study(name: str, noise: str, method: str, replicates: int, folder: Path | None) -> Calibration:
-    """One of them; with a folder it goes on from the chunks there."""
+    """One study; with a folder it resumes from the chunks there."""
     pair = next(pair for pair in pairs() if pair.name == name)
     place = None if folder is None else folder / f"{name} {noise} {method}".replace(" ", "-").replace(",", "")
     return calibrate(pair.model, pair.record, noise=noise, method=method, replicates=replicates, seed=1, folder=place)

@@ -5,48 +5,26 @@ from __future__ import annotations
 import logging
 import os
 import platform
-import re
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 
 import platformdirs
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
+from hystfit.cli.verbs import VERBS, as_options, place
+from hystfit.config import compile_whole_loops
+from hystfit.errors import HystfitError
 
-_HELP = """Fit hysteresis models to measured loops, say what the data determine, and use what was fitted.
+_HELP = """Fit hysteresis models to measured loops, report what the data determine, and use the fitted model.
 
 LOOP is a file (csv, txt, dat, mat, npz, xlsx, h5) or the name of a data set (hystfit datasets).
 Start with: hystfit fit LOOP --out fit
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
-_VERBS = {
-    "fit": ("hystfit.cli.fit:fit", "Fit a model to a measured loop and say what the data determine."),
-    "compare": ("hystfit.cli.fit:compare", "Fit several models and rank them by their error on data left out."),
-    "check": ("hystfit.cli.using:check", "Say what a record holds and which models it can determine."),
-    "predict": ("hystfit.cli.using:predict", "Run a fitted model over another record."),
-    "invert": ("hystfit.cli.control:invert", "Find the input that makes a fitted model follow a reference."),
-    "export": ("hystfit.cli.control:export", "Write a fitted model and its inverse as C code."),
-    "sample": ("hystfit.cli.uncertainty:sample", "Draw from the posterior of a fit, with a verdict on convergence."),
-    "profile": (
-        "hystfit.cli.uncertainty:profile",
-        "Limits of each parameter by profile likelihood, or where there are none.",
-    ),
-    "errors": (
-        "hystfit.cli.uncertainty:errors",
-        "Standard errors by every rule: independent residuals, sandwich, block bootstrap.",
-    ),
-    "calibrate": ("hystfit.cli.uncertainty:calibrate", "Check by simulation that the error bars of a set-up hold."),
-    "design": ("hystfit.cli.uncertainty:design", "Propose the input that shrinks the errors most."),
-    "report": ("hystfit.cli.using:report", "Print and draw the report of a saved fit anew."),
-    "simulate": ("hystfit.cli.simulate:simulate", "Make a record with the simulated stage, a model or a fit."),
-    "models": ("hystfit.cli.listing:models", "List the models, or the parameters of one."),
-    "datasets": ("hystfit.cli.listing:datasets", "List the data sets known by name, or write one."),
-}
-
-
-_KEPT = 2**28  # bytes of compiled programs; the longest unused go first
+_CACHE_BYTES = 2**28  # of compiled programs; those unused for longest are removed first
 
 
 def _version() -> str:
@@ -64,14 +42,12 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _name, (_place, _about) in _VERBS.items():
-    app.command(_place, name=_name, help=_about)
+for _verb, (_, _help) in VERBS.items():
+    app.command(place(_verb), name=_verb, help=_help)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one verb and return its exit status; what a user can put right goes to stderr in one message."""
-    from hystfit.errors import HystfitError
-
+    """Run one verb and return its exit status; an error that the user can correct is one message on stderr."""
     try:
         with interruptible():
             status = app(list(arguments), exit_on_error=False, print_error=False)
@@ -79,7 +55,8 @@ def run(arguments: Sequence[str]) -> int:
     except UnusedCliTokensError as error:
         extra = " ".join(error.unused_tokens or ())
         return _refuse(
-            f"{extra!r} belongs to no option: to give several values, repeat the option (--fix rho --fix mu)"
+            f"unexpected argument {extra!r}: one file is read at a time (--by separates the loops in a file), and an option "
+            "with several values is repeated (--fix rho --fix mu)"
         )
     except CycloptsError as error:
         return _refuse(str(error))
@@ -89,24 +66,9 @@ def run(arguments: Sequence[str]) -> int:
         print("hystfit: interrupted; nothing was written", file=sys.stderr)
         return INTERRUPTED
     except MemoryError:
-        return _refuse("not enough memory: fit a window, or a record of fewer samples")
+        return _refuse("not enough memory: fit a window, or a record with fewer samples")
     except OSError as error:
         return _refuse(f"{error.filename or 'file system'}: {error.strerror or error}")
-
-
-_ARGUMENT = re.compile(
-    r"\b(time|input|output|by|only|where|gaps|sheet|delimiter|decimal|encoding|fix|free|method|starts|loss|sampler|noise|draws|walkers|warmup|level|low|high|replicates|spread|left_out|scheduler)=(?:'([^']*)'|(False)\b)?"
-)
-
-
-def as_options(message: str) -> str:
-    """A message of the library in the words of the shell: gaps='split' is --gaps split, and time=False --time none."""
-
-    def option(found: re.Match[str]) -> str:
-        value = "none" if found[3] else found[2]
-        return f"--{found[1].replace('_', '-')}" + (f" {value}" if value else "")
-
-    return _ARGUMENT.sub(option, message)
 
 
 def _refuse(message: str) -> int:
@@ -115,13 +77,13 @@ def _refuse(message: str) -> int:
 
 
 def keep_programs() -> None:
-    """Have JAX keep what it compiles in the user's cache folder, so that the next command need not compile it again.
+    """Have JAX keep compiled programs in the user's cache folder, so that the next command need not compile them again.
 
-    Most of a first fit is compilation. A folder of the user's own choice (JAX_COMPILATION_CACHE_DIR) is left as it is.
+    Most of the time of a first fit is compilation. A folder that the user has chosen (JAX_COMPILATION_CACHE_DIR) is respected.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
-    # Programs suit one processor, and home folders are shared by machines.
+    # Programs are compiled for one processor, and several machines may share a home folder.
     folder = platformdirs.user_cache_path("hystfit") / "programs" / (platform.node() or "here")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -129,22 +91,24 @@ def keep_programs() -> None:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
-    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_KEPT))
+    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_CACHE_BYTES))
 
 
 def main() -> None:
     """Entry point of the `hystfit` command."""
     keep_programs()
+    compile_whole_loops()
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it
     os.environ.setdefault("JAX_PLATFORMS", "cpu")  # scans over samples are faster there
     logging.getLogger("jax._src.xla_bridge").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", category=FutureWarning, module="arviz")  # announces its next version at import
     if "jax" in sys.modules:
         from hystfit.config import enable_x64
 
         enable_x64()
     status = run(sys.argv[1:])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is written, or nothing
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the result is either complete or absent
     if status == INTERRUPTED:
         sys.stdout.flush()
-        os._exit(status)  # XLA may crash when Python takes down what was interrupted
+        os._exit(status)  # XLA may crash when Python shuts down an interrupted computation
     sys.exit(status)

@@ -2,105 +2,97 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from hystfit.cli.options import Reading
-from hystfit.cli.output import progress, refuse_unwritable, show
+from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Output, Reading, input_limits
+from hystfit.cli.records import load_one_sided, open_fit
+from hystfit.cli.write import finish, items, named, progress, write_csv, written
 from hystfit.errors import DataError
-from hystfit.outcome import Code
+from hystfit.outcome import Code, Status, Table
+from hystfit.outcome.note import warn
 
 if TYPE_CHECKING:
     from hystfit.control.bands import InverseBands
     from hystfit.control.inverse import Inverse
     from hystfit.data.record import Record
 
-Json = Annotated[bool, Parameter(name="--json")]
-Between = Annotated[str | None, Parameter(name="--limits")]
-
 
 def invert(
-    fitdir: Path,
+    fitdir: FitFolder,
     reference: str,
     /,
     *,
-    between: Between = None,
-    reading: Reading = Reading(),  # noqa: B008  (frozen)
-    out: Path | None = None,
-    json: Json = False,
+    limits: Limits = None,
+    reading: Reading = DEFAULT_READING,
+    output: Output = STDOUT,
 ) -> int:
-    """Find the input that makes a fitted model follow a reference, with a status for every sample.
+    """Compute the input that makes a fitted model follow a reference, with a status for every sample.
 
-    Of what `hystfit sample --out` wrote, it also gives 90 % bands: of the input over the draws, and of the error with which
-    the input found for the fit would be followed if a draw were the truth.
+    From a folder of `hystfit sample --out`, it also computes 90 % bands over the posterior draws: of the input, and of the
+    tracking error of the input computed for the fit. With --out, the folder holds inverse.csv.
 
     Args:
-        fitdir: what `hystfit fit --out` or `hystfit sample --out` wrote.
-        reference: file with the wanted output (--output names its column) and, where the model needs it, time.
-        between: lowest and highest input as low:high; the range of the fit where not given.
-        reading: how the file is read.
-        out: folder for result.json and inverse.csv.
-        json: print result.json alone.
+        reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
     """
     from hystfit.control.inverse import invert as solve
     from hystfit.data.record import Dataset
     from hystfit.results.result import provenance
-    from hystfit.results.saved import load_fit
 
     sampled = (fitdir / "posterior.nc").is_file()
-    result = load_fit(fitdir / "fit" if sampled else fitdir)
-    refuse_unwritable(out)
-    data = _wanted(reference, reading)
-    edges = _edges(between)
-    dt = data.dt if data.t is not None else None
-    bands = _bands(fitdir, data.y, dt, edges) if sampled else None
-    found = solve(result, data.y, dt, limits=edges) if bands is None else bands.given
+    result = open_fit(fitdir / "fit" if sampled else fitdir, output)
+    target = _target(reference, reading)
+    span = input_limits(limits)
+    dt = target.dt if target.t is not None else None
+    bands = _bands(fitdir, target.y, dt, span) if sampled else None
+    inverse = solve(result, target.y, dt, limits=span) if bands is None else bands.given
+    status = Status.OK if inverse.ok else Status.MISSED
+    notes = [warn(Code.MISSED, str(note)) for note in inverse.notes()]
+    units = {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None}
     content = {
         "schema": "hystfit.invert/1",
         "model": result.name,
-        "status": "ok" if found.ok else "missed",
-        "notes": list(found.notes()),
-        "reading": [note.to_dict() for note in data.notes],
-        "counts": found.counts(),
-        "input": {"lowest": float(found.u.min()), "highest": float(found.u.max())},
-        "units": {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None},
-        "bands": None if bands is None else _banded(bands),
+        "status": str(status),
+        "notes": [note.to_dict() for note in notes],
+        "reading": [note.to_dict() for note in target.notes],
+        "counts": inverse.counts(),
+        "input": {"lowest": float(inverse.u.min()), "highest": float(inverse.u.max())},
+        "units": units,
+        "bands": None if bands is None else _summary(bands),
         "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
-        "provenance": provenance(Dataset.of(data), None),
+        "provenance": provenance(Dataset.of(target), None),
     }
-    counts = ", ".join(f"{count} {name}" for name, count in found.counts().items() if count)
-    units = result.data.units
-    span = f"{found.u.min():.4g} to {found.u.max():.4g} {units['u']}".rstrip()
-    words = [f"{result.name} inverted over {data.name}: {counts}; input {span}"]
-    words += [f"  - {note}" for note in found.notes()]
-    words += [f"  - {note}" for note in data.notes if note.code is Code.LEFT_OUT]
+    summary = Table(
+        ["", "samples"], [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
+    )
+    reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
+    lines = [f"{result.name} inverted for {target.name}: input {reach}", *summary.lines("  "), *items(notes)]
+    lines += items(note for note in target.notes if note.code is Code.LEFT_OUT)
     if bands is not None:
-        told = content["bands"]
-        u_unit, y_unit = (f" {unit}" if unit else "" for unit in (units["u"], units["y"]))
-        words.append(
-            f"  - over {told['draws']} draws of the posterior: input within {told['input_width']:.3g}{u_unit} of each other "
-            f"(90 %, widest), rms tracking error {told['rms_error']['median']:.3g}{y_unit}, 95 % of them below "
-            f"{told['rms_error']['upper']:.3g}{y_unit}"
-        )
-    if out is not None:
-        _write_inverse(out, data, found, content, bands, units)
-        words.append(f"Written to {out}: inverse.csv, result.json")
-    show("\n".join(words), content, json)
-    return 0 if found.ok else 1
+        lines.append(_band_words(content["bands"], units))
+    save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
+    return finish("\n".join(lines), content, output, save)
 
 
-def _bands(folder: Path, reference: Any, dt: Any, edges: tuple[float, float] | None) -> InverseBands:
+def _target(path: str, reading: Reading) -> Record:
+    """The one record of a file with a reference."""
+    if reading.input is not None:
+        raise DataError("a reference has no input: name its column with --output")
+    data = load_one_sided(path, reading, "input")
+    if len(data) != 1:
+        raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
+    return data[0]
+
+
+def _bands(folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None) -> InverseBands:
     from hystfit.control.bands import inverse_bands
-    from hystfit.sampling.posterior import load_posterior
+    from hystfit.sampling.files import load_posterior
 
     with progress("inverting by draws"):
-        return inverse_bands(load_posterior(folder), reference, dt, limits=edges)
+        return inverse_bands(load_posterior(folder), reference, dt, limits=limits)
 
 
-def _banded(bands: InverseBands) -> dict[str, Any]:
+def _summary(bands: InverseBands) -> dict[str, Any]:
     """Bands in result.json."""
     import numpy as np
 
@@ -114,91 +106,46 @@ def _banded(bands: InverseBands) -> dict[str, Any]:
     }
 
 
-def _edges(between: str | None) -> tuple[float, float] | None:
-    if between is None:
-        return None
-    try:
-        low, high = (float(part) for part in between.split(":"))
-    except ValueError:
-        raise DataError(f"--limits needs both ends as low:high, such as 0:120; got {between!r}") from None
-    if not low < high:
-        raise DataError(f"--limits must rise, low:high; got {between!r}")
-    return low, high
-
-
-def _wanted(reference: str, reading: Reading) -> Record:
-    """The one record of a file with a reference: its input column is not there, and counts for nothing."""
-    import numpy as np
-
-    from hystfit.data.record import Dataset
-    from hystfit.reading.read import assemble, table_of
-
-    if reading.input is not None:
-        raise DataError("a reference has no input: name its column with --output")
-    if not Path(reference).is_file():
-        raise DataError(f"no file {reference!r} with a reference")
-    options = dataclasses.asdict(reading)
-    table = table_of(reference, **{key: options.pop(key) for key in ("sheet", "delimiter", "decimal", "encoding")})
-    blank = "no input"
-    columns = (*table.columns, np.arange(float(table.rows)))
-    table = dataclasses.replace(table, names=(*table.names, blank), units=(*table.units, ""), columns=columns)
-    data = Dataset.of(assemble(table, **{**options, "input": blank}))
-    if len(data) != 1:
-        raise DataError(f"{reference!r} holds {len(data)} curves: choose one with --only")
-    return data[0]
+def _band_words(summary: dict[str, Any], units: dict[str, str | None]) -> str:
+    u_unit, y_unit = (f" {unit}" if unit else "" for unit in units.values())
+    error = summary["rms_error"]
+    return (
+        f"  - over {summary['draws']} posterior draws: 90 % band of the input at most {summary['input_width']:.3g}{u_unit} "
+        f"wide; rms tracking error {error['median']:.3g}{y_unit} (median), {error['upper']:.3g}{y_unit} (95th percentile)"
+    )
 
 
 def _write_inverse(
-    out: Path,
-    data: Record,
-    found: Inverse,
-    content: dict[str, Any],
-    bands: InverseBands | None,
-    units: dict[str, str],
+    path: Path, target: Record, inverse: Inverse, bands: InverseBands | None, units: dict[str, str | None]
 ) -> None:
-    import csv
-
-    from hystfit.results.saved import dump_json, writing
-
-    timed = data.t is not None
-    with writing(out) as scratch:
-        dump_json(scratch / "result.json", content)
-        with (scratch / "inverse.csv").open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            edges = [] if bands is None else [edge for of in ("u", "error") for edge in bands.band(of)[::2]]
-            u, y = (f"_{units[role]}" if units[role] else "" for role in ("u", "y"))
-            t = [f"t_{data.t_unit}" if data.t_unit else "t"] if timed else []
-            more = [] if bands is None else [f"u_lower{u}", f"u_upper{u}", f"error_lower{y}", f"error_upper{y}"]
-            writer.writerow([*t, f"reference{y}", f"u{u}", f"y{y}", "status", *more])
-            for k, status in enumerate(found.status):
-                numbers = [data.y[k], found.u[k], found.y[k]]
-                when = [repr(float(data.t[k]))] if data.t is not None else []
-                rest = [repr(float(edge[k])) for edge in edges]
-                writer.writerow([*when, *(repr(float(x)) for x in numbers), status, *rest])
+    u, y = (unit or "" for unit in units.values())
+    time = {} if target.t is None else {named("t", target.t_unit): target.t}
+    run = {
+        named("reference", y): target.y,
+        named("u", u): inverse.u,
+        named("y", y): inverse.y,
+        "status": inverse.status,
+    }
+    edges = {}
+    for of, unit in (("u", u), ("error", y)):
+        if bands is None:
+            break
+        lower, _, upper = bands.band(of)
+        edges |= {named(f"{of}_lower", unit): lower, named(f"{of}_upper", unit): upper}
+    write_csv(path, time | run | edges)
 
 
-def export(
-    fitdir: Path,
-    /,
-    *,
-    c: Path,
-    name: str = "hysteresis",
-    between: Between = None,
-) -> int:
-    """Write a fitted model and its inverse as C99 with fixed memory, and a test harness.
+def export(fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: Limits = None) -> int:
+    """Write a fitted model and its inverse as C99 with fixed memory, and a test program.
 
     Args:
-        fitdir: what `hystfit fit --out` wrote.
         c: folder for the C files.
         name: prefix of files and functions.
-        between: lowest and highest input of the inverse as low:high; the range of the fit where not given.
     """
     from hystfit.control.export import export_c
-    from hystfit.results.saved import load_fit
 
-    edges = _edges(between)
-    refuse_unwritable(c)
-    files = export_c(load_fit(fitdir), c, name=name, limits=edges)
-    print(f"Written to {c}: {', '.join(file.name for file in files)}")
+    span = input_limits(limits)
+    files = export_c(open_fit(fitdir, Output(out=c)), c, name=name, limits=span)
+    print(written(c, [file.name for file in files]).lstrip())
     print(f"Try it: cc -std=c99 -O2 {files[1]} {files[2]} -lm -o {name}")
     return 0

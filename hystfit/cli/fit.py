@@ -3,202 +3,159 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from cyclopts import Parameter
-
-from hystfit.cli.loading import train_and_test
-from hystfit.cli.options import Reading, Split, held
-from hystfit.cli.output import progress, refuse_unwritable, show
+from hystfit.cli.options import DEFAULT_READING, NO_SPLIT, STDOUT, Loop, Output, Reading, Split, lists, named_values
+from hystfit.cli.records import train_and_test
+from hystfit.cli.write import finish, progress
 from hystfit.errors import ParameterError
+from hystfit.fitting.registry import ESTIMATORS, is_sequential
+from hystfit.identify.registry import IDENTIFIERS
+from hystfit.inference.noise.registry import NOISES
+from hystfit.outcome import Code, Note
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
     from hystfit.results.result import FitResult
 
-Sequential = ("rls", "gradient-correction", "ukf")
-Method = Literal[
-    "auto",
-    "lm",
-    "dogleg",
-    "trf",
-    "lbfgsb",
-    "projected-gradient",
-    "convex",
-    "preisach",
-    "rls",
-    "gradient-correction",
-    "ukf",
-]
-Noise = Literal["auto", "iid", "ou", "ar1", "student-t", "discrepancy"]
-Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 
-
+@lists(methods=ESTIMATORS, sequential=IDENTIFIERS, noises=NOISES)
 def fit(
-    loop: str,
+    loop: Loop,
     /,
     *,
     model: str = "auto",
-    method: Method = "auto",
+    method: str = "auto",
     fix: list[str] | None = None,
     free: list[str] | None = None,
-    noise: Noise = "auto",
-    loss: Loss = "linear",
+    noise: str = "auto",
+    loss: str = "linear",
     start: Literal["data", "model"] = "data",
     starts: int = 8,
     seed: int = 0,
-    reading: Reading = Reading(),  # noqa: B008  (frozen)
-    split: Split = Split(),  # noqa: B008  (frozen)
-    out: Path | None = None,
-    json: Annotated[bool, Parameter(name="--json")] = False,
+    reading: Reading = DEFAULT_READING,
+    split: Split = NO_SPLIT,
+    output: Output = STDOUT,
 ) -> int:
-    """Fit a model to a measured loop and say what the data determine.
+    """Fit a model to a measured loop and report what the data determine.
+
+    With --out, the folder holds the fit, its report (report.html) and the pictures.
 
     Args:
-        loop: file or data set.
-        model: name (see hystfit models; join several by +), my_model.py:MyModel, or auto: the winner of compare.
-        method: least squares by lm, dogleg, trf (bounded), lbfgsb, projected-gradient; convex and preisach for weights;
-            rls, gradient-correction and ukf go sample by sample. auto suits the model.
-        fix: hold a parameter: NAME, or NAME=VALUE; repeatable.
-        free: fit a parameter that the model holds; repeatable.
-        noise: auto takes standard errors under slow and independent noise where residuals are correlated, iid does not; ou, ar1,
-            student-t and discrepancy refine the fit by that noise's likelihood.
-        loss: robust losses let outliers count less.
-        start: starting values read off the data, or the model's own.
+        model: name (see hystfit models; join several by +), my_model.py:MyModel, or auto: the winner of hystfit compare.
+        method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
+        fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model holds by default; repeatable.
+        noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
+            does not; the other noise models refine the fit by their likelihood.
+        loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
+        start: starting values estimated from the data, or those of the model.
         starts: number of starting points.
-        seed: of the starting points.
-        out: folder for result.json, the saved fit, the report and its pictures.
-        json: print result.json alone.
+        seed: random seed for the starting points.
     """
-    refuse_unwritable(out, fit=True)
-    given = {"fix": held(fix or []), "free": free or [], "loss": loss, "start": start, "starts": starts, "noise": noise}
+    output.check(fit=True)
+    options = {
+        "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
+    }  # fmt: skip
     train, test = train_and_test(loop, reading, split)
-    if model == "auto" and method not in Sequential:
-        result = _best(train, method, given, seed)
-    elif method in Sequential:
-        result = _sequential(train, model, method, given, seed)
+    sequential = is_sequential(method)
+    if sequential and (unused := _changed(options)):
+        raise ParameterError(f"--{unused[0]} has no effect with --method {method}: leave it out")
+    if model == "auto" and not sequential:
+        result = _winner(train, method, options, seed)
     else:
         from hystfit.fitting.fit import fit as fit_model
 
         with progress(f"fitting {model}"):
-            result = fit_model(model, train, method=method, seed=seed, **given)  # type: ignore[arg-type]
+            chosen = "duhem" if model == "auto" else model
+            result = fit_model(chosen, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
     if test is not None:
         from hystfit.fitting.fit import with_test
 
         result = with_test(result, test, refit_offset=split.refit_offset)
-    return conclude(result, test, split.refit_offset, out, json)
+
+    def save(folder: Path) -> None:
+        _save_fit(result, folder, test, split)
+
+    return finish(str(result), result.to_dict(), output, save)
 
 
-def conclude(result: FitResult, test: Dataset | None, refit_offset: bool, out: Path | None, as_json: bool) -> int:
-    """Write a fit and its report, print it, and give the exit status."""
-    from hystfit.results.report import text_report, write_into
+def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Split) -> None:
+    """Write a fit, its report and its pictures."""
+    from hystfit.results.report import write_into
+    from hystfit.results.saved import write_fit
 
-    if out is not None:
-        from hystfit.results.saved import write_fit, writing
-
-        with progress("drawing"), writing(out) as scratch:
-            write_fit(result, scratch)
-            write_into(result, scratch, test=test, refit_offset=refit_offset)
-    text = text_report(result)
-    if out is not None:
-        text += f"\nWritten to {out}: report.html (open it in a browser), pictures, result.json, the fit itself"
-    show(text, result.to_dict(), as_json)
-    return 0 if result.usable else 1
+    write_fit(result, folder)
+    write_into(result, folder, test=test, refit_offset=split.refit_offset)
 
 
-def _best(train: Dataset, method: str, given: dict[str, Any], seed: int) -> FitResult:
-    """The winner of `compare`, with a note that says so."""
+def _changed(options: dict[str, Any]) -> list[str]:
+    """Options of `fit` with another value than their default."""
+    defaults = {name: p.default for name, p in inspect.signature(fit).parameters.items()}
+    return [name for name, value in options.items() if (value or None) != (defaults[name] or None)]
+
+
+def _winner(train: Dataset, method: str, options: dict[str, Any], seed: int) -> FitResult:
+    """The winner of `compare`, with a note on the choice."""
     from hystfit.fitting.compare import compare as compare_models
 
-    if changed := _changed({**given, "method": method}):
+    if changed := _changed({**options, "method": method}):
         raise ParameterError(
-            f"--{changed[0]} needs a model of your choice: add --model NAME (hystfit models lists them, hystfit compare "
-            "ranks them)"
+            f"--{changed[0]} needs a chosen model: add --model NAME (hystfit models lists them, hystfit compare ranks them)"
         )
-    with progress("comparing models") as tell:
-        comparison = compare_models(train, seed=seed, progress=tell)
-    best = comparison.rows[0]
-    score = "" if best.score_percent is None else f", {best.score_percent:.3g} % of the range"
-    note = (
-        f"{best.name} was chosen among {len(comparison.rows)} models by its error on data left out of its fit{score}; "
-        "hystfit compare shows them all, --model NAME takes another"
+    with progress("comparing models") as update:
+        comparison = compare_models(train, seed=seed, progress=update)
+    best, count = comparison.rows[0], len(comparison.rows)
+    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
+    reason = (
+        f"is the best of {count} models by cross-validation" if count > 1 else "is the only candidate for these data"
     )
-    return dataclasses.replace(comparison.winner, notes=(note, *comparison.winner.notes))
-
-
-_DEFAULTS = {"fix": {}, "free": [], "loss": "linear", "start": "data", "starts": 8, "noise": "auto", "method": "auto"}
-
-
-def _changed(given: dict[str, Any]) -> list[str]:
-    """Options that were given another value than their default."""
-    return [name for name, value in given.items() if value != _DEFAULTS[name]]
-
-
-def _sequential(train: Dataset, model: str, method: str, given: dict[str, Any], seed: int) -> FitResult:
-    """A sample-by-sample identification as a fit."""
-    from hystfit.cli.sequential import as_fit
-    from hystfit.fitting.timing import Stopwatch
-    from hystfit.identify import identify
-    from hystfit.models.registry import make_model
-
-    if unused := _changed(given):
-        raise ParameterError(f"--{unused[0]} has no meaning for --method {method}: leave it out")
-    watch = Stopwatch()
-    with progress(f"identifying by {method}"):
-        found = identify(train, method=method, model=None if model == "auto" else make_model(model))
-    return as_fit(found, seed, watch)
+    text = f"{best.name} {reason}{score}; hystfit compare shows the ranking, --model NAME fits another model"
+    return dataclasses.replace(comparison.winner, notes=(Note(Code.CHOICE, text), *comparison.winner.notes))
 
 
 def compare(
-    loop: str,
+    loop: Loop,
     /,
     *,
     models: list[str] | None = None,
     left_out: Literal["blocks", "future"] = "blocks",
     seed: int = 0,
-    reading: Reading = Reading(),  # noqa: B008  (frozen)
-    split: Split = Split(),  # noqa: B008  (frozen)
-    out: Path | None = None,
-    json: Annotated[bool, Parameter(name="--json")] = False,
+    reading: Reading = DEFAULT_READING,
+    split: Split = NO_SPLIT,
+    output: Output = STDOUT,
 ) -> int:
-    """Fit several models and rank them by their error on data left out of the fit.
+    """Fit several models and rank them by their cross-validation error.
+
+    With --out, the folder holds the ranking (comparison.txt) and the fit of the winner (winner/).
 
     Args:
-        loop: file or data set.
-        models: names, repeated or with commas between them; a choice that suits the data where not given.
-        left_out: blocks in turn (whole records where there are three or more), or the future: later parts of each record are
-            predicted from a fit to what came before.
-        seed: of the starting points.
-        out: folder for result.json, comparison.txt and the winner's fit (in winner/).
-        json: print result.json alone.
+        models: names, repeated or separated by commas; default: a selection that suits the data.
+        left_out: what is left out of each fit: blocks in turn (whole records where there are three or more), or the future:
+            later parts of each record are predicted from a fit to the earlier part.
+        seed: random seed for the starting points.
     """
     from hystfit.fitting.compare import compare as compare_models
 
-    refuse_unwritable(out)
+    output.check()
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
     train, test = train_and_test(loop, reading, split)
-    with progress("comparing models") as tell:
-        comparison = compare_models(train, names or None, left_out=left_out, seed=seed, progress=tell)
-    text, content = comparison.text(), comparison.to_dict()
-    winner = comparison.winner
+    with progress("comparing models") as update:
+        comparison = compare_models(train, names or None, left_out=left_out, seed=seed, progress=update)
+    text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner
     if test is not None:
         from hystfit.fitting.fit import with_test
         from hystfit.results.report import metrics_words
 
         winner = with_test(winner, test, refit_offset=split.refit_offset)
         content["test"] = winner.test.to_dict() if winner.test else None
-        text += f"\nthe winner on the test data, which chose nothing: {metrics_words(winner.test)}"
-    if out is not None:
-        from hystfit.results.report import write_into
-        from hystfit.results.saved import dump_json, write_fit, writing
+        text += f"\nwinner on the test data, which were not used for the ranking: {metrics_words(winner.test)}"
 
-        with progress("drawing"), writing(out) as scratch:
-            dump_json(scratch / "result.json", content)
-            (scratch / "comparison.txt").write_text(text + "\n", encoding="utf-8")
-            (scratch / "winner").mkdir()
-            write_fit(winner, scratch / "winner")
-            write_into(winner, scratch / "winner", test=test, refit_offset=split.refit_offset)
-        text += f"\nWritten to {out}: result.json, comparison.txt; the winner's fit and report in winner/"
-    show(text, content, json)
-    return 0 if winner.usable else 1
+    def save(folder: Path) -> None:
+        (folder / "comparison.txt").write_text(text + "\n", encoding="utf-8")
+        (folder / "winner").mkdir()
+        _save_fit(winner, folder / "winner", test, split)
+
+    return finish(text, content, output, save, status=winner.status)

@@ -1,4 +1,4 @@
-"""Ctrl-C that always ends a verb: JAX's callbacks swallow an interrupt or turn it into an error of another kind."""
+"""Make Ctrl-C always end a verb: callbacks of JAX swallow an interrupt or turn it into an error of another kind."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-INTERRUPTED = 130  # exit status, by the custom of shells
-_AGAIN = 0.25  # seconds after which an interrupt that went unheard is raised again
+INTERRUPTED = 130  # exit status by the convention of shells
+_REPEAT_S = 0.25  # seconds after which an interrupt that was swallowed is raised again
 
-_heard = False
+_interrupted = False
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Raise KeyboardInterrupt from what runs within, soon after an interrupt, whatever became of its first exception.
+    """Raise KeyboardInterrupt in the body soon after an interrupt, even where its first exception was swallowed.
 
-    Outside the main thread, where no signal can be caught, nothing is changed; without an interrupt, the caller's alarm is its own.
+    Outside the main thread, where signals cannot be caught, this has no effect. The alarm signal is used only after an interrupt.
     """
-    global _heard
-    _heard = False
+    global _interrupted
+    _interrupted = False
     try:
         before = signal.signal(signal.SIGINT, _stop)
     except ValueError:  # not the main thread
@@ -34,7 +34,7 @@ def interruptible() -> Iterator[None]:
             yield
     finally:
         sys.unraisablehook = swallowed
-        if _heard and alarm is not None:
+        if _interrupted and alarm is not None:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, alarm)
         signal.signal(signal.SIGINT, before)
@@ -42,26 +42,26 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def interrupts_alone() -> Iterator[None]:
-    """After an interrupt, whatever error comes of it is raised as KeyboardInterrupt."""
+    """Raise any error that follows an interrupt as KeyboardInterrupt."""
     try:
         yield
     except Exception as error:
-        if _heard:
+        if _interrupted:
             raise KeyboardInterrupt from error
         raise
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    global _heard
-    _heard = True
+    global _interrupted
+    _interrupted = True
     if hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGALRM, _stop_again)
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+        signal.signal(signal.SIGALRM, _repeat)
+        signal.setitimer(signal.ITIMER_REAL, _REPEAT_S, _REPEAT_S)
     raise KeyboardInterrupt
 
 
-def _stop_again(number: int, frame: FrameType | None) -> None:
-    """Raise once more, unless the first exception is on its way: what it cleans up must not be cut short."""
+def _repeat(number: int, frame: FrameType | None) -> None:
+    """Raise again, unless the first exception is still being handled: its cleanup must not be interrupted."""
     error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
@@ -71,6 +71,6 @@ def _stop_again(number: int, frame: FrameType | None) -> None:
 
 
 def _silent(swallowed: sys.UnraisableHookArgs) -> None:
-    """An interrupt that a callback swallowed is raised again, so nobody need read of it."""
+    """Do not print an interrupt that a callback swallowed: it is raised again."""
     if not isinstance(swallowed.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(swallowed)

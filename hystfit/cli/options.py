@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 from cyclopts import Group, Parameter
 
-from hystfit.errors import DataError, ParameterError
+from hystfit.errors import DataError, HystfitError, ParameterError
 
+F = TypeVar("F", bound=Callable[..., int])
 FILE = Group("Reading the file", sort_key=1)
-SPLIT = Group("What is fitted, what is tested", sort_key=2)
+SPLIT = Group("Training and test samples", sort_key=2)
 Text = Annotated[str | None, Parameter(group=FILE)]
 Part = Annotated[str | None, Parameter(group=SPLIT)]
 Flag = Annotated[bool, Parameter(group=SPLIT)]
+FitFolder = Annotated[Path, Parameter(help="folder written by `hystfit fit --out`")]
+Loop = Annotated[str, Parameter(help="file or name of a data set")]
+Limits = Annotated[str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fit")]
+
+
+def lists(**registries: Iterable[str]) -> Callable[[F], F]:
+    """Fill the names in registries into the help of a verb: {noises} in its docstring becomes "iid, ou, ..."."""
+
+    def fill(verb: F) -> F:
+        verb.__doc__ = (verb.__doc__ or "").format(**{key: ", ".join(names) for key, names in registries.items()})
+        return verb
+
+    return fill
 
 
 @Parameter(name="*")
@@ -22,17 +38,17 @@ class Reading:
     """How a file is read.
 
     Args:
-        time: column of time, by name or number from 0; "none" reads without time. Guessed, and said, where not given.
+        time: column of the time, by name or number from 0; "none" reads without time. Recognized by name or unit by default.
         input: column of the input.
         output: column of the output.
-        by: column whose values tell several curves apart.
+        by: column whose values separate several curves in one file.
         only: which curves: values (3,4) or positions from 0 (1::4).
         where: rows to read, as column=value.
         gaps: "split" makes a record of each piece where the input is missing; "error" refuses.
         sheet: sheet of a workbook.
-        delimiter: of text, where the one found is wrong.
-        decimal: mark, "." or ",".
-        encoding: of text.
+        delimiter: column delimiter; recognized by default.
+        decimal: decimal mark, "." or ",".
+        encoding: text encoding.
     """
 
     time: Text = None
@@ -54,11 +70,11 @@ class Split:
     """Which samples are fitted and which are kept for the test.
 
     Args:
-        window: fit only samples in start:stop (seconds, or sample numbers without time); 5:25, :27, 25:.
+        window: fit only the samples in start:stop (seconds, or sample numbers without time); 5:25, :27, 25:.
         test_window: report the error on these samples, which are not fitted.
         test: another file (or data set) to report the error on.
         test_only: curves to report the error on (with --by), which are not fitted.
-        rest: input on which the device rested before each record began, such as 0; the first input of the record where not given.
+        rest: input at which the device was in equilibrium before each record, such as 0; default: the first input of the record.
         refit_offset: shift the prediction of each test record to its mean (another zero of the sensor).
     """
 
@@ -70,11 +86,48 @@ class Split:
     refit_offset: Flag = False
 
 
-def limits(text: str | None) -> tuple[float | None, float | None] | None:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Output:
+    """Where the result goes.
+
+    Args:
+        out: folder for result.json and the other files of this verb; made if it does not exist.
+        json: print result.json instead of the text.
+    """
+
+    out: Path | None = None
+    json: Annotated[bool, Parameter(name="--json")] = False
+
+    def check(self, *, fit: bool = False) -> None:
+        """Fail before long work where the result could not be written after it, or would replace a saved fit.
+
+        Args:
+            fit: whether the result is a fit, or belongs to the fit in the folder.
+
+        Raises:
+            HystfitError: `out` cannot be written, or holds a fit.
+        """
+        if self.out is None:
+            return
+        from hystfit.results.folders import check_writable
+        from hystfit.results.saved import holds_fit
+
+        check_writable(self.out)
+        if not fit and holds_fit(self.out):
+            raise HystfitError(
+                f"{str(self.out)!r} holds a fit, whose result.json would be overwritten: choose another folder"
+            )
+
+
+DEFAULT_READING, NO_SPLIT, STDOUT = Reading(), Split(), Output()
+
+
+def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:
     """Start and stop of a window written as start:stop.
 
     Raises:
-        DataError: it is not of that form.
+        DataError: it is not of that form, or empty.
     """
     if text is None:
         return None
@@ -88,19 +141,36 @@ def limits(text: str | None) -> tuple[float | None, float | None] | None:
     return start, stop
 
 
-def held(pairs: list[str]) -> dict[str, float | None]:
-    """Parameters to hold from NAME (at its starting value) and NAME=VALUE.
+def input_limits(text: str | None) -> tuple[float, float] | None:
+    """Lowest and highest input from low:high.
 
     Raises:
-        ParameterError: a value is not a number, or a name comes twice.
+        DataError: it is not of that form.
     """
-    found: dict[str, float | None] = {}
+    if text is None:
+        return None
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise DataError(f"--limits needs both ends as low:high, such as 0:120; got {text!r}") from None
+    if not low < high:
+        raise DataError(f"--limits must rise, low:high; got {text!r}")
+    return low, high
+
+
+def named_values(pairs: list[str]) -> dict[str, float | None]:
+    """Parameters and their values from NAME=VALUE; a NAME alone has the value None.
+
+    Raises:
+        ParameterError: a value is not a number, or a name occurs twice.
+    """
+    values: dict[str, float | None] = {}
     for pair in pairs:
         name, mark, value = (part.strip() for part in pair.partition("="))
-        if not name or name in found:
+        if not name or name in values:
             raise ParameterError(f"expected NAME or NAME=VALUE, each name once; got {pair!r}")
         try:
-            found[name] = float(value) if mark else None
+            values[name] = float(value) if mark else None
         except ValueError:
             raise ParameterError(f"{pair!r}: {value!r} is not a number") from None
-    return found
+    return values

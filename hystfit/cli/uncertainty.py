@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
-from hystfit.cli.output import progress, refuse_unwritable, show
+from hystfit.cli.options import STDOUT, FitFolder, Output, lists
+from hystfit.cli.records import open_fit
+from hystfit.cli.write import finish, named, progress, save_figure, write_csv
+from hystfit.inference.noise.registry import NOISES
+from hystfit.sampling.registry import SAMPLERS
 
 if TYPE_CHECKING:
     from hystfit.inference.noise import AbstractNoise
     from hystfit.results.result import FitResult
 
-Json = Annotated[bool, Parameter(name="--json")]
-Noise = Literal["auto", "iid", "ou", "ar1", "student-t", "discrepancy"]
 
-
+@lists(samplers=SAMPLERS, noises=NOISES)
 def sample(
-    fitdir: Path,
+    fitdir: FitFolder,
     /,
     *,
-    sampler: Literal["nuts", "emcee", "nested"] = "nuts",
-    noise: Noise = "auto",
+    sampler: str = "nuts",
+    noise: str = "auto",
     prior: list[str] | None = None,
     draws: int | None = None,
     chains: int | None = None,
@@ -34,205 +33,180 @@ def sample(
     walkers: int | None = None,
     live: int | None = None,
     seed: int = 0,
-    out: Path | None = None,
-    json: Json = False,
+    output: Output = STDOUT,
 ) -> int:
-    """Draw from the posterior of a saved fit. Exit status 1: the chains have not converged, or the fit is not usable.
+    """Sample the posterior of a saved fit. Exit status 1: the chains have not converged, or the fit is not usable.
 
-    With --out the run is kept while it goes: the same command again goes on after an interrupt or a kill, and
-    with more --draws it goes on from where it ended.
+    With --out, the folder holds posterior.nc, the fit, pictures and the running chains (run/): the same command resumes after an
+    interruption, and continues a finished run with more --draws.
 
     Args:
-        fitdir: what `hystfit fit --out` wrote.
-        sampler: nuts, emcee for up to ten parameters, or nested for several modes and the evidence.
-        noise: noise model; auto decides by the residuals and says why.
+        sampler: {samplers}, or my_file.py:MySampler. emcee takes up to ten parameters; nested takes several modes.
+        noise: auto (chosen by the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        draws: draws of each chain of nuts (1000) or run of nested (2000), or steps of the ensemble at most (5000).
-        chains: of nuts (4); runs of nested (2).
-        warmup: steps of nuts that adapt it (300).
-        target_accept: acceptance to which nuts tunes its steps (0.65); higher takes smaller ones.
-        walkers: of emcee, even (64).
-        live: points of nested (400).
-        seed: of the draws.
-        out: folder for result.json, posterior.nc, the fit and pictures; the running chains are in its folder run.
-        json: print result.json alone.
+        draws: draws per chain of nuts (1000) or per run of nested (2000); most steps of emcee (5000).
+        chains: chains of nuts (4); runs of nested (2).
+        warmup: warm-up steps of nuts (300).
+        target_accept: target acceptance rate of nuts (0.65); a higher rate takes smaller steps.
+        walkers: walkers of emcee, an even number (64).
+        live: live points of nested (400).
+        seed: random seed.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.sampling.sample import sample as draw
 
-    result = load_fit(fitdir)
-    refuse_unwritable(out)
-    asked = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
-    given = {k: v for k, v in (asked | {"target_accept": target_accept}).items() if v is not None}
-    run = None if out is None else out / "run"
-    priors = _priors(prior or [])
+    result = open_fit(fitdir, output)
+    settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
+    settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
+    run = None if output.out is None else output.out / "run"
+    priors = parse_priors(prior or [])
     try:
-        with progress("sampling") as say, interrupts_alone():
-            found = draw(result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=say, **given)
+        with progress("sampling") as update, interrupts_alone():
+            posterior = draw(
+                result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
+            )
     except KeyboardInterrupt:
         if run is None:
             raise
-        print(f"hystfit: interrupted; the same command goes on from {run}", file=sys.stderr)
+        print(f"hystfit: interrupted; the same command resumes from {run}", file=sys.stderr)
         return INTERRUPTED
-    text = str(found)
-    if out is not None:
-        with progress("drawing"):
-            found.save(out)
-            kinds = ("corner", "trace", "rank", "bands")
-            _pictures(out, {f"{kind}.png": lambda kind=kind: found.plot(kind) for kind in kinds})
-        text += (
-            f"\nWritten to {out}: posterior.nc, result.json, corner.png, trace.png, rank.png, bands.png, the fit in fit"
-        )
-    show(text, found.to_dict(), json)
-    return 0 if found.usable else 1
+
+    def save(folder: Path) -> None:
+        posterior.save(folder)
+        for kind in ("corner", "trace", "rank", "bands"):
+            save_figure(posterior.plot(kind), folder / f"{kind}.png")
+
+    return finish(str(posterior), posterior.to_dict(), output, save)
 
 
-def _priors(given: list[str]) -> dict[str, Any]:
+def parse_priors(options: list[str]) -> dict[str, Any]:
+    """Priors by parameter, from NAME=KIND(A,B).
+
+    Raises:
+        ParameterError: it is not of that form.
+    """
     from hystfit.errors import ParameterError
     from hystfit.inference.priors import parse
 
-    chosen = {}
-    for item in given:
-        name, mark, words = item.rpartition("=")  # records are called field=3, and parameters offset@field=3
+    priors = {}
+    for option in options:
+        name, mark, description = option.rpartition("=")  # names may hold "=" themselves: offset@field=3
         if not mark:
-            raise ParameterError(f"--prior is NAME=KIND(A,B), got {item!r}")
-        chosen[name] = parse(words)
-    return chosen
+            raise ParameterError(f"--prior is NAME=KIND(A,B), got {option!r}")
+        priors[name] = parse(description)
+    return priors
 
 
+@lists(noises=[name for name in NOISES if name != "student-t"])
 def profile(
-    fitdir: Path,
+    fitdir: FitFolder,
     /,
     *,
     parameter: list[str] | None = None,
-    noise: Literal["auto", "iid", "ou", "ar1", "discrepancy"] = "auto",
+    noise: str = "auto",
     level: float = 0.95,
-    out: Path | None = None,
-    json: Json = False,
+    output: Output = STDOUT,
 ) -> int:
-    """Profile the likelihood of a saved fit: limits of each parameter, or on which side it has none (exit status 1).
+    """Confidence limits of the parameters of a saved fit by profile likelihood.
+
+    Exit status 1: a parameter has no limit on at least one side. With --out, the folder holds profiles.png.
 
     Args:
-        fitdir: what `hystfit fit --out` wrote.
-        parameter: which; all free ones where not given; repeatable.
-        noise: how misfit counts; auto as in the fit.
-        level: of the limits.
-        out: folder for result.json and profiles.png.
-        json: print result.json alone.
+        parameter: which parameter; repeatable; default: all free ones.
+        noise: auto (as in the fit), or a Gaussian noise model: {noises}, or my_file.py:MyNoise.
+        level: confidence level of the limits.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.profiles import profile as follow
 
-    result = load_fit(fitdir)
-    refuse_unwritable(out)
+    result = open_fit(fitdir, output)
     with progress("profiling"):
-        found = follow(result, parameter, noise=noise, level=level)
-    _write(out, found.to_dict(), {"profiles.png": found.plot})
-    show(_told(found, out, "profiles.png"), found.to_dict(), json)
-    return 0 if found.usable else 1
+        profiles = follow(result, parameter, noise=noise, level=level)
+    save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
+    return finish(str(profiles), profiles.to_dict(), output, save)
 
 
-def errors(
-    fitdir: Path,
-    /,
-    *,
-    block: int | None = None,
-    seed: int = 0,
-    out: Path | None = None,
-    json: Json = False,
-) -> int:
-    """Standard errors of a saved fit by every rule: its own, independent residuals, sandwich, block bootstrap.
+def errors(fitdir: FitFolder, /, *, block: int | None = None, seed: int = 0, output: Output = STDOUT) -> int:
+    """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
+
+    With --out, the folder holds errors.txt.
 
     Args:
-        fitdir: what `hystfit fit --out` wrote, by least squares.
-        block: samples of a lag window or block; one cycle of the input, or five correlation times, where not given.
-        seed: of the bootstrap.
-        out: folder for result.json and errors.txt.
-        json: print result.json alone.
+        block: samples in a lag window or block; default: one cycle of the input, or five correlation times.
+        seed: random seed of the bootstrap.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.robust_errors import standard_errors
 
-    result = load_fit(fitdir)
-    refuse_unwritable(out)
-    found = standard_errors(result, block=block, seed=seed)
-    _write(out, found.to_dict(), {}, {"errors.txt": f"{found}\n"})
-    show(_told(found, out, "errors.txt"), found.to_dict(), json)
-    return 0 if result.usable else 1
+    result = open_fit(fitdir, output)
+    table = standard_errors(result, block=block, seed=seed)
+    save = lambda folder: (folder / "errors.txt").write_text(f"{table}\n", encoding="utf-8")
+    return finish(str(table), table.to_dict(), output, save)
 
 
+@lists(noises=NOISES, samplers=[name for name in SAMPLERS if name != "nested"])
 def calibrate(
-    fitdir: Path,
+    fitdir: FitFolder,
     /,
     *,
-    noise: Literal["iid", "ou", "ar1", "student-t", "discrepancy"] = "ou",
-    assumed: Literal["iid", "ou", "ar1", "student-t", "discrepancy"] | None = None,
-    method: Literal["laplace", "nuts", "emcee"] = "laplace",
+    noise: str = "ou",
+    assumed: str | None = None,
+    method: str = "laplace",
     replicates: int = 200,
     spread: float = 0.2,
     seed: int = 0,
     workers: int = 1,
     scheduler: str | None = None,
-    out: Path | None = None,
-    json: Json = False,
+    output: Output = STDOUT,
 ) -> int:
-    """Calibrate the set-up of a saved fit by simulation: do its error bars hold? Exit status 1: they do not, or too few replicates tell.
+    """Check by simulation whether the error bars of a saved fit hold. Exit status 1: they do not, or there are too few replicates.
+
+    The model, the input and the residuals of the fit define the simulated data. With --out, the folder holds calibration.png and
+    the finished replicates (run/), from which the same command resumes.
 
     Args:
-        fitdir: what `hystfit fit --out` wrote: its model, input and residuals set the scene.
-        noise: that simulates the data, as large as the fit's residuals.
-        assumed: noise model of the inference; the same where not given.
-        method: laplace (least squares), nuts or emcee.
-        replicates: simulated data sets.
+        noise: {noises}: simulates the data, as large as the residuals of the fit.
+        assumed: noise model of the inference; default: the one that simulates.
+        method: laplace (least squares), {samplers}.
+        replicates: number of simulated data sets.
         spread: relative width of the priors about the fitted values.
-        seed: of everything.
+        seed: random seed.
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
-        out: folder for result.json, calibration.png and the chunks from which the same command goes on.
-        json: print result.json alone.
     """
-    from hystfit.fitting.again import held_and_free
     from hystfit.results.result import provenance
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.calibration import calibrate as study
 
-    result = load_fit(fitdir)
-    refuse_unwritable(out)
-    fixed, free = held_and_free(result)
-    with progress("calibrating") as say:
-        found = study(
+    result = open_fit(fitdir, output)
+    with progress("calibrating") as update:
+        calibration = study(
             result.model,
             result.data,
             noise=_noise_like(result, noise),
             assumed=assumed,
-            method=method,
+            method=method,  # type: ignore[arg-type]
             replicates=replicates,
             spread=spread,
-            fix=fixed,
-            free=free,
+            **result.problem.free_and_fixed,  # type: ignore[arg-type]
             seed=seed,
-            folder=None if out is None else out / "run",
+            folder=None if output.out is None else output.out / "run",
             workers=workers,
             scheduler=scheduler,
-            progress=say,
+            progress=update,
         )
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
-    content = found.to_dict() | origin | {"provenance": provenance(result.data, seed)}
-    _write(out, content, {"calibration.png": found.plot})
-    show(_told(found, out, "calibration.png"), content, json)
-    return 0 if found.status == "ok" else 1
+    content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
+    save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
+    return finish(str(calibration), content, output, save)
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
-    """A noise model as large and slow as the fit's residuals."""
+    """A noise model with the size and correlation time of the residuals of a fit."""
     from hystfit.inference.noise import starting_noise
 
-    rows = [(result.predict(record) - record.y)[record.used] for record in result.data]
-    return starting_noise(name, rows, result.correlation_time)
+    residuals = [(result.predict(record) - record.y)[record.used] for record in result.data]
+    return starting_noise(name, residuals, result.correlation_time)
 
 
 def design(
-    fitdir: Path,
+    fitdir: FitFolder,
     /,
     *,
     low: float | None = None,
@@ -241,73 +215,27 @@ def design(
     aim: list[str] | None = None,
     method: Literal["families", "gradient"] = "gradient",
     seed: int = 0,
-    out: Path | None = None,
-    json: Json = False,
+    output: Output = STDOUT,
 ) -> int:
-    """Propose the next excitation: the input within the actuator's limits that shrinks the errors most.
+    """Propose the next input within the limits of the actuator, which reduces the errors most.
 
-    Exit status 1: the fit saw no loop.
+    Exit status 1: the fitted record has no loop. With --out, the folder holds input.csv.
 
     Args:
-        fitdir: what `hystfit fit --out` wrote.
-        low: limit of the actuator; the fitted range where not given.
-        high: limit of the actuator.
-        samples: length of the input, at the fit's sampling interval.
-        aim: parameter whose error counts; repeatable; all where not given.
-        method: families compares signals, gradient optimizes turning points too.
-        seed: of random signals.
-        out: folder for result.json and input.csv.
-        json: print result.json alone.
+        low: lowest input; default: that of the fit.
+        high: highest input; default: that of the fit.
+        samples: length of the input, at the sampling interval of the fit.
+        aim: parameter whose error is to be reduced; repeatable; default: all.
+        method: families compares families of signals, gradient also optimizes the turning points.
+        seed: random seed of the signals.
     """
-    from hystfit.results.saved import load_fit
     from hystfit.uncertainty.input_design import design as propose
 
-    result = load_fit(fitdir)
-    refuse_unwritable(out)
+    result = open_fit(fitdir, output)
     with progress("designing"):
-        found = propose(result, low=low, high=high, samples=samples, aim=aim, method=method, seed=seed)
-    record = result.data[0]
-    own = f"_{record.u_unit}"
-    head = record.u_name if not record.u_unit or record.u_name.endswith(own) else record.u_name + own
-    step = found.dt
-    rows = [head if step is None else f"t_{record.t_unit},{head}"]
-    rows += [f"{v:.9g}" if step is None else f"{k * step:.9g},{v:.9g}" for k, v in enumerate(found.best.u)]
-    _write(out, found.to_dict(), {}, {"input.csv": "\n".join(rows) + "\n"})
-    show(_told(found, out, "input.csv"), found.to_dict(), json)
-    return 0 if found.usable else 1
-
-
-def _told(found: Any, out: Path | None, files: str) -> str:
-    return str(found) if out is None else f"{found}\nWritten to {out}: result.json, {files}"
-
-
-def _write(
-    out: Path | None,
-    content: dict[str, Any],
-    pictures: dict[str, Callable[[], Any]],
-    texts: dict[str, str] | None = None,
-) -> None:
-    if out is None:
-        return
-    from hystfit.results.saved import dump_json, writing
-
-    with writing(out) as scratch:
-        dump_json(scratch / "result.json", content)
-        for name, text in (texts or {}).items():
-            (scratch / name).write_text(text, encoding="utf-8")
-    _pictures(out, pictures)
-
-
-def _pictures(out: Path, pictures: dict[str, Callable[[], Any]]) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    from hystfit.results.saved import writing
-
-    with writing(out) as scratch:
-        for name, make in pictures.items():
-            figure = make()
-            figure.savefig(scratch / name, dpi=120)
-            plt.close(figure)
+        proposal = propose(result, low=low, high=high, samples=samples, aim=aim, method=method, seed=seed)
+    record, step, u = result.data[0], proposal.dt, proposal.best.u
+    time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
+    columns = time | {named(record.u_name, record.u_unit): u}
+    save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
+    return finish(str(proposal), proposal.to_dict(), output, save)

@@ -24,7 +24,7 @@ class InverseBands:
     Attributes:
         reference: wanted output, shape (T,).
         given: the inverse of the fitted model, whose input is what an experiment would apply.
-        u: input that each draw asks for, shape (count, T).
+        u: input that the inverse of each draw gives, shape (count, T).
         error: output of each draw under the input given, less the reference, shape (count, T): the error of tracking that
             the uncertain parameters alone make, were that draw the truth.
         missed: part of the samples that each draw's inverse could not meet, shape (count,).

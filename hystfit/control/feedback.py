@@ -170,7 +170,7 @@ class Controller(eqx.Module):
     """A linear controller at a rate, with anti-windup:  x' = A x + B e + L (given - asked),  asked = C x + D e.
 
     Tustin's rule (a trapezoid for every integral). L = B / D makes the state what it would be had the error been the one that
-    asks for what was given (Hanus et al. 1987); it needs D, and stable zeros.
+    requests the input that was applied (Hanus et al. 1987); it needs D, and stable zeros.
 
     Attributes:
         A, B, C, D: of the sampled controller, shapes (n, n), (n,), (n,), ().

@@ -11,14 +11,11 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.config import require_x64
-from hystfit.control.bracketed import solve_rising
 from hystfit.control.lead import lead
 from hystfit.control.online_inverse import InverseStep, Limits, Status, known_inputs
-from hystfit.control.step_inverse import AbstractStepInverse
 from hystfit.errors import DataError, ModelError
-from hystfit.models.base import AbstractHysteresis, Resume, simulate
-from hystfit.models.compose import Series
-from hystfit.models.dynamics import SecondOrder
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Resume, simulate
+from hystfit.models.bracketed import solve_rising
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -62,15 +59,15 @@ class Inverse:
 
     def notes(self) -> tuple[str, ...]:
         """What went wrong, one sentence each."""
-        said = {
+        texts = {
             Status.SATURATED: "lie beyond what the input's limits reach: the input is held there",
             Status.NOT_MONOTONE: "lie where the model's output does not rise with its input: the input may jump there",
             Status.OUT_OF_RANGE: "cannot be reached in the range in which the model is known: the nearest input is given",
         }
-        found = {kind: np.flatnonzero(self.codes == kind) for kind in said}
+        places = {kind: np.flatnonzero(self.codes == kind) for kind in texts}
         return tuple(
-            f"{at.size} of {self.codes.size} samples, the first number {at[0]}, {said[kind]}"
-            for kind, at in found.items()
+            f"{at.size} of {self.codes.size} samples, the first number {at[0]}, {texts[kind]}"
+            for kind, at in places.items()
             if at.size
         )
 
@@ -130,20 +127,28 @@ def prepare(
     resume: Resume | None = None,
     limits: Limits | None = None,
 ) -> Task:
-    """What `invert` runs; arguments and errors are its."""
+    """The inversion that `invert` runs.
+
+    Args:
+        model, reference, dt, resume, limits: see `invert`.
+
+    Raises:
+        ModelError, DataError, PrecisionError: see `invert`.
+    """
     require_x64()
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim != 1 or wanted.size == 0:
         raise DataError(f"the reference must have shape (T,) with T > 0, got {wanted.shape}")
-    own = model if isinstance(model, AbstractHysteresis) else model.model
-    if dt is None and not own.rate_independent:
-        raise ModelError(f"{type(own).__name__} depends on time: give dt, the time between samples")
+    inverted = model if isinstance(model, AbstractHysteresis) else model.model
+    if dt is None and not inverted.rate_independent:
+        raise ModelError(f"{type(inverted).__name__} depends on time: give dt, the time between samples")
     given = np.asarray(0.0 if dt is None else dt, dtype=float)
     times = np.broadcast_to(given, wanted.shape) if given.ndim == 0 else given
     if times.shape != wanted.shape:
         raise DataError(f"dt must be a number or have the shape of the reference {wanted.shape}, got {times.shape}")
     targets, steps = jnp.asarray(wanted), jnp.asarray(times)
-    if isinstance(own, Series) and isinstance(own.parts[-1], SecondOrder):
+    led = inverted.led()
+    if led is not None and led.model is not None:
         return Task(None, resume, targets, steps)
     finite = wanted[np.isfinite(wanted)]
     span = float(np.ptp(finite)) if finite.size else 0.0
@@ -155,19 +160,20 @@ def prepare(
 def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
     if resume is not None:
         raise ModelError("a model with a resonance is led, not stepped: its inverse starts from rest, leave resume out")
-    own = model if isinstance(model, AbstractHysteresis) else model.model
+    known, inverted = known_inputs(model)
+    resonant = inverted.led()
+    assert resonant is not None
+    assert resonant.model is not None
     wanted, times = np.asarray(task.wanted), np.asarray(task.steps)
-    *parts, resonance = own.parts
-    rest = parts[0] if len(parts) == 1 else Series(*parts)
-    edges = limits if limits is not None else known_inputs(model)[0]
-    led = lead(wanted, times, omega=float(resonance.omega), zeta=float(resonance.zeta))
-    inner = invert(rest, led, times, limits=edges)
-    y, end = simulate(own, inner.u, times)
+    edges = limits if limits is not None else known
+    led = lead(wanted, times, omega=resonant.omega, zeta=resonant.zeta)
+    inner = invert(resonant.model, led, times, limits=edges)
+    y, end = simulate(inverted, inner.u, times)
     codes = inner.codes
     if limits is None:
         codes = np.where(codes == Status.SATURATED, Status.OUT_OF_RANGE, codes)
     u0 = jnp.asarray(inner.u[0])
-    return Inverse(inner.u, np.asarray(y), codes, Resume(own.init(u0), u0), end)
+    return Inverse(inner.u, np.asarray(y), codes, Resume(inverted.init(u0), u0), end)
 
 
 @eqx.filter_jit

@@ -11,10 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hystfit.control.step_choice import reach, step_inverse
-from hystfit.control.step_inverse import AbstractStepInverse
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, Resume
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Resume
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -84,23 +82,23 @@ class InverseStep(eqx.Module):
         Raises:
             ModelError: a delay or a resonance; no limits where the inverse is a search and the model names no range.
         """
-        known, own = known_inputs(model)
+        known, inverted = known_inputs(model)
         edges = limits if limits is not None else known
         low, high = (float(edge) for edge in edges) if edges is not None else (-np.inf, np.inf)
         if not low < high:
             raise ModelError(f"limits must be (low, high) with low < high, got {limits}")
-        solver = step_inverse(own)
+        solver = inverted.step_inverse()
         travel = _travel(solver, low, high)
         if travel < 0:
-            solver = step_inverse(own, -1.0)
+            solver = inverted.step_inverse(-1.0)
         if solver.needs_limits and not (np.isfinite(low) and np.isfinite(high)):
             raise ModelError(
-                f"the inverse of {type(own).__name__} is a search: give limits=(low, high), the inputs to search between"
+                f"the inverse of {type(inverted).__name__} is a search: give limits=(low, high), the inputs to search between"
             )
         if tolerance is None:
             tolerance = 1e-7 * abs(travel) or 1e-9
         numbers = (jnp.asarray(value, dtype=jnp.result_type(float)) for value in (low, high, tolerance))
-        return cls(own, solver, *numbers, given=limits is not None)
+        return cls(inverted, solver, *numbers, given=limits is not None)
 
     def init(self, u0: Any = 0.0) -> Resume:
         """The model at rest on an input."""
@@ -111,6 +109,11 @@ class InverseStep(eqx.Module):
         """The input for the next sample of the reference, `dt` after the last.
 
         A target that is not finite holds the input and is out of range.
+
+        Args:
+            memory: state and last input.
+            target: wanted output.
+            dt: time since the last sample [s].
         """
         state, u0 = memory
         target, dt = (jnp.asarray(value, dtype=u0.dtype) for value in (target, dt))
@@ -130,7 +133,13 @@ class InverseStep(eqx.Module):
         return Resume(state, u), Answer(u, y, status)
 
     def run(self, memory: Resume, targets: Float[Array, " T"], dt: Float[Array, " T"]) -> tuple[Resume, Answer]:
-        """All samples of a reference in one scan."""
+        """All samples of a reference in one scan.
+
+        Args:
+            memory: state and last input before the first sample.
+            targets: reference, shape (T,).
+            dt: time between its samples, shape (T,) [s].
+        """
         return _run(self, memory, targets, dt)
 
 
@@ -142,7 +151,7 @@ def _run(inverse: InverseStep, memory: Resume, targets: Array, dt: Array) -> tup
 def known_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
     """The inputs between which a model or fit is known, and the model."""
     if isinstance(model, AbstractHysteresis):
-        return reach(model), model
+        return model.reach(), model
     return known_range(model), model.model
 
 

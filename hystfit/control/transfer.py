@@ -36,7 +36,13 @@ class TransferFunction:
 
     @classmethod
     def from_poles(cls, zeros: Any, poles: Any, gain: float) -> TransferFunction:
-        """From zeros and poles [rad/s] (complex ones in pairs) and the gain at s = 0; at s -> infinity where either lies at 0."""
+        """From zeros and poles [rad/s] (complex ones in pairs) and the gain at s = 0; at s -> infinity where either lies at 0.
+
+        Args:
+            zeros: [rad/s].
+            poles: [rad/s].
+            gain: see above.
+        """
         num, den = np.real(np.poly(zeros)), np.real(np.poly(poles))
         scale = den[-1] / num[-1] if num[-1] and den[-1] else 1.0
         return cls(tuple(gain * scale * np.atleast_1d(num)), tuple(np.atleast_1d(den)))
@@ -67,7 +73,13 @@ class TransferFunction:
 
 
 def second_order(omega: float, zeta: float, gain: float = 1.0) -> TransferFunction:
-    """gain omega^2 / (s^2 + 2 zeta omega s + omega^2), omega in rad/s."""
+    """gain omega^2 / (s^2 + 2 zeta omega s + omega^2).
+
+    Args:
+        omega: natural frequency [rad/s].
+        zeta: damping ratio.
+        gain: static gain.
+    """
     return TransferFunction((gain * omega**2,), (1.0, 2 * zeta * omega, omega**2))
 
 
@@ -105,6 +117,11 @@ def margins(loop: TransferFunction, delay: float = 0.0, points: int = 20000) -> 
 
     Evaluated on a grid of frequencies from 1e-3 of the slowest corner to 1e3 of the fastest, dense enough for resonances of
     a damping ratio of 1e-3 and more.
+
+    Args:
+        loop: open loop.
+        delay: dead time [s].
+        points: of the logarithmic grid, besides those near the corners.
     """
     corners = np.abs(np.concatenate([loop.poles, loop.zeros]))
     corners = corners[corners > 0]

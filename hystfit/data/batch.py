@@ -1,4 +1,4 @@
-"""Records as the arrays that compiled code sees: padded to common lengths, so that new data rarely cost a compilation."""
+"""Records as arrays for compiled code, padded to common lengths so that new data rarely cause a compilation."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ The one file that imports jaxopt, whose authors no longer maintain it.
 from __future__ import annotations
 
 import warnings
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.problem import Objective, Problem
+from hystfit.inference.objective import Objective
+from hystfit.inference.problem import Problem
 
 
 def _jaxopt() -> Any:
@@ -33,6 +34,7 @@ class BoundedDescent(AbstractEstimator):
         max_steps: from each start.
     """
 
+    needs_starts: ClassVar[bool] = True
     method: Literal["lbfgsb", "projected-gradient"] = eqx.field(static=True, default="lbfgsb")
     tolerance: float = eqx.field(static=True, default=1e-5)
     max_steps: int = eqx.field(static=True, default=500)
@@ -41,17 +43,22 @@ class BoundedDescent(AbstractEstimator):
         """See `AbstractEstimator.estimate`."""
         space, c = problem.space, problem.space.coordinates
         lower, upper = (np.asarray(v) for v in (c.lower, c.upper))
-        found = []
+        solutions = []
         for z in starts:
             x0 = np.clip(space.physical(z), lower, upper)
             size = np.maximum(np.abs(x0), 0.1 * np.asarray(c.scale))
             v, cost, error, steps = _descend(self, problem.objective, jnp.asarray(x0 / size), jnp.asarray(size))
-            found.append((np.clip(np.asarray(v) * size, lower, upper), float(cost), float(error), int(steps)))
-        costs = np.array([cost if np.isfinite(cost) else np.inf for _, cost, _, _ in found])
-        x, cost, error, _ = found[int(np.argmin(costs))]
+            solutions.append((np.clip(np.asarray(v) * size, lower, upper), float(cost), float(error), int(steps)))
+        costs = np.array([cost if np.isfinite(cost) else np.inf for _, cost, _, _ in solutions])
+        x, cost, error, _ = solutions[int(np.argmin(costs))]
         converged = error <= 10 * self.tolerance
         message = "converged" if converged else f"projected gradient {error:.1e} after its steps: try method='trf'"
-        return Estimate(x, cost, converged, message, sum(steps for *_, steps in found), costs)
+        return Estimate(x, cost, converged, message, sum(steps for *_, steps in solutions), costs)
+
+
+def projected_gradient() -> BoundedDescent:
+    """Projected gradient, for many weights."""
+    return BoundedDescent(method="projected-gradient")
 
 
 @eqx.filter_jit

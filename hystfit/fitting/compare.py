@@ -15,8 +15,9 @@ from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.structure import search_structure
-from hystfit.models.preisach.model import Preisach
-from hystfit.models.registry import make_model
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import compared, make_model
+from hystfit.outcome import Code, Note, Status
 from hystfit.quality.loops import loop_area
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.result import FitResult
@@ -24,7 +25,6 @@ from hystfit.results.result import FitResult
 SCHEMA = "hystfit.compare/1"
 SEARCH = "prandtl-ishlinskii-search"
 _OTHER_PLAYS = (10, 40)  # tried beside the 20 of the search, and taken if they pay
-_OTHER_LEVELS = (16, 24)  # tried beside a Preisach model's own, and taken if they pay
 _WORDS = {
     "blocks": "on contiguous blocks (or records) that the fit did not see",
     "future": "on the last three fifths of each record, each fifth predicted from a fit to what came before it",
@@ -52,7 +52,7 @@ class Row:
     max_error_percent: float | None
     parameters: int | None
     seconds: float
-    status: str
+    status: Status
     note: str = ""
     bic: float | None = None
 
@@ -79,7 +79,7 @@ class Comparison:
         head = f"{'model':<{wide}} {'left out %':>10} {'fitted %':>9} {'max %':>7} {'params':>6} {'BIC above':>9} {'seconds':>8}  status"
         lines = [
             f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
-            "'BIC above': above the smallest, with slow and independent noise; ten speak clearly against a model.",
+            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
             head,
         ]
         least = min((row.bic for row in self.rows if row.bic is not None), default=0.0)
@@ -130,10 +130,10 @@ def compare(
         data: one record or several.
         models: names as `hystfit models` lists them (joined by "+"), or "prandtl-ishlinskii-search", which searches that
             family for its terms; None takes a choice that suits the data.
-        left_out: "blocks" as said above; "future" predicts the later parts of every record from fits to what came before, which
-            asks whether creep and drift are understood. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
+        left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
+            tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         seed: of the starting points.
-        progress: told what is being done.
+        progress: called with a line of text for each model.
 
     Raises:
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
@@ -160,30 +160,22 @@ def compare(
     if not fits:
         raise ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
     rows.sort(
-        key=lambda row: (row.status in ("failed", "no-loop"), row.score_percent is None, row.score_percent or 0.0)
+        key=lambda row: (
+            row.status in (Status.FAILED, Status.NO_LOOP),
+            row.score_percent is None,
+            row.score_percent or 0.0,
+        )
     )
     return Comparison(tuple(rows), fits[rows[0].name], fits, left_out)
 
 
 def candidates(data: Dataset) -> tuple[str, ...]:
-    """Models worth comparing: output that lags (counter-clockwise loops) and force that leads ask for different ones.
-
-    Reversal curves come from saturation, which one model knows of.
-    """
+    """Models worth comparing: output that lags (counter-clockwise loops) and force that leads call for different ones."""
     if recognize_family(data) is not None:
-        return ("preisach-forc",)
+        return compared("reversal-curves")
     lags = sum(loop_area(record.u[record.used], record.y[record.used]) for record in data) > 0
-    if not lags:
-        return ("bouc-wen-force", "duhem", SEARCH)
     timed = all(record.t is not None for record in data)
-    # Records of piezo actuators have time, and creep; those of magnetic materials have neither.
-    loops = ("bouc-wen-asymmetric", "bouc-wen+log-creep") if timed else ("preisach-magnetic",)
-    return ("bouc-wen", *loops, "duhem", "preisach", SEARCH)
-
-
-def _levels_open(name: str, model: Preisach) -> bool:
-    """Whether the number of levels is to be found: not where the name has settings, or the curves give the levels."""
-    return ":" not in name and model.spacing != "reversal-curves"
+    return (*compared(("lagging-timed" if timed else "lagging-untimed") if lags else "leading"), SEARCH)
 
 
 def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, FitResult | None]:
@@ -191,17 +183,18 @@ def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, 
     try:
         if name == SEARCH:
             result, score, note = best_structure(data, seed)
-        elif isinstance(model := make_model(name), Preisach) and _levels_open(name, model):
-            result, score, note = best_levels(model, data, seed)
         else:
-            result, score, note = fit(model, data, seed=seed), None, ""
+            model = make_model(name)
+            # Settings in a name give the size; the colon of my_model.py:MyModel is none.
+            sizes = {} if ":" in name.replace(".py:", "") else model.sizes()
+            result, score, note = best_size(sizes, data, seed) if sizes else (fit(model, data, seed=seed), None, "")
         if score is None or left_out != "blocks":
             score = left_out_error(result, left_out)
         criterion = bic(result)
     except DataError:
         raise
     except HystfitError as error:
-        return Row(name, None, None, None, None, time.perf_counter() - started, "failed", str(error)), None
+        return Row(name, None, None, None, None, time.perf_counter() - started, Status.FAILED, str(error)), None
     span = _span(data)
     row = Row(
         name,
@@ -224,22 +217,27 @@ def _span(data: Dataset) -> float:
 
 def best_structure(data: Dataset, seed: int) -> tuple[FitResult, float, str]:
     """The Prandtl-Ishlinskii model whose terms and number of plays blocks left out choose: (fit, left-out error, terms in words)."""
-    found = search_structure(data)
-    best = min((found.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
-    best = best if best.score < 0.98 * found.score else found
+    search = search_structure(data)
+    best = min((search.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
+    best = best if best.score < 0.98 * search.score else search
     result = fit(best.model, data, start="model", seed=seed)
-    steps = tuple(f"structure search: {step}" for step in best.trail)
-    result = dataclasses.replace(
-        result, notes=(*result.notes, f"structure: {best.structure.words()}, {best.plays} plays", *steps)
+    texts = (
+        f"structure: {best.structure.words()}, {best.plays} plays",
+        *(f"structure search: {step}" for step in best.trail),
     )
-    return result, best.score, best.structure.words()
+    return result.with_notes(*(Note(Code.CHOICE, text) for text in texts)), best.score, best.structure.words()
 
 
-def best_levels(model: Preisach, data: Dataset, seed: int) -> tuple[FitResult, float, str]:
-    """The Preisach model with as many levels as blocks left out choose: (fit, left-out error, levels in words)."""
-    sizes = [Preisach.of(n, symmetric=model.symmetric, elements=model.elements) for n in _OTHER_LEVELS]
-    fits = [fit(each, data, seed=seed) for each in (model, *sizes)]
-    scores = [left_out_error(each) for each in fits]
+def best_size(sizes: dict[str, AbstractHysteresis], data: Dataset, seed: int) -> tuple[FitResult, float, str]:
+    """The fit of the size that blocks left out choose, its left-out error, and the size in words.
+
+    Args:
+        sizes: models by their size in words; the first one is kept unless another is clearly better.
+        data: records.
+        seed: of the starting points.
+    """
+    fits = [fit(model, data, seed=seed) for model in sizes.values()]
+    scores = [left_out_error(result) for result in fits]
     best = int(np.argmin(scores)) if min(scores) < 0.98 * scores[0] else 0
-    note = f"{fits[best].model.levels.size} levels"
-    return dataclasses.replace(fits[best], notes=(*fits[best].notes, f"structure: {note}")), scores[best], note
+    note = list(sizes)[best]
+    return fits[best].with_notes(Note(Code.CHOICE, f"structure: {note}")), scores[best], note

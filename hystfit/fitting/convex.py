@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -14,7 +15,9 @@ from jaxtyping import Array
 
 from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.problem import Objective, Problem
+from hystfit.inference.objective import Objective
+from hystfit.inference.problem import Problem
+from hystfit.outcome import Code, Note
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 0))
 _BLOCKS = 5
@@ -24,7 +27,7 @@ _BLOCKS = 5
 def _respond(objective: Objective, x: Array, at: Array) -> tuple[Array, Array]:
     """Prediction with the linear parameters at zero, (R T,), and the response to each of them, (R T, p)."""
     x = x.at[at].set(0.0)
-    predict = lambda w: objective.predict_physical(x.at[at].set(w)).reshape(-1)
+    predict = lambda w: objective.predict(x.at[at].set(w)).reshape(-1)
     zero = jnp.zeros(at.shape[0], x.dtype)
     return predict(zero), jax.jacfwd(predict)(zero)
 
@@ -49,7 +52,12 @@ class LinearSystem:
 
     @classmethod
     def of(cls, problem: Problem, x: np.ndarray, which: np.ndarray | None = None) -> LinearSystem:
-        """The system at given values of the other parameters; for all linear parameters, or those of `which`, shape (p,), bool.
+        """The system at given values of the other parameters; for all linear parameters, or some.
+
+        Args:
+            problem: what is fitted.
+            x: physical parameters, shape (p,).
+            which: parameters to solve for, shape (p,), bool; None for all linear ones.
 
         Raises:
             ModelError: a linear parameter with bounds other than none or (0, infinity).
@@ -116,6 +124,11 @@ def solve_normal(matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> np.
     """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
 
     Free unknowns are eliminated (Schur complement), the others solved by non-negative least squares on a square root.
+
+    Args:
+        matrix: shape (p + 1, p + 1).
+        free: unknowns without a lower bound, shape (p,), bool.
+        ridge: added to the diagonal, shape (p,).
     """
     p = len(matrix) - 1
     A, b = matrix[:p, :p] + np.diag(ridge), matrix[:p, p]
@@ -193,6 +206,7 @@ class Convex(AbstractEstimator):
         max_evaluations: of the outer search.
     """
 
+    needs_starts: ClassVar[bool] = False
     strengths: tuple[float, ...] = eqx.field(static=True, default=STRENGTHS)
     max_evaluations: int = eqx.field(static=True, default=80)
 
@@ -223,24 +237,39 @@ class Convex(AbstractEstimator):
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried: the model hardly helps to predict what was left out"
         cost = 0.5 * fit.rss / size**2
-        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, (note,))
+        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, (Note(Code.CHOICE, note),))
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
         strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
 
-        def cost(inner: np.ndarray) -> float:
-            trial = z.copy()
-            trial[others] = inner
-            fit = fit_ridge(LinearSystem.of(problem, problem.space.physical(trial)), (strength,))
-            return float(np.log(fit.score + 1e-300))
+        def cost(x: np.ndarray) -> float:
+            return float(np.log(fit_ridge(LinearSystem.of(problem, x), (strength,)).score + 1e-300))
 
-        options = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
-        found = scipy.optimize.minimize(cost, z[others], method="Nelder-Mead", options=options)
-        z = z.copy()
-        z[others] = found.x
-        message = (
-            "converged"
-            if found.success
-            else f"the search over nonlinear parameters stopped after {found.nfev} evaluations"
-        )
-        return np.array(problem.space.physical(z)), int(found.nfev), bool(found.success), message
+        return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-2, fatol=1e-4)
+
+
+def search_nonlinear(
+    problem: Problem, cost: Callable[[np.ndarray], float], z: np.ndarray, others: np.ndarray, **options: float
+) -> tuple[np.ndarray, int, bool, str]:
+    """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
+
+    Args:
+        problem: what is fitted.
+        cost: of physical parameters, shape (p,).
+        z: unconstrained start, shape (p,).
+        others: positions of the nonlinear parameters.
+        **options: of the simplex search.
+
+    Returns:
+        Physical parameters at the lowest cost, the number of evaluations, whether it converged, and a message.
+    """
+
+    def at(inner: np.ndarray) -> np.ndarray:
+        trial = z.copy()
+        trial[others] = inner
+        return np.array(problem.space.physical(trial))
+
+    solution = scipy.optimize.minimize(lambda v: cost(at(v)), z[others], method="Nelder-Mead", options=options)
+    stopped = f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
+    message = "converged" if solution.success else stopped
+    return at(solution.x), int(solution.nfev), bool(solution.success), message

@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 
 from hystfit.inference.problem import Problem
+from hystfit.outcome import Note
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,12 +20,12 @@ class Estimate:
         x: free parameters in physical units, shape (p,); a weight may lie exactly on its bound.
         cost: half the sum of squared residuals (in units of the output's half range).
         converged: the solver met its tolerances.
-        message: what the solver said, and what to try if it failed.
+        message: of the solver, with what to try where it failed.
         evaluations: steps of the solver, over all starts.
         costs: cost that each start reached, shape (starts,); not finite where one failed.
         penalty: what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
             without regularization.
-        notes: what was chosen on the way, one sentence each.
+        notes: what was chosen on the way.
     """
 
     x: np.ndarray
@@ -34,7 +35,7 @@ class Estimate:
     evaluations: int
     costs: np.ndarray
     penalty: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     @property
     def in_best_basin(self) -> int:
@@ -44,7 +45,13 @@ class Estimate:
 
 
 class AbstractEstimator(eqx.Module):
-    """A way to fit a problem; its settings are its fields."""
+    """A way to fit a problem; its settings are its fields.
+
+    Class attributes:
+        needs_starts: whether several starting points can lead to different minima.
+    """
+
+    needs_starts: eqx.AbstractClassVar[bool]
 
     @abc.abstractmethod
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:

@@ -1,10 +1,11 @@
-"""`fit`: from a model and data to a result, with no guess from the user."""
+"""`fit`: from a model and data to a result, without starting values from the user."""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,38 +14,29 @@ from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError, ModelError, ParameterError
 from hystfit.fitting.assessment import notes_of, status_of
-from hystfit.fitting.bounded import BoundedDescent
-from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge
-from hystfit.fitting.covariance import Uncertainty, near_bound, uncertainty
+from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.covariance import Uncertainty, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.multistart import spread_starts
-from hystfit.fitting.released import refine_released
-from hystfit.fitting.timing import Stopwatch
-from hystfit.fitting.trust_region import TrustRegion
-from hystfit.inference.noise import NOISES
-from hystfit.inference.problem import Loss, Problem, check_fittable
+from hystfit.fitting.noise_refinement import refine
+from hystfit.fitting.registry import ESTIMATORS, is_sequential
+from hystfit.identify.identification import as_fit
+from hystfit.identify.sequential import identify
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.objective import Loss
+from hystfit.inference.problem import LOSSES, Problem, check_fittable
 from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.compose import has_rest, with_rest
-from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.solve import PreisachWeights
 from hystfit.models.registry import make_model
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import FitResult, ParameterEstimate, provenance
+from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.timing import Stopwatch
 
-Method = Literal["auto", "lm", "dogleg", "trf", "lbfgsb", "projected-gradient", "convex", "preisach"]
-ESTIMATORS: dict[str, AbstractEstimator] = {
-    "lm": LeastSquares(),
-    "dogleg": LeastSquares(method="dogleg"),
-    "trf": TrustRegion(),
-    "lbfgsb": BoundedDescent(),
-    "projected-gradient": BoundedDescent(method="projected-gradient"),
-    "convex": Convex(),
-    "preisach": PreisachWeights(),
-}
-_ROUNDING = 1e-8  # residuals below this part of the output's size are rounding
+_ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
 _MANY = 4  # weights on a bound from which the convex solve is the default
 
 
@@ -52,74 +44,91 @@ def fit(
     model: AbstractHysteresis | str,
     data: Record | Dataset | Sequence[Record],
     *,
-    method: Method = "auto",
+    method: str | AbstractEstimator = "auto",
     fix: Sequence[str] | Mapping[str, Any] = (),
     free: Sequence[str] = (),
     start: Literal["data", "model"] = "data",
     starts: int = 8,
     seed: int = 0,
     loss: Loss = "linear",
-    noise: Literal["auto", "iid", "ou", "ar1", "student-t", "discrepancy"] = "auto",
+    noise: str | type[AbstractNoise] = "auto",
     test: Record | Dataset | Sequence[Record] | None = None,
+    **settings: Any,
 ) -> FitResult:
-    """Fit a model to measured loops by least squares on its free run.
+    """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
 
     Args:
         model: a model, or its name (see `hystfit models`).
         data: one record or several; windows are set by `Record.window`.
-        method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt,
-            bounded), "convex" (weights in closed form), "preisach" (the same on distinct relay states, smooth); "auto"
-            takes "preisach" or "convex" for many linear weights, else "lm".
-        fix: parameters to hold, at one value given ({"c": 0.15}), else at the value of the model given, or at the one read off
+        method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
+            (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
+            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
+            "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
+        fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
             the records where `start` is "data" and the model is given by name.
         free: parameters to fit that the model holds by default.
         start: "data" reads starting values off the records, "model" takes the model's own.
         starts: number of starting points: the data-driven one, and a Latin hypercube about it.
         seed: of the starting points.
-        loss: robust losses bend at 1 % of the output's range.
-        noise: "auto" keeps the least-squares estimate; where its residuals are correlated, its errors are those under slow
-            (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" takes residuals as independent. "ou" (slow and
-            independent noise), "ar1", "student-t" and "discrepancy" (model error that repeats every loop) refine the fit by that noise
-            model's likelihood: "ou" is the sharper estimate under slow noise, and errors under a repeating misfit need "discrepancy"
-            (the notes say when).
+        loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that bends at 1 % of the output's range.
+        noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
+            slow (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" treats residuals as independent. "ou" (slow and
+            independent noise), "ar1", "student-t", "discrepancy" (model error that repeats every loop), my_noise.py:MyNoise or a
+            class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
+            standard errors under a repeating misfit need "discrepancy" (the notes say when).
         test: records to report the error on, never fitted.
+        **settings: of a sequential identifier, see `hystfit.identify`.
 
     Returns:
         A result with a status; look at `usable` and `notes` before using its numbers.
 
     Raises:
-        HystfitError: data, names or settings that cannot be used; the message says what to do.
+        HystfitError: data, names or settings that cannot be used; the message names the remedy.
     """
     require_x64()
     require_seed(seed)
     named = isinstance(model, str)
     model = make_model(model) if named else model
     data = Dataset.of(data)
-    _check_settings(method, starts, loss, noise, start)
-    watch = Stopwatch()
-    chosen: list[str] = []
     if not isinstance(model, AbstractHysteresis):
         raise ModelError(f"expected a hystfit model or its name, got {type(model).__name__}")
+    watch = Stopwatch()
+    if is_sequential(method):
+        _refuse_batch_settings(method, fix=fix, free=free, start=start, starts=starts, loss=loss, noise=noise)
+        result = as_fit(identify(data, method, model, **settings), seed, watch)
+        return result if test is None else with_test(result, test)
+    if settings:
+        raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
+    _check_settings(method, starts, loss, noise, start)
     check_fittable(model, data)
     if start == "data":
         fix = fix if named else _held(model, fix)
         model = model.start(list(data))
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
-    name = _choose(problem, method)
-    if name == "convex" and start == "data" and has_rest(model):
-        problem, chosen = _choose_rest(problem, fix, free, loss)
+    name = choose_method(problem) if method == "auto" else method
+    notes: list[Note] = []
+    if name == "convex" and start == "data" and model.has_rest:
+        problem, notes = _choose_rest(problem, fix, free, loss)
     estimate = solve(problem, name, starts, seed)
-    if noise in NOISES and noise != "iid":
-        estimate, errors, described = _with_noise(problem, estimate, noise)
-        chosen = [*chosen, described["words"]]
+    if noise in ("auto", "iid"):
+        errors = uncertainty(problem, estimate, correlated=noise == "auto")
+        slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
+        noise_estimate = NoiseEstimate(str(noise), slow.noise.parameters if slow else {})
     else:
-        errors, described = uncertainty(problem, estimate, honest=noise == "auto"), {"name": noise}
-        if noise == "auto" and errors.left.correlated and errors.left.noise is not None:
-            described["parameters"] = errors.left.noise.noise.parameters
-    chosen = [*chosen, *_warnings(errors, noise, problem.scales.y)]
-    result = conclude(problem, estimate, errors, name, seed, watch, extra=chosen, test=test)
-    result.provenance["noise"] = described
-    return result
+        estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
+        notes = [*notes, description]
+    notes = [*notes, *_mismatches(errors, noise, problem.scales.y)]
+    label = ESTIMATORS.label(name)
+    result = conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
+    return result if test is None else with_test(result, test)
+
+
+def _refuse_batch_settings(method: Any, **given: Any) -> None:
+    """Refuse arguments that a sequential identifier does not use."""
+    defaults = {name: p.default for name, p in inspect.signature(fit).parameters.items()}
+    for name, value in given.items():
+        if (value or None) != (defaults[name] or None):
+            raise ParameterError(f"{name}= has no effect with method={method!r}: leave it out")
 
 
 def _held(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:
@@ -128,94 +137,112 @@ def _held(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> 
     return {name: ParameterSpace.of(model).value(name) if value is None else value for name, value in values.items()}
 
 
-def _with_noise(problem: Problem, estimate: Estimate, noise: str) -> tuple[Estimate, Uncertainty, dict[str, Any]]:
-    """The estimate refined by a noise model, its errors, and the noise in numbers."""
+def _with_noise(
+    problem: Problem, estimate: Estimate, noise: str | type[AbstractNoise]
+) -> tuple[Estimate, Uncertainty, NoiseEstimate, Note]:
+    """The estimate refined by a noise model, its errors, the noise, and a note that describes it."""
     if problem.objective.loss != "linear":
         raise ParameterError(f"noise={noise!r} has a likelihood of its own: leave loss at 'linear'")
-    refined = refine_released(problem, estimate, noise)
-    squares = sum(
-        np.sum((r.y - y)[r.used] ** 2) for r, y in zip(problem.data, problem.predict_at(refined.x), strict=True)
+    refined = refine(problem, estimate.x, noise)
+    squares = sum(np.sum((r.y - y)[r.used] ** 2) for r, y in zip(problem.data, problem.predict(refined.x), strict=True))
+    label = refined.noise.name
+    rough = (
+        ()
+        if refined.converged
+        else (warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"),)
     )
-    notes = () if refined.converged else (f"the {noise} noise model did not converge: its errors are rough",)
-    changed = dataclasses.replace(
-        estimate, x=refined.x, cost=0.5 * float(squares) / problem.scales.y**2, notes=(*estimate.notes, *notes)
+    cost = 0.5 * float(squares) / problem.scales.y**2
+    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=(*estimate.notes, *rough))
+    shown = ", ".join(
+        f"{name} = {value:.3g} {unit}".rstrip()
+        for name, value, unit in zip(refined.space.names, refined.values, refined.space.units, strict=True)
     )
-    values = {name: float(v) for name, v in zip(refined.space.names, refined.values, strict=True)}
-    described = {"name": noise, "parameters": values, "words": refined.describe()}
-    return changed, uncertainty(problem, changed, root=refined.root), described
+    described = Note(Code.NOISE_MODEL, f"noise model {label}: {shown}")
+    estimated = NoiseEstimate(NOISES.label(noise), refined.parameters)
+    return changed, uncertainty(problem, changed, root=refined.root), estimated, described
 
 
-def _warnings(errors: Uncertainty, noise: str, size: float) -> list[str]:
-    """What the residuals say against errors of this kind; `size` of the output."""
+def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: float) -> list[Note]:
+    """Findings about the residuals that errors of this kind do not allow for; `size` is that of the output."""
     if errors.sigma < _ROUNDING * size:
-        return ["the residuals are of the size of rounding: they are no measure of any error"]
-    reasons = diagnose(errors.left).objections(noise)
-    return reasons if noise == "auto" else [f"noise={noise!r} was asked for, but {reason}" for reason in reasons]
+        return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
+    diagnosis = diagnose(errors.residuals)
+    if noise == "auto":
+        return [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]
+    return [
+        dataclasses.replace(note, text=f"noise={noise!r} was chosen, but {note.text}")
+        for note in diagnosis.objections(NOISES.find(noise))  # type: ignore[arg-type]
+    ]
 
 
-def _check_settings(method: str, starts: int, loss: str, noise: str, start: str) -> None:
-    for what, value, known in (
-        ("method", method, get_args(Method)),
-        ("loss", loss, get_args(Loss)),
-        ("noise", noise, ("auto", *NOISES)),
-        ("start", start, ("data", "model")),
-    ):
+def _check_settings(method: Any, starts: int, loss: str, noise: Any, start: str) -> None:
+    if method != "auto" and not isinstance(method, AbstractEstimator):
+        ESTIMATORS.find(method)
+    if noise != "auto":
+        NOISES.find(noise)
+    for what, value, known in (("loss", loss, LOSSES), ("start", start, ("data", "model"))):
         if value not in known:
             raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
     if starts < 1:
         raise ParameterError(f"at least one start is needed, got {starts}")
 
 
-def _choose(problem: Problem, method: str) -> str:
+def choose_method(problem: Problem) -> str:
+    """The estimator that suits a model: a closed form for its weights where there are many, else Levenberg-Marquardt."""
+    if problem.objective.loss != "linear":
+        return "lm"
+    if problem.model.estimator is not None:
+        return problem.model.estimator
     weights = sum(info.linear and info.bounds[0] == 0.0 for info in problem.space.infos)
-    if method != "auto":
-        return method
-    if isinstance(problem.model, Preisach) and problem.objective.loss == "linear":
-        return "preisach"
-    return "convex" if weights >= _MANY and problem.objective.loss == "linear" else "lm"
+    return "convex" if weights >= _MANY else "lm"
 
 
-def solve(problem: Problem, method: str, starts: int, seed: int) -> Estimate:
+def solve(problem: Problem, method: str | AbstractEstimator, starts: int, seed: int) -> Estimate:
     """Run one estimator from the model's values and a hypercube about them.
+
+    Args:
+        problem: what to fit.
+        method: an estimator or its name.
+        starts: number of starting points.
+        seed: of the hypercube.
 
     Raises:
         ParameterError: nothing is free.
     """
     if not len(problem.space):
         raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
-    x = problem.space.vector(problem.model)
-    center = problem.space.unconstrained(_settled(problem, x))
-    count = 1 if method in ("convex", "preisach") else starts
-    return ESTIMATORS[method].estimate(problem, spread_starts(problem, center, count, seed))
+    estimator = ESTIMATORS.make(method)
+    center = problem.space.unconstrained(_settled(problem, problem.space.vector(problem.model)))
+    return estimator.estimate(problem, spread_starts(problem, center, starts if estimator.needs_starts else 1, seed))
 
 
 def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
     c = problem.space.coordinates
-    own = np.array([info.per_record and info.linear for info in problem.space.infos])
-    if len(problem.data) > 1 and own.any():
-        system = LinearSystem.of(problem, x, own)
+    per_record = np.array([info.per_record and info.linear for info in problem.space.infos])
+    if len(problem.data) > 1 and per_record.any():
+        system = LinearSystem.of(problem, x, per_record)
         x = x.copy()
-        x[own] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
+        x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
     return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
 
 
 def _choose_rest(
     problem: Problem, fix: Sequence[str] | Mapping[str, Any], free: Sequence[str], loss: Loss
-) -> tuple[Problem, list[str]]:
+) -> tuple[Problem, list[Note]]:
     """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
         return problem, []
-    other = Problem(with_rest(problem.model, "first"), problem.data, fix=fix, free=free, loss=loss)
+    other = Problem(problem.model.with_rest("first"), problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
         x = _settled(candidate, candidate.space.vector(candidate.model))
         scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
     best, where = (problem, "on zero input") if scores[0] <= scores[1] else (other, "on its first input")
-    gain = min(scores) / max(scores)
-    words = f"before the record the device is taken to have rested {where} (error on left-out blocks {gain:.0%} of the other)"
-    return best, [words]
+    gain = 1 - min(scores) / max(scores)
+    text = f"the device is assumed to have rested {where} before the record (cross-validation error {gain:.0%} lower)"
+    return best, [Note(Code.CHOICE, text)]
 
 
 def conclude(
@@ -226,35 +253,41 @@ def conclude(
     seed: int,
     watch: Stopwatch,
     *,
-    extra: Sequence[str] = (),
-    test: Record | Dataset | Sequence[Record] | None = None,
+    noise: NoiseEstimate,
+    notes: Sequence[Note] = (),
 ) -> FitResult:
-    """Put an estimate into the result that users see."""
-    space, data = problem.space, problem.data
-    models = tuple(space.coordinates.assemble(jnp.asarray(estimate.x), k) for k in range(len(data)))
-    bounds = near_bound(problem, estimate.x)
-    predicted = problem.predict_at(estimate.x)
-    measured, made = [r.y[r.used] for r in data], [y[r.used] for r, y in zip(data, predicted, strict=True)]
-    train = Metrics.of(measured, made)
-    left = [y - m for y, m in zip(made, measured, strict=True)]
-    status, why = status_of(data, models[0], estimate, train, left)
-    linear = [info.linear for info in space.infos]
-    notes = why + list(extra) + notes_of(data, models[0], space.names, linear, estimate, errors, bounds)
+    """Put an estimate into the result that users see.
+
+    Args:
+        problem: what was fitted.
+        estimate: where the fit ended.
+        errors: its standard errors.
+        method: name of the estimator.
+        seed: of the starting points.
+        watch: started with the fit.
+        noise: behind the standard errors.
+        notes: of choices made on the way.
+    """
+    data, x = problem.data, estimate.x
+    measured = [r.y[r.used] for r in data]
+    predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
+    train = Metrics.of(measured, predicted)
+    rows = [y - m for y, m in zip(predicted, measured, strict=True)]
+    model = problem.space.coordinates.assemble(jnp.asarray(x), 0)
+    status, reasons = status_of(data, model, estimate, train, rows)
     compile_s, run_s = watch.read()
-    result = FitResult(
-        model=models[0],
-        models=models,
-        data=data,
+    return FitResult(
+        problem=problem,
+        x=np.asarray(x),
         status=status,
-        notes=tuple(notes),
-        parameters=_parameters(problem, estimate.x, errors, bounds, models[0]),
-        free_names=space.names,
+        notes=(*reasons, *notes, *notes_of(problem, model, estimate, errors)),
+        parameters=parameters_of(problem, x, errors),
         covariance=errors.covariance,
         train=train,
         test=None,
         sigma=errors.sigma,
         correlation_time=errors.correlation_time,
-        honest_ratio=errors.ratio,
+        error_ratio=errors.ratio,
         rank=errors.rank,
         condition=errors.condition,
         method=method,
@@ -262,37 +295,48 @@ def conclude(
         in_best_basin=estimate.in_best_basin,
         compile_s=compile_s,
         run_s=run_s,
-        provenance=provenance(data, seed, loss=problem.objective.loss, evaluations=estimate.evaluations),
+        noise=noise,
+        provenance=provenance(data, seed, evaluations=estimate.evaluations),
     )
-    return result if test is None else with_test(result, test)
 
 
 def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
-    """The result with its error on records that were not fitted, and a warning where they leave the fitted range."""
+    """The result with its error on records that were not fitted, and a warning where they leave the fitted range.
+
+    Args:
+        result: the fit.
+        test: the records.
+        refit_offset: shift each prediction to the mean of the record.
+    """
     records = list(Dataset.of(test))
     try:
         metrics = result.metrics(records, refit_offset=refit_offset)
     except HystfitError as error:
         raise type(error)(f"test data: {error}") from error
-    warnings = [words for record in records if (words := result.extrapolates(record))]
+    notes = [note for record in records if (note := result.extrapolation(record))]
     if refit_offset:
-        warnings.append("the offset of each test record was refitted to it")
-    return dataclasses.replace(result, test=metrics, notes=result.notes + tuple(warnings))
+        notes.append(Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted"))
+    return dataclasses.replace(result.with_notes(*notes), test=metrics)
 
 
-def _parameters(
-    problem: Problem, x: np.ndarray, errors: Uncertainty, bounds: Sequence[str | None], model: AbstractHysteresis
-) -> tuple[ParameterEstimate, ...]:
+def parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:
+    """Every parameter, free ones first, for the report.
+
+    Args:
+        problem: what was fitted.
+        x: free parameters, physical, shape (p,).
+        errors: their standard errors.
+    """
     space, c = problem.space, problem.space.coordinates
     finite = lambda value: float(value) if np.isfinite(value) else None
-    variance = np.diag(errors.covariance)
+    variance, sides = np.diag(errors.covariance), problem.at_bound(x)
     rows = []
     for k, name in enumerate(space.names):
         error = float(np.sqrt(variance[k])) if np.isfinite(variance[k]) else None
-        known = bool(errors.determined[k]) and not bounds[k]
+        known = bool(errors.determined[k]) and not sides[k]
         info, unit = space.infos[k], space.units[k]
         lower, upper = finite(c.lower[k]), finite(c.upper[k])
-        rows.append(ParameterEstimate(name, float(x[k]), error, unit, lower, upper, False, bounds[k], known, info.doc))
+        rows.append(ParameterEstimate(name, float(x[k]), error, unit, lower, upper, False, sides[k], known, info.doc))
     for name, value, info in space.fixed():
         lower, upper = (finite(b) for b in info.bounds)
         unit = problem.scales.label(info.unit)

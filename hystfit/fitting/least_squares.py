@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,26 +12,24 @@ from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.trust_region import TrustRegion
-from hystfit.inference.problem import Objective, Problem
-
-
-def _residuals(z: Array, objective: Objective) -> Array:
-    return objective.residuals(z)
+from hystfit.inference.objective import Objective
+from hystfit.inference.problem import Problem
 
 
 class LeastSquares(AbstractEstimator):
     """Levenberg-Marquardt or dogleg with forward-mode Jacobians, from several starts.
 
-    Every start gets a few steps, in which most reach their basin; the best goes on in rounds of as many. A parameter that
-    slides to its bound never settles in unconstrained coordinates: the bounded trust region then finishes the fit.
+    Every start gets a few steps, in which most reach their basin; the best continues for some rounds of as many. A parameter that
+    drifts to its bound never converges in unconstrained coordinates: the bounded trust region then finishes the fit.
 
     Attributes:
         method: "lm" or "dogleg".
         rtol, atol: relative and absolute tolerance on z and on the cost.
         max_steps: in a round.
-        rounds: that the best start goes on for.
+        rounds: of further steps for the best start.
     """
 
+    needs_starts: ClassVar[bool] = True
     method: Literal["lm", "dogleg"] = eqx.field(static=True, default="lm")
     rtol: float = eqx.field(static=True, default=1e-8)
     atol: float = eqx.field(static=True, default=1e-10)
@@ -65,12 +63,23 @@ class LeastSquares(AbstractEstimator):
         return np.asarray(z), float(cost), bool(success), int(steps)
 
 
+def dogleg() -> LeastSquares:
+    """Powell's dogleg."""
+    return LeastSquares(method="dogleg")
+
+
 @eqx.filter_jit
 def _solve(settings: LeastSquares, objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array]:
     solver: Any = (optx.LevenbergMarquardt if settings.method == "lm" else optx.Dogleg)(settings.rtol, settings.atol)
     solution = optx.least_squares(
-        _residuals, solver, z0, args=objective, options={"jac": "fwd"}, max_steps=settings.max_steps, throw=False
+        lambda z, objective: objective.misfit_at(z),
+        solver,
+        z0,
+        args=objective,
+        options={"jac": "fwd"},
+        max_steps=settings.max_steps,
+        throw=False,
     )
-    cost = 0.5 * jnp.sum(objective.residuals(solution.value) ** 2)
+    cost = 0.5 * jnp.sum(objective.misfit_at(solution.value) ** 2)
     cost = jnp.where(jnp.isfinite(cost) & jnp.isfinite(solution.value).all(), cost, jnp.inf)
     return solution.value, cost, solution.result == optx.RESULTS.successful, solution.stats["num_steps"]

@@ -23,6 +23,7 @@ from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
 from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii, Rest
 from hystfit.models.rate import SaturatingRate, Viscous
+from hystfit.params.space import ParameterSpace
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out blocks by at least 2 %
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
@@ -120,7 +121,13 @@ def search_structure(data: Dataset, *, plays: int = 20) -> Found:
 
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:
-    """The model of a structure, started on the data."""
+    """The model of a structure, started on the data.
+
+    Args:
+        structure: its terms.
+        data: records.
+        plays: number of thresholds.
+    """
     play = PrandtlIshlinskii.of(
         plays,
         structure.degree,
@@ -135,21 +142,12 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
     if structure.creep:
         parts.append(LinearCreep(rest=structure.rest))
     parts += [Viscous(), SaturatingRate()][: structure.rate]
-    model = parts[0] if len(parts) == 1 else Sum(*parts)
-    if not structure.lag:
-        return _started(model, data)
-    lag = Lag(tau=structure.lag * _interval(data), rest=structure.rest)
-    reach = Dataset(tuple(_through(lag, record) for record in data))
-    return Series(lag, _started(model, reach))
-
-
-def _started(model: AbstractHysteresis, data: Dataset) -> AbstractHysteresis:
-    records = list(data)
-    if isinstance(
-        model, Sum
-    ):  # every part reads its ranges from the records themselves: the weights are solved together
-        return Sum(*(part.start(records) for part in model.parts))
-    return model.start(records)
+    lag = Lag(tau=structure.lag * _interval(data), rest=structure.rest) if structure.lag else None
+    records = list(data) if lag is None else [_through(lag, record) for record in data]
+    # Every part takes its ranges from the records themselves: the weights are solved together.
+    started = [part.start(records) for part in parts]
+    model = started[0] if len(parts) == 1 else Sum(*started)
+    return model if lag is None else Series(lag, model)
 
 
 def _interval(data: Dataset) -> float:
@@ -223,6 +221,8 @@ class _Bench:
             through = Lag(tau=lag * _interval(data), rest=rest)
             data = Dataset(tuple(_through(through, record) for record in data))
         part = part.start(list(data))
-        names = ["v0"] if isinstance(part, SaturatingRate) else []
-        problem = Problem(part, data, fix=names)
+        space = ParameterSpace.of(part)
+        problem = Problem(
+            part, data, fix=[n for n, info in zip(space.names, space.infos, strict=True) if not info.linear]
+        )
         return problem, LinearSystem.of(problem, problem.space.vector(problem.model))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.problem import Objective, Problem
+from hystfit.inference.problem import Problem
 
 
 class TrustRegion(AbstractEstimator):
@@ -21,23 +20,23 @@ class TrustRegion(AbstractEstimator):
         max_evaluations: of the residuals, for each start.
     """
 
+    needs_starts: ClassVar[bool] = True
     tolerance: float = eqx.field(static=True, default=1e-10)
     max_evaluations: int = eqx.field(static=True, default=300)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
-        objective, space = problem.objective, problem.space
-        scale = np.asarray(space.coordinates.scale)
-        lower, upper = (np.asarray(b) / scale for b in (space.coordinates.lower, space.coordinates.upper))
+        c = problem.space.coordinates
+        scale, lower, upper = (np.asarray(v) for v in (c.scale, c.lower, c.upper))
         solutions = []
         for z in starts:
-            x0 = np.clip(space.physical(z) / scale, lower, upper)
+            x0 = np.clip(problem.space.physical(z) / scale, lower / scale, upper / scale)
             solutions.append(
                 scipy.optimize.least_squares(
-                    lambda v: np.asarray(_residuals(objective, jnp.asarray(v * scale))),
+                    lambda v: problem.misfit(v * scale),
                     x0,
-                    jac=lambda v: np.asarray(_jacobian(objective, jnp.asarray(v * scale))) * scale,  # type: ignore[arg-type]
-                    bounds=(lower, upper),
+                    jac=lambda v: problem.linearize_misfit(v * scale)[1] * scale,  # type: ignore[arg-type]
+                    bounds=(lower / scale, upper / scale),
                     x_scale="jac",
                     ftol=self.tolerance,
                     xtol=self.tolerance,
@@ -47,16 +46,6 @@ class TrustRegion(AbstractEstimator):
             )
         costs = np.array([s.cost if np.isfinite(s.cost) else np.inf for s in solutions])
         best = solutions[int(np.argmin(costs))]
-        x = np.clip(best.x * scale, np.asarray(space.coordinates.lower), np.asarray(space.coordinates.upper))
         evaluations = int(sum(s.nfev for s in solutions))
+        x = np.clip(best.x * scale, lower, upper)
         return Estimate(x, float(best.cost), best.status > 0, str(best.message), evaluations, costs)
-
-
-@eqx.filter_jit
-def _residuals(objective: Objective, x: Array) -> Array:
-    return objective.misfit(x)
-
-
-@eqx.filter_jit
-def _jacobian(objective: Objective, x: Array) -> Array:
-    return jax.jacfwd(objective.misfit)(x)

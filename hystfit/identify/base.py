@@ -1,9 +1,8 @@
-"""What every sequential identifier is: `init`, `update` sample by sample, and `fit` as one scan of `update`."""
+"""Sequential identifiers: `init`, `update` sample by sample, and `fit` as one scan of `update`."""
 
 from __future__ import annotations
 
 import abc
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,8 +14,15 @@ from jaxtyping import Array, Bool, Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify.identification import Identification, conclude
+from hystfit.identify.identification import Identification, free_runs, run_metrics
+from hystfit.inference.problem import scales_of
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Note, Severity, Status
+from hystfit.outcome.note import warn
+from hystfit.params.space import ParameterSpace
+from hystfit.results.metrics import Metrics
+
+_POOR = 10.0  # simulation error in percent of the range above which no identification is usable
 
 
 class Sample(NamedTuple):
@@ -25,7 +31,7 @@ class Sample(NamedTuple):
     Attributes:
         u: input.
         y: output; NaN where it was not measured or does not count.
-        dt: time since the sample before; 0 where there is no time.
+        dt: time since the previous sample; 0 where there is no time.
         first: whether a record (or a pass over it) begins here, so that no step leads to this sample.
     """
 
@@ -36,7 +42,11 @@ class Sample(NamedTuple):
 
     @classmethod
     def of(cls, u: Any, y: Any, dt: Any = 0.0, first: Any = False) -> Sample:
-        """From plain numbers."""
+        """From plain numbers.
+
+        Args:
+            u, y, dt, first: as the attributes, numbers or arrays of one shape.
+        """
         dtype = jnp.result_type(float)
         return cls(jnp.asarray(u, dtype), jnp.asarray(y, dtype), jnp.asarray(dt, dtype), jnp.asarray(first, bool))
 
@@ -51,13 +61,13 @@ class Sample(NamedTuple):
 
 
 class Info(NamedTuple):
-    """What one update tells.
+    """Diagnostics of one update.
 
     Attributes:
-        theta: the identifier's own parameter vector after the sample, shape (p,).
+        theta: parameter vector of the identifier after the sample, shape (p,).
         error: one-step prediction error before the sample was used [y]; NaN where it was not used.
         used: whether the sample changed the parameters.
-        variance: of the error as the identifier predicts it [y^2]; None where it predicts none.
+        variance: of the error, as the identifier predicts it [y^2]; None where it predicts none.
     """
 
     theta: Float[Array, " p"]
@@ -66,19 +76,68 @@ class Info(NamedTuple):
     variance: Float[Array, ""] | None = None
 
 
-class AbstractIdentifier(eqx.Module):
-    """A sequential identifier; what it identifies, its scales and its settings are its fields.
+class Run(NamedTuple):
+    """A finished run over records, as `AbstractIdentifier.judge` gets it.
 
-    `init` and `update` are pure, so that they serve on-line use (jit `update` once) and `fit` alike. The state is a NamedTuple of
-    few arrays: many small leaves in a scan carry are slow.
+    Attributes:
+        data: the records.
+        state: final state of the identifier.
+        history: parameter vector after every sample, shape (T, p).
+        free_run: error of the final models driven by the input only; None without valid models, or where it is not finite.
+    """
+
+    data: Dataset
+    state: Any
+    history: np.ndarray
+    free_run: Metrics | None
+
+
+class Judgment(NamedTuple):
+    """Assessment of a run.
+
+    Attributes:
+        status: `OK`, or the first problem found.
+        notes: findings with their remedies.
+        equation_error: RMS one-step error of the final parameters [y]; None where it is unknown.
+    """
+
+    status: Status
+    notes: Sequence[Note] = ()
+    equation_error: float | None = None
+
+
+class AbstractIdentifier(eqx.Module):
+    """A sequential identifier; its scales and settings are its fields.
+
+    `init` and `update` are pure, so that they serve on-line use (jit `update` once) and `fit` alike. The state is a NamedTuple
+    of few arrays: many small leaves in a scan carry are slow. An identifier in a file of its own is used by its name,
+    `method="my_file.py:MyIdentifier"`.
+
+    Attributes:
+        method: name in results.
+        solved: free parameters of the model that `model` determines for each record in addition to `names`.
     """
 
     method: eqx.AbstractClassVar[str]
+    solved: eqx.AbstractClassVar[tuple[str, ...]]
+
+    @classmethod
+    @abc.abstractmethod
+    def of(
+        cls, model: AbstractHysteresis, data: Record | Dataset | Sequence[Record], **settings: Any
+    ) -> AbstractIdentifier:
+        """An identifier scaled to records.
+
+        Args:
+            model: structure and, where the identifier needs them, starting values.
+            data: the records that it will run over.
+            **settings: by keyword, each with a default.
+        """
 
     @property
     @abc.abstractmethod
     def names(self) -> tuple[str, ...]:
-        """Names of the physical parameters."""
+        """Names of the parameters in `physical`, as `ParameterSpace` has them."""
 
     @abc.abstractmethod
     def init(self) -> Any:
@@ -86,7 +145,7 @@ class AbstractIdentifier(eqx.Module):
 
     @abc.abstractmethod
     def update(self, state: Any, sample: Sample) -> tuple[Any, Info]:
-        """Take in one sample: (new state, what it told)."""
+        """One sample: new state and diagnostics."""
 
     @abc.abstractmethod
     def physical(self, theta: np.ndarray) -> np.ndarray:
@@ -94,21 +153,17 @@ class AbstractIdentifier(eqx.Module):
 
     @abc.abstractmethod
     def model(self, theta: np.ndarray, record: Record) -> AbstractHysteresis | None:
-        """The identified model as a record sees it; None where theta is no valid model."""
+        """The identified model for one record; None where theta, finite, is no valid model."""
 
     @abc.abstractmethod
-    def one_step(self, theta: np.ndarray, data: Dataset) -> np.ndarray:
-        """One-step prediction errors of fixed parameters over all records [y]."""
-
-    @abc.abstractmethod
-    def judge(self, data: Dataset, state: Any, history: np.ndarray, errors: np.ndarray) -> tuple[str, list[str]]:
-        """Status ("ok" or what is wrong) and notes with the remedy, from the final state and the history of theta."""
+    def judge(self, run: Run) -> Judgment:
+        """Assessment of a finished run; the simulation error is judged after it."""
 
     def fit(self, data: Record | Dataset | Sequence[Record], *, passes: int = 1) -> Identification:
         """Run through records (`passes` times) in one scan.
 
         Raises:
-            ParameterError: no pass is asked for.
+            ParameterError: fewer than one pass.
             DataError: no records.
         """
         if passes < 1:
@@ -116,14 +171,100 @@ class AbstractIdentifier(eqx.Module):
         data = Dataset.of(data)
         stream = Sample.stream(list(data), passes)
         state, info = run_stream(self, self.init(), stream)
-        return conclude(self, data, stream, state, info)
+        history, errors = np.asarray(info.theta), np.asarray(info.error)
+        models = self._models(history[-1], data)
+        space = free_only(models[0], (*self.names, *self.solved), data) if models else None
+        runs = free_runs(models, data)
+        finite = bool(runs) and all(np.isfinite(run).all() for run in runs)
+        metrics = run_metrics(runs, data) if finite else None
+        status, notes, equation_error = self.judge(Run(data, state, history, metrics))
+        notes = list(notes)
+        problem = _simulation_problem(metrics, simulated=bool(runs))
+        if problem is not None:
+            status = Status.POOR if status is Status.OK else status
+            notes.append(problem)
+        return Identification(
+            method=self.method,
+            data=data,
+            models=models,
+            space=space,
+            x=np.zeros(0) if space is None else space.vector(list(models)),
+            names=self.names,
+            history=self.physical(history),
+            theta_history=history,
+            errors=errors,
+            equation_error=equation_error if equation_error is not None and np.isfinite(equation_error) else None,
+            free_run=metrics,
+            counts=_counts(stream, np.asarray(info.used)),
+            status=status,
+            notes=tuple(notes),
+            state=state,
+        )
 
-    def replace(self, **changes: Any) -> Any:
-        """Copy with some fields changed."""
-        return dataclasses.replace(self, **changes)
+    def _models(self, theta: np.ndarray, data: Dataset) -> tuple[AbstractHysteresis, ...]:
+        """One model for each record; empty where theta is no valid model."""
+        if not np.isfinite(theta).all():
+            return ()
+        models = [self.model(theta, record) for record in data]
+        valid = [model for model in models if model is not None]
+        return tuple(valid) if len(valid) == len(models) else ()
 
 
 @eqx.filter_jit
 def run_stream(identifier: AbstractIdentifier, state: Any, stream: Sample) -> tuple[Any, Info]:
-    """`update` over samples of shape (T,): the state after them, and `Info` with leaves of shape (T, ...)."""
+    """`update` over a stream of samples.
+
+    Args:
+        identifier: the identifier.
+        state: its state before the first sample.
+        stream: samples with leaves of shape (T,).
+
+    Returns:
+        The state after them, and `Info` with leaves of shape (T, ...).
+    """
     return jax.lax.scan(lambda carry, sample: identifier.update(carry, sample), state, stream)
+
+
+def free_only(model: AbstractHysteresis, names: Sequence[str], data: Dataset) -> ParameterSpace:
+    """The space of a model in which just some parameters are free, also those that the model fixes by default.
+
+    Args:
+        model: the template.
+        names: leaves ("w"), elements ("w[2]") or longer paths; a record's label ("offset@run1") is ignored.
+        data: records that have parameters of their own, and the units.
+
+    Raises:
+        ParameterError: an unknown or ambiguous name.
+    """
+    names = list(dict.fromkeys(name.partition("@")[0] for name in names))
+    every = ParameterSpace.of(model, free=names)
+    chosen = {(leaf, position) for leaf, positions in map(every.find, names) for position in positions}
+    others = [
+        name
+        for name, (leaf, position, _) in zip(every.names, every.sources, strict=True)
+        if (leaf, position) not in chosen
+    ]
+    records = [record.name for record in data]
+    return ParameterSpace.of(model, fix=others, free=names, scales=scales_of(data), records=records)
+
+
+def _counts(stream: Sample, used: np.ndarray) -> dict[str, int]:
+    u, y, first = (np.asarray(v) for v in (stream.u, stream.y, stream.first))
+    missing = np.isnan(y)
+    still = ~first & ~missing & (np.diff(u, prepend=u[0]) == 0)
+    counts = {"total": u.size, "used": used.sum(), "still": still.sum(), "missing": missing.sum(), "first": first.sum()}
+    return {name: int(value) for name, value in counts.items()}
+
+
+def _simulation_problem(metrics: Metrics | None, *, simulated: bool) -> Note | None:
+    """A note where the simulation is not finite or does not follow the record."""
+    if metrics is None:
+        text = "the simulation of the identified model is not finite: it is unstable at this sampling rate"
+        return Note(Code.DIVERGED, text, Severity.ERROR) if simulated else None
+    percent = metrics.nrmse_percent
+    if percent is None or percent <= _POOR:
+        return None
+    return warn(
+        Code.SIMULATION_ERROR,
+        f"the simulation error is {percent:.3g} % of the range (RMS), however small the one-step error",
+    )

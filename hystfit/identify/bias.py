@@ -1,4 +1,4 @@
-"""How far noise on the output pulls the rate of one-step regression, estimated from its own residuals.
+"""Bias of one-step regression from noise on the output, estimated from its residuals.
 
 Noise n_k enters the response as n_k - n_(k-1) and the regressor of alpha as -a n_(k-1) (explicit) or -a (n_k + n_(k-1)) / 2
 (midpoint). With variance s^2 the expected normal equations are those of the truth plus s^2 times
@@ -6,8 +6,8 @@ Noise n_k enters the response as n_k - n_(k-1) and the regressor of alpha as -a 
     explicit  sum a^2      on the diagonal entry of alpha (attenuation),   sum a   on its right side (attraction to 1/a);
     midpoint  sum a^2 / 2  on the diagonal entry of alpha,                 nothing on its right side.
 
-Sampling faster leaves sum a as it is and shrinks the information on alpha, so that explicit regression gets worse; midpoint
-regression has no such term. s^2 is read off the residuals, whose neighbors are correlated by -s^2 when noise rules them.
+Faster sampling leaves sum a unchanged and reduces the information on alpha, so explicit regression gets worse; midpoint
+regression has no such term. s^2 follows from the residuals: where noise dominates, neighbors have the covariance -s^2.
 """
 
 from __future__ import annotations
@@ -16,22 +16,24 @@ import dataclasses
 
 import numpy as np
 
-from hystfit.identify.regressors import DuhemRegressor, Rows
+from hystfit.identify.duhem_regression import DuhemRegressor, Rows
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 
-_SERIOUS = 0.1  # relative bias of alpha that is warned of
+_SERIOUS = 0.1  # relative bias of alpha above which a warning is given
 _SIGNIFICANT = 4.0  # standard errors of a correlation of neighbors
 
 
 @dataclasses.dataclass(frozen=True)
 class NoiseBias:
-    """Noise and its effect on the rate.
+    """Output noise and its effect on the rate.
 
     Attributes:
         noise: standard deviation of white output noise [y]; 0 where the residuals show none.
         alpha: identified rate [1/u].
-        corrected: rate with the expected effect of the noise taken out [1/u]; None where the noise drowns it.
-        theta: all scaled parameters so corrected, shape (p,); None likewise.
-        explicit: whether the regressors are explicit ones.
+        corrected: rate without the expected effect of the noise [1/u]; None where the noise is too large to correct for.
+        theta: all scaled parameters corrected likewise, shape (p,), or None.
+        explicit: whether the regressors are explicit.
     """
 
     noise: float
@@ -42,29 +44,41 @@ class NoiseBias:
 
     @property
     def relative(self) -> float | None:
-        """(identified - corrected) / corrected; None where the noise drowns the rate."""
+        """(identified - corrected) / corrected; None without a corrected rate."""
         return None if self.corrected is None else self.alpha / self.corrected - 1.0
 
     @property
     def serious(self) -> bool:
-        """Whether the rate is off by more than a tenth."""
+        """Whether the bias of the rate exceeds 10 %."""
         return self.relative is None or abs(self.relative) > _SERIOUS
 
-    def notes(self, unit: str) -> list[str]:
-        """The warning, with what to use instead; nothing where none is due."""
+    def note(self, unit: str) -> Note | None:
+        """A warning with the remedy where the bias is serious; `unit` is that of the output."""
         if not self.serious:
-            return []
+            return None
         size = f"noise of {self.noise:.3g}{f' {unit}' if unit else ''} (standard deviation, from the residuals)"
-        told = "drowns the rate" if self.relative is None else f"biases the rate alpha by about {self.relative:+.0%}"
+        effect = (
+            "is too large to identify the rate alpha"
+            if self.relative is None
+            else f"biases the rate alpha by about {self.relative:+.0%}"
+        )
         first = "use midpoint regressors (scheme='midpoint'); " if self.explicit else ""
-        return [
-            f"{size} {told}: {first}output-error least squares (method='lm') has no such bias; where the regression must stay "
-            "linear, use hystfit.identify.integrated_regression or bias_compensated"
-        ]
+        return warn(
+            Code.NOISE_BIAS,
+            f"{size} {effect}: {first}output-error least squares (method='lm') has no such bias; where the regression must stay "
+            "linear, use hystfit.identify.integrated_regression or bias_compensated",
+        )
 
 
 def noise_bias(regressor: DuhemRegressor, rows: Rows, theta: np.ndarray, weight: np.ndarray | None = None) -> NoiseBias:
-    """Noise level and bias of a least-squares estimate theta from its rows, weighted by `weight` (K,)."""
+    """Noise level and bias of a least-squares estimate.
+
+    Args:
+        regressor: of the rows.
+        rows: the regression, K rows.
+        theta: its least-squares solution, shape (p,).
+        weight: of each row, shape (K,); None weights all alike.
+    """
     weight = np.ones(rows.target.size) if weight is None else weight
     explicit, k = regressor.scheme == "explicit", regressor.m
     lever = float(regressor.half / regressor.step)
@@ -73,9 +87,9 @@ def noise_bias(regressor: DuhemRegressor, rows: Rows, theta: np.ndarray, weight:
     column = np.linalg.lstsq(normal, np.eye(regressor.p)[k], rcond=None)[0]
     attraction = variance * lever * np.sum(weight * rows.travel) if explicit else 0.0
     attenuation = variance * np.sum(weight * rows.travel**2) * (1.0 if explicit else 0.5)
-    left = 1.0 - column[k] * attenuation
+    remaining = 1.0 - column[k] * attenuation
     alpha = float(theta[k])
-    corrected = (alpha - column[k] * attraction) / left if left > 0 else np.nan
+    corrected = (alpha - column[k] * attraction) / remaining if remaining > 0 else np.nan
     half, noise = float(regressor.half), float(np.sqrt(variance) * regressor.size)
     if not (np.isfinite(corrected) and corrected > 0):
         return NoiseBias(noise, alpha / half, None, None, explicit)
@@ -84,7 +98,7 @@ def noise_bias(regressor: DuhemRegressor, rows: Rows, theta: np.ndarray, weight:
 
 
 def _noise_variance(regressor: DuhemRegressor, rows: Rows, theta: np.ndarray) -> float:
-    """Variance of white noise on the target's output part, from the covariance of neighboring residuals; 0 if not negative."""
+    """Variance of white noise in the target, from the covariance of neighboring residuals; 0 unless that is clearly negative."""
     e = rows.target - rows.phi @ theta
     e = e - e.mean()
     pairs = np.flatnonzero(np.diff(rows.at) == 1)

@@ -18,11 +18,12 @@ from jaxtyping import Array, Float, Int
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify.base import Info, Sample
+from hystfit.identify.base import Info, Run, Sample
 from hystfit.identify.bias import noise_bias
-from hystfit.identify.linear import LinearIdentifier, check_enough, rows_of, starting_theta
-from hystfit.identify.regressors import DuhemRegressor, Rows
+from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, starting_theta
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
 from hystfit.params.param import as_array
 
 _SLACK = 1e-12  # relative, of the condition on time-varying weights
@@ -30,11 +31,11 @@ _EXCESS = 0.02  # part of the response's RMS by which the equation error may exc
 
 
 class GradientState(NamedTuple):
-    """Parameters, the sample before, and how many rows were used.
+    """State of the recursion.
 
     Attributes:
         theta: shape (p,), scaled.
-        last: (u, y) of the sample before; NaN before the first.
+        last: (u, y) of the previous sample; NaN before the first.
         count: rows used so far (the index of time-varying weights).
     """
 
@@ -49,10 +50,10 @@ class GradientCorrection(LinearIdentifier):
     Attributes:
         regressor: the scaled Duhem equation.
         theta0: start, shape (p,), scaled.
-        weights: Lambda, shape (p,), or (K, p) for weights that vary with the row (the last stays).
-        mu: part of the stable step, in (0, 2): c = mu / (floor + phi^T Lambda phi).
+        weights: Lambda, shape (p,), or (K, p) for weights that vary with the row; the last row of weights is kept.
+        mu: relative step size, in (0, 2): c = mu / (floor + phi^T Lambda phi).
         floor: epsilon. Without it noise is amplified without bound at turning points, where phi vanishes.
-        step: constant c instead, capped at the normalized step where it would break its bound; None for mu and floor.
+        step: constant c instead, replaced by the normalized step where it exceeds its bound; None for mu and floor.
     """
 
     method: ClassVar[str] = "gradient-correction"
@@ -76,10 +77,14 @@ class GradientCorrection(LinearIdentifier):
         floor: float = 1.0,
         step: float | None = None,
     ) -> GradientCorrection:
-        """Scaled to records, with the orders and scheme of a model; settings as the attributes.
+        """Scaled to records.
 
-        `weights` None equalizes the columns: one over their mean squares in the records. From zero the steps would need many
-        passes: the default start is what `Duhem.start` reads off the records.
+        Args:
+            model: a `Duhem`, which gives the orders and the scheme.
+            data: the records.
+            start: theta0 is "zero" (which needs many passes), the values of the "model", or read from the "data".
+            weights: Lambda; None takes one over the mean square of each regressor in the records.
+            mu, floor, step: see the attributes.
 
         Raises:
             ParameterError: a setting out of range, weights that are not positive or vary against the condition.
@@ -91,12 +96,15 @@ class GradientCorrection(LinearIdentifier):
             raise ParameterError(f"floor must not be negative, got {floor:g}; 1 suits scaled regressors")
         data = Dataset.of(data)
         regressor = DuhemRegressor.of(model, list(data))
-        rows = check_enough(regressor, data)
-        chosen = equalising_weights(rows) if weights is None else check_weights(weights, regressor.p)
+        rows = regressor.enough_rows(data)
+        if weights is None:
+            lambdas = 1.0 / np.maximum(np.mean(rows.phi**2, axis=0), np.finfo(float).tiny)
+        else:
+            lambdas = check_weights(weights, regressor.p)
         if step is not None:
-            _check_step(step, chosen, rows)
+            _check_step(step, lambdas, rows)
         theta0 = starting_theta(regressor, model, list(data), start)
-        return cls(regressor, theta0, jnp.asarray(chosen, dtype=theta0.dtype), mu, floor, step)  # type: ignore[arg-type]
+        return cls(regressor, theta0, jnp.asarray(lambdas, dtype=theta0.dtype), mu, floor, step)  # type: ignore[arg-type]
 
     def init(self) -> GradientState:
         """The start."""
@@ -105,61 +113,51 @@ class GradientCorrection(LinearIdentifier):
     def update(self, state: GradientState, sample: Sample) -> tuple[GradientState, Info]:
         """One sample: about 4 p multiplications."""
         phi, target, usable, last = self.equation(state.last, sample)
-        weights = self.weights if self.weights.ndim == 1 else self.weights[self._row(state.count)]
+        weights = (
+            self.weights
+            if self.weights.ndim == 1
+            else self.weights[jnp.minimum(state.count, self.weights.shape[0] - 1)]
+        )
         error = target - phi @ state.theta
         power = phi @ (weights * phi)
         gain = self._gain(jnp.where(usable, power, 1.0))
         theta = jnp.where(usable, state.theta + gain * error * weights * phi, state.theta)
-        told = jnp.where(usable, error * self.regressor.target_unit, jnp.nan)
-        return GradientState(theta, last, state.count + usable), Info(theta, told, usable)
-
-    def _row(self, count: Array) -> Array:
-        return jnp.minimum(count, self.weights.shape[0] - 1)
+        error = jnp.where(usable, error * self.regressor.target_unit, jnp.nan)
+        return GradientState(theta, last, state.count + usable), Info(theta, error, usable)
 
     def _gain(self, power: Array) -> Array:
         if self.step is None:
             return self.mu / (self.floor + power)
         return jnp.where(self.step * power < 2.0, self.step, 1.0 / power)
 
-    def judge(
-        self, data: Dataset, state: GradientState, history: np.ndarray, errors: np.ndarray
-    ) -> tuple[str, list[str]]:
-        """Valid, excited, near the batch solution, and not biased by noise?"""
-        rows = rows_of(self.regressor, data)
-        best = np.linalg.lstsq(rows.phi, rows.target, rcond=None)[0]  # where the steps head for
-        notes = self._warn_of_floor()
-        checks = (self.excitation(rows), self._convergence(rows, history[-1], best), self.validity(history))
-        for status, found in checks:
-            notes += found
-            if status != "ok":
-                return status, notes
-        bias = noise_bias(self.regressor, rows, best)
-        return ("biased" if bias.serious else "ok"), notes + bias.notes(data.units["y"])
+    def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
+        """Whether the input determines the estimate, and it is near the batch solution, valid and not biased by noise."""
+        best = np.linalg.lstsq(rows.phi, rows.target, rcond=None)[0]  # the fixed point of the steps
+        notes = []
+        if self.step is None and float(self.floor) == 0:
+            text = "floor = 0: the step divides by phi^T Lambda phi, which vanishes at turning points and amplifies noise; set floor=1"
+            notes.append(warn(Code.STEP_SIZE, text))
+        if (unexcited := self.excitation(rows)) is not None:
+            return Status.UNDETERMINED, [*notes, unexcited]
+        for status, problems in (self._convergence(rows, run.history[-1], best), self.validity(run.history)):
+            if status is not Status.OK:
+                return status, [*notes, *problems]
+        biased = noise_bias(self.regressor, rows, best).note(run.data.units["y"])
+        return (Status.OK, notes) if biased is None else (Status.BIASED, [*notes, biased])
 
-    def _warn_of_floor(self) -> list[str]:
-        if self.step is not None or float(self.floor) > 0:
-            return []
-        return [
-            "floor = 0: the normalized step divides by phi^T Lambda phi, which vanishes at turning points, so that any noise is "
-            "amplified without bound; set floor=1"
-        ]
-
-    def _convergence(self, rows: Rows, theta: np.ndarray, best: np.ndarray) -> tuple[str, list[str]]:
-        """Against the least-squares solution of the same rows."""
+    def _convergence(self, rows: Rows, theta: np.ndarray, best: np.ndarray) -> tuple[Status, list[Note]]:
+        """Against the least-squares solution of the same rows; theta that is not finite is left to `validity`."""
         if not np.isfinite(theta).all():
-            return "ok", []  # `validity` tells
+            return Status.OK, []
         rms = lambda value: float(np.sqrt(np.mean((rows.target - rows.phi @ value) ** 2)))
-        size, here, there = float(np.sqrt(np.mean(rows.target**2))), rms(theta), rms(best)
-        if np.sqrt(max(here**2 - there**2, 0.0)) <= _EXCESS * size:
-            return "ok", []
-        words = f"the one-step error is {here / size:.2%} of the increments, and {there / size:.2%} could be reached"
-        far = "diverged" if here > size else "not-converged"
-        return far, [f"{words}: more passes, a better start (start='data'), or method='rls'"]
-
-
-def equalising_weights(rows: Rows) -> np.ndarray:
-    """One over the mean square of each regressor, shape (p,)."""
-    return 1.0 / np.maximum(np.mean(rows.phi**2, axis=0), np.finfo(float).tiny)
+        size, error, least = float(np.sqrt(np.mean(rows.target**2))), rms(theta), rms(best)
+        if np.sqrt(max(error**2 - least**2, 0.0)) <= _EXCESS * size:
+            return Status.OK, []
+        text = (
+            f"the one-step error is {error / size:.2%} of the increments, and the least possible is {least / size:.2%}: use more "
+            "passes, a better start (start='data'), or method='rls'"
+        )
+        return Status.DIVERGED if error > size else Status.NOT_CONVERGED, [warn(Code.ONE_STEP_ERROR, text)]
 
 
 def check_weights(weights: Sequence[float] | np.ndarray, p: int) -> np.ndarray:
@@ -175,12 +173,12 @@ def check_weights(weights: Sequence[float] | np.ndarray, p: int) -> np.ndarray:
     if not (np.isfinite(array).all() and (array > 0).all()):
         raise ParameterError("weights must be positive and finite: a zero weight never corrects its parameter")
     if array.ndim == 2:
-        kept = np.log(array[1:]) - np.log(array[:-1])  # the largest relative decrease is the smallest ratio
-        leads = np.all(kept <= kept.min(axis=1, keepdims=True) + _SLACK, axis=0)
+        ratio = np.log(array[1:]) - np.log(array[:-1])  # the largest relative decrease is the smallest ratio
+        leads = np.all(ratio <= ratio.min(axis=1, keepdims=True) + _SLACK, axis=0)
         if not leads.any():
             raise ParameterError(
-                "time-varying weights: at every step the same weight must have the largest relative decrease, or the proof of "
-                "convergence fails; scale all weights by one common factor, or keep them constant"
+                "time-varying weights: the same weight must have the largest relative decrease at every step, or convergence is not "
+                "guaranteed; scale all weights by one common factor, or keep them constant"
             )
     return array
 

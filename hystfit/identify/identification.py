@@ -1,198 +1,171 @@
-"""What a sequential identification gives back: final model, parameter history, one-step and free-run errors, a status."""
+"""The result of a sequential identification, and its form as a fit."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hystfit.data.record import Dataset
-from hystfit.inference.problem import scales_of
+from hystfit.errors import ModelError
+from hystfit.inference.autocorrelation import autocorrelation_time
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.outcome import Code, Note, Status
 from hystfit.params.space import ParameterSpace
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import ParameterEstimate
-
-if TYPE_CHECKING:
-    from hystfit.identify.base import AbstractIdentifier, Info, Sample
-
-ADVICE = {
-    "ok": "usable",
-    "biased": "noise biases the rate: use output-error least squares (method='lm'), or integrated_regression where it must be linear",
-    "undetermined": "the input does not excite all parameters: add reversals of several amplitudes, or lower the orders",
-    "not-converged": "not converged: more passes, a better start, or recursive least squares",
-    "diverged": "diverged: raise the floor or lower mu (gradient correction), or decimate by input increment",
-    "failed": "the identified rate is not positive: decimate by input increment, or use output-error least squares (method='lm')",
-    "poor": "the free run does not follow the record: use output-error least squares (method='lm') or another model",
-}
-_POOR = 10.0  # percent of range above which no free run is called usable
+from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.timing import Stopwatch
 
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """The outcome of `AbstractIdentifier.fit`.
+    """The result of `AbstractIdentifier.fit`.
 
     Attributes:
-        model: final model as the first record sees it, None where the parameters are no valid model; `models` one for
-            each record.
-        data: the records.
-        method: "rls", "gradient-correction", ...
-        names, units: of the columns of `history`.
-        history: physical parameters after every sample, shape (T, p), over all records and passes.
-        theta: final parameter vector of the identifier itself, shape (p,); `theta_history` after every sample (T, p).
-        errors: one-step prediction error before each sample was used [y], shape (T,), NaN where it was not used.
-        equation_error: RMS one-step error of the final parameters [y]; None where it is not finite.
-        free_run: error of the simulation that sees the input alone; None without a valid model.
-        counts: samples: "total", "used", and skipped because the input stood "still", the output was "missing", or the
-            record only began ("first").
-        status: key of `ADVICE`; only "ok" is usable without a second thought.
-        notes: what was found, one sentence each, with the remedy.
-        state: final state of the identifier, to go on from.
+        method: name of the identifier.
+        data: the records, R of them.
+        models: identified model for each record; empty where the parameters are no valid model.
+        space: the identified parameters by name; None without a valid model.
+        x: their values, shape (len(space),); empty without a valid model.
+        names: of the columns of `history`.
+        history: physical parameters after every sample of all records and passes, shape (T, p).
+        theta_history: parameter vector of the identifier after every sample, shape (T, p).
+        errors: one-step prediction error before each sample was used [y], shape (T,); NaN where it was not used.
+        equation_error: RMS one-step error of the final parameters [y]; None where it is unknown or not finite.
+        free_run: error of the final models driven by the input only; None where there is none.
+        counts: numbers of samples: "total", "used", "missing" (no output), "still" (the input did not move), and
+            "first" (of a record or pass).
+        status: `status.advice("identify")` is the remedy.
+        notes: findings with their remedies.
+        state: final state of the identifier, from which `update` can continue.
     """
 
-    model: AbstractHysteresis | None
-    models: tuple[AbstractHysteresis | None, ...]
-    data: Dataset
     method: str
+    data: Dataset
+    models: tuple[AbstractHysteresis, ...]
+    space: ParameterSpace | None
+    x: np.ndarray
     names: tuple[str, ...]
-    units: tuple[str, ...]
     history: np.ndarray
-    theta: np.ndarray
     theta_history: np.ndarray
     errors: np.ndarray
     equation_error: float | None
     free_run: Metrics | None
     counts: dict[str, int]
-    status: str
-    notes: tuple[str, ...]
+    status: Status
+    notes: tuple[Note, ...]
     state: Any
 
     def __repr__(self) -> str:
         values = ", ".join(f"{p.name} {p.value:.5g} {p.unit}".rstrip() for p in self.parameters)
-        free = "no free run" if self.free_run is None else f"free run {self.free_run.nrmse_percent:.3g} % of range"
-        return f"<Identification by {self.method}, {self.status}: {values}; {free}>"
+        error = (
+            "no simulation"
+            if self.free_run is None
+            else f"simulation error {self.free_run.nrmse_percent:.3g} % of range"
+        )
+        return f"<Identification by {self.method}, {self.status}: {values}; {error}>"
 
     @property
     def usable(self) -> bool:
-        """Whether the status is "ok"."""
-        return self.status == "ok"
-
-    def __getitem__(self, name: str) -> ParameterEstimate:
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise KeyError(f"no parameter {name!r}; there are {[p.name for p in self.parameters]}")
+        """Whether the status is `OK`."""
+        return self.status.usable
 
     @property
-    def advice(self) -> str:
-        """What to do, in one sentence."""
-        return ADVICE[self.status]
+    def model(self) -> AbstractHysteresis | None:
+        """Identified model for the first record; None where the parameters are no valid model."""
+        return self.models[0] if self.models else None
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Final parameter vector of the identifier, shape (p,)."""
+        return self.theta_history[-1]
 
     @property
     def parameters(self) -> tuple[ParameterEstimate, ...]:
-        """Every parameter of the final model for a report, without standard errors: one-step residuals are correlated.
+        """Free and fixed parameters, without standard errors: one-step residuals are correlated.
 
         Without a valid model, the identified values that are finite.
         """
-        if self.model is None:
-            rows = zip(self.names, self.history[-1], self.units, strict=True)
+        if self.space is None:
             return tuple(
-                ParameterEstimate(name, float(value), None, unit, None, None, False, None, None)
-                for name, value, unit in rows
+                ParameterEstimate(name, float(value), None, "", None, None, False, None, None)
+                for name, value in zip(self.names, self.history[-1], strict=True)
                 if np.isfinite(value)
             )
-        space = ParameterSpace.of(self.model, scales=scales_of(self.data))
-        finite = lambda value: float(value) if np.isfinite(value) else None
+        free = zip(self.space.names, self.x, self.space.infos, [False] * self.x.size, strict=True)
         rows = []
-        for name, value, info in zip(space.names, space.vector(self.model), space.infos, strict=True):
-            unit, (lower, upper) = space.scales.label(info.unit), (finite(b) for b in info.bounds)
-            rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, False, None, None, info.doc))
-        for name, value, info in space.fixed():
-            unit, (lower, upper) = space.scales.label(info.unit), (finite(b) for b in info.bounds)
-            rows.append(ParameterEstimate(name, value, None, unit, lower, upper, True, None, None, info.doc))
+        for name, value, info, fixed in (*free, *((*row, True) for row in self.space.fixed())):
+            lower, upper = (float(bound) if np.isfinite(bound) else None for bound in info.bounds)
+            unit = self.space.scales.label(info.unit)
+            rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc))
         return tuple(rows)
 
-    def predict(self) -> list[np.ndarray] | None:
-        """Free run over every record, shapes (T_r,); None without a valid model."""
-        models = [model for model in self.models if model is not None]
-        if len(models) < len(self.models):
-            return None
-        pairs = zip(models, self.data, strict=True)
-        return [np.asarray(simulate(model, r.u, None if r.t is None else r.dt)[0]) for model, r in pairs]
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a report and `result.json` need; unknown values are None."""
-        return {
-            "method": self.method,
-            "status": self.status,
-            "advice": self.advice,
-            "notes": list(self.notes),
-            "parameters": {p.name: p.to_dict() for p in self.parameters},
-            "metrics": {"train": self.free_run.to_dict() if self.free_run else None, "test": None},
-            "equation_error_rms": self.equation_error,
-            "samples": dict(self.counts),
-        }
+    def predict(self) -> list[np.ndarray]:
+        """Output of the final models driven by the input only, one array (T_r,) a record; empty without a valid model."""
+        return free_runs(self.models, self.data)
 
 
-def conclude(
-    identifier: AbstractIdentifier, data: Dataset, stream: Sample, state: Any, info: Info, notes: Sequence[str] = ()
-) -> Identification:
-    """Put a finished run into the result that users see."""
-    theta_history, errors, used = (np.asarray(v) for v in (info.theta, info.error, info.used))
-    theta = theta_history[-1]
-    models = tuple(identifier.model(theta, record) for record in data)
-    status, found = identifier.judge(data, state, theta_history, errors)
-    free_run, poor = _free_run(models, data)
-    one_step = identifier.one_step(theta, data)
-    rms = np.sqrt(np.mean(one_step**2)) if one_step.size else np.nan
-    units = ("",) * len(identifier.names) if models[0] is None else _units(identifier.names, models[0], data)
-    return Identification(
-        model=models[0],
-        models=models,
-        data=data,
-        method=identifier.method,
-        names=identifier.names,
-        units=units,
-        history=identifier.physical(theta_history),
-        theta=theta,
-        theta_history=theta_history,
-        errors=errors,
-        equation_error=float(rms) if np.isfinite(rms) else None,
-        free_run=free_run,
-        counts=_counts(stream, used),
-        status="poor" if status == "ok" and poor else status,
-        notes=(*notes, *found, *poor),
-        state=state,
+def free_runs(models: tuple[AbstractHysteresis, ...], data: Dataset) -> list[np.ndarray]:
+    """Output of each record's model driven by the input only, one array (T_r,) a record; empty without models."""
+    pairs = zip(models, data, strict=True) if models else ()
+    return [np.asarray(simulate(model, r.u, None if r.t is None else r.dt)[0]) for model, r in pairs]
+
+
+def run_metrics(runs: list[np.ndarray], data: Dataset) -> Metrics:
+    """Errors of runs, one array (T_r,) a record, over the samples that count."""
+    return Metrics.of([r.y[r.used] for r in data], [run[r.used] for run, r in zip(runs, data, strict=True)])
+
+
+def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitResult:
+    """The identification as a fit without standard errors.
+
+    Args:
+        identification: with a valid model.
+        seed: recorded in the provenance.
+        watch: started with the identification.
+
+    Raises:
+        ModelError: the identified parameters are no valid model, or its simulation is not finite.
+    """
+    method, data, space = identification.method, identification.data, identification.space
+    advice = identification.status.advice("identify")
+    if space is None or identification.free_run is None:
+        reasons = "; ".join((advice, *map(str, identification.notes)))
+        raise ModelError(f"{method} found no usable model: {reasons}")
+    notes = [
+        Note(
+            Code.SEQUENTIAL,
+            "errors and metrics are those of a simulation; a sequential method gives no standard errors",
+        ),
+        *identification.notes,
+    ]
+    models = list(identification.models)
+    free = list(dict.fromkeys(name.partition("@")[0] for name in space.names))
+    problem = Problem(models[0], data, fix=[name for name, _, _ in space.fixed()], free=free)
+    residuals = [(y - r.y)[r.used] for y, r in zip(identification.predict(), data, strict=True)]
+    correlation = max(autocorrelation_time(r) for r in residuals)
+    compile_s, run_s = watch.read()
+    return FitResult(
+        problem=problem,
+        x=identification.x,
+        status=identification.status,
+        notes=tuple(notes),
+        parameters=identification.parameters,
+        covariance=np.full((len(problem.space), len(problem.space)), np.nan),
+        train=identification.free_run,
+        test=None,
+        sigma=identification.free_run.rmse,
+        correlation_time=correlation,
+        error_ratio=float(np.sqrt(correlation)),
+        rank=None,
+        condition=None,
+        method=method,
+        starts=1,
+        in_best_basin=1,
+        compile_s=compile_s,
+        run_s=run_s,
+        noise=NoiseEstimate("auto"),
+        provenance=provenance(data, seed, samples=identification.counts),
     )
-
-
-def _counts(stream: Sample, used: np.ndarray) -> dict[str, int]:
-    u, y, first = (np.asarray(v) for v in (stream.u, stream.y, stream.first))
-    missing = np.isnan(y)
-    still = ~first & ~missing & (np.diff(u, prepend=u[0]) == 0)
-    counts = {"total": u.size, "used": used.sum(), "still": still.sum(), "missing": missing.sum(), "first": first.sum()}
-    return {name: int(value) for name, value in counts.items()}
-
-
-def _free_run(models: Sequence[AbstractHysteresis | None], data: Dataset) -> tuple[Metrics | None, list[str]]:
-    """Metrics of the simulation and, where it misses the record, a note."""
-    known = [model for model in models if model is not None]
-    if len(known) < len(models):
-        return None, []
-    pairs = zip(known, data, strict=True)
-    runs = [np.asarray(simulate(model, r.u, None if r.t is None else r.dt)[0]) for model, r in pairs]
-    if not all(np.isfinite(run).all() for run in runs):
-        return None, ["the free run is not finite: the identified model is unstable at this sampling"]
-    metrics = Metrics.of([r.y[r.used] for r in data], [run[r.used] for run, r in zip(runs, data, strict=True)])
-    percent = metrics.nrmse_percent
-    if percent is None or percent <= _POOR:
-        return metrics, []
-    return metrics, [f"the free run is off by {percent:.3g} % of the range (RMS), whatever the one-step error says"]
-
-
-def _units(names: Sequence[str], model: AbstractHysteresis, data: Dataset) -> tuple[str, ...]:
-    space = ParameterSpace.of(model, scales=scales_of(data))
-    units = dict(zip(space.names, space.units, strict=True))
-    return tuple(units.get(name, "") for name in names)

@@ -12,23 +12,23 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify.base import Info, Sample
+from hystfit.identify.base import Info, Run, Sample
 from hystfit.identify.bias import noise_bias
-from hystfit.identify.linear import LinearIdentifier, check_enough, rows_of, starting_theta
-from hystfit.identify.regressors import DuhemRegressor
+from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, starting_theta
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Note, Status
 from hystfit.params.param import as_array
 
 _WINDUP = 1e3  # growth of the mean variance over the prior at which forgetting pauses
 
 
 class RlsState(NamedTuple):
-    """Parameters, covariance factor and the sample before.
+    """State of the recursion.
 
     Attributes:
         theta: shape (p,), scaled.
         root: S with P = S S^T in the square-root form, P itself in the symmetric one, shape (p, p).
-        last: (u, y) of the sample before; NaN before the first.
+        last: (u, y) of the previous sample; NaN before the first.
     """
 
     theta: Float[Array, " p"]
@@ -42,11 +42,11 @@ class Rls(LinearIdentifier):
     Attributes:
         regressor: the scaled Duhem equation.
         theta0: start, shape (p,), scaled.
-        forgetting: lambda, in (0, 1]; 1 weighs all samples alike. Forgetting pauses while the input does not excite, so that the
-            covariance cannot wind up.
+        forgetting: lambda, in (0, 1]; 1 weights all samples alike. Forgetting pauses without excitation, so the covariance cannot
+            wind up.
         prior: P_0 = prior * identity, on scaled regressors.
-        form: "square-root" (Potter's update of a factor of P, which stays positive in single precision) or "symmetric" (P
-            itself, made symmetric after every step).
+        form: "square-root" (Potter's update of a factor of P, which stays positive definite in single precision) or "symmetric"
+            (P itself, made symmetric after every step).
 
     Raises:
         ParameterError: forgetting or prior out of range, or an unknown form.
@@ -71,7 +71,13 @@ class Rls(LinearIdentifier):
         prior: float = 1e8,
         form: str = "square-root",
     ) -> Rls:
-        """Scaled to records, with the orders and scheme of a model; settings as the attributes.
+        """Scaled to records.
+
+        Args:
+            model: a `Duhem`, which gives the orders and the scheme.
+            data: the records.
+            start: theta0 is "zero", the values of the "model", or read from the "data".
+            forgetting, prior, form: see the attributes.
 
         Raises:
             ParameterError: a setting out of range.
@@ -85,7 +91,7 @@ class Rls(LinearIdentifier):
             raise ParameterError(f"form must be square-root or symmetric, got {form!r}")
         data = Dataset.of(data)
         regressor = DuhemRegressor.of(model, list(data))
-        check_enough(regressor, data)
+        regressor.enough_rows(data)
         theta0 = starting_theta(regressor, model, list(data), start)
         return cls(regressor, theta0, forgetting, prior, form)  # type: ignore[arg-type]
 
@@ -102,8 +108,8 @@ class Rls(LinearIdentifier):
         gain, root = (self._potter if self.form == "square-root" else self._symmetric)(state.root, phi)
         theta = jnp.where(usable, state.theta + gain * error, state.theta)
         root = jnp.where(usable, root, state.root)
-        told = jnp.where(usable, error * self.regressor.target_unit, jnp.nan)
-        return RlsState(theta, root, last), Info(theta, told, usable)
+        error = jnp.where(usable, error * self.regressor.target_unit, jnp.nan)
+        return RlsState(theta, root, last), Info(theta, error, usable)
 
     def _forgetting(self, trace: Array) -> Array:
         return jnp.where(trace > _WINDUP * self.prior * self.regressor.p, 1.0, self.forgetting)
@@ -127,14 +133,13 @@ class Rls(LinearIdentifier):
         """P, by either form."""
         return state.root @ state.root.T if self.form == "square-root" else state.root
 
-    def judge(self, data: Dataset, state: RlsState, history: np.ndarray, errors: np.ndarray) -> tuple[str, list[str]]:
-        """Valid, excited, and not biased by noise?"""
-        rows = rows_of(self.regressor, data)
-        notes: list[str] = []
-        for status, found in (self.validity(history), self.excitation(rows)):
-            notes += found
-            if status != "ok":
-                return status, notes
+    def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
+        """Whether the estimate is valid, determined by the input, and not biased by noise."""
+        status, notes = self.validity(run.history)
+        if status is not Status.OK:
+            return status, notes
+        if (unexcited := self.excitation(rows)) is not None:
+            return Status.UNDETERMINED, [unexcited]
         weight = float(self.forgetting) ** np.arange(rows.target.size)[::-1]
-        bias = noise_bias(self.regressor, rows, history[-1], weight)
-        return ("biased" if bias.serious else "ok"), notes + bias.notes(data.units["y"])
+        biased = noise_bias(self.regressor, rows, run.history[-1], weight).note(run.data.units["y"])
+        return (Status.OK, []) if biased is None else (Status.BIASED, [biased])

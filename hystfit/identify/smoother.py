@@ -1,4 +1,4 @@
-"""Rauch-Tung-Striebel pass behind the unscented filter: states and parameters given the whole record."""
+"""Rauch-Tung-Striebel smoother of the unscented filter: states and parameters given the whole record."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hystfit.data.record import Record
 from hystfit.identify.base import Info, Sample
 from hystfit.identify.ukf import Ukf, UkfState
 
-_RANK = 1e-13  # of the largest eigenvalue: directions below it have no variance (a state that others determine)
+_RANK = 1e-13  # of the largest eigenvalue: directions below it have no variance (one state is a function of others)
 
 
 class Smoothed(NamedTuple):
@@ -22,8 +22,8 @@ class Smoothed(NamedTuple):
     Attributes:
         filtered: mean of [state, z] after each sample, shape (T, n).
         mean: smoothed mean, shape (T, n).
-        covariance: smoothed covariance, shape (T, n, n), as the filter believes.
-        info: what the filter told, leaves of shape (T, ...).
+        covariance: smoothed covariance, shape (T, n, n); optimistic, as that of the filter.
+        info: diagnostics of the filter, leaves of shape (T, ...).
         state: of the filter after the last sample.
     """
 
@@ -35,7 +35,7 @@ class Smoothed(NamedTuple):
 
 
 def smooth(ukf: Ukf, record: Record) -> Smoothed:
-    """Filter a record, then go back over it.
+    """Filter a record, then smooth it backward.
 
     Memory is of the order T n^2: a few megabytes for 1e4 samples of ten coordinates.
     """
@@ -66,7 +66,7 @@ def _smooth(ukf: Ukf, stream: Sample) -> Smoothed:
 
 
 def _added(ukf: Ukf, stream: Sample, k: int | Array) -> Float[Array, "n n"]:
-    """Process noise that the root after sample k includes."""
+    """Covariance of the process noise that the root after sample k includes."""
     before = stream.u[jnp.maximum(jnp.asarray(k) % stream.u.size - 1, 0)]
     still = jnp.abs(stream.u[k] - before) <= ukf.still
     held = ukf.resting & still & ~stream.first[k]
@@ -76,24 +76,23 @@ def _added(ukf: Ukf, stream: Sample, k: int | Array) -> Float[Array, "n n"]:
 def _back(
     ukf: Ukf, state: UkfState, sample: Sample, added: Array, mean: Array, covariance: Array
 ) -> tuple[Array, Array]:
-    """One step back: gain = cov(now, next) cov(next)^-1, where noise entered between now and the step."""
+    """One step backward: gain = cov(now, next) cov(next)^-1; process noise enters between this sample and the step."""
     points = ukf.scheme.points(state.mean, state.root)
     moved, _ = ukf.propagate(state, sample.u, sample.dt)
     predicted = ukf.scheme.mean(moved)
-    off, ahead = points - state.mean, moved - predicted
-    weight = ukf.scheme.weights(ukf.scheme.central_weight, points)
-    noisy = state.root @ state.root.T
-    cross = (off * weight[:, None]).T @ ahead
-    gain = cross @ _inverse((ahead * weight[:, None]).T @ ahead)
-    now = noisy - added
-    gain = now @ _inverse(noisy) @ gain
-    ahead_covariance = (moved - predicted).T @ ((moved - predicted) * weight[:, None])
-    smoothed = now + gain @ (covariance - ahead_covariance) @ gain.T
+    deviations, moved_deviations = points - state.mean, moved - predicted
+    weight = ukf.scheme.weights(ukf.scheme.central_weight, points)[:, None]
+    with_noise = state.root @ state.root.T
+    filtered = with_noise - added
+    predicted_covariance = (moved_deviations * weight).T @ moved_deviations
+    gain = (deviations * weight).T @ moved_deviations @ _inverse(predicted_covariance)
+    gain = filtered @ _inverse(with_noise) @ gain
+    smoothed = filtered + gain @ (covariance - predicted_covariance) @ gain.T
     return state.mean + gain @ (mean - predicted), 0.5 * (smoothed + smoothed.T)
 
 
 def _inverse(matrix: Array) -> Array:
-    """Pseudo-inverse of a covariance, scaled to a unit diagonal first: its coordinates have different units."""
+    """Pseudo-inverse of a covariance, scaled to a unit diagonal first: coordinates differ in units."""
     scale = jnp.sqrt(jnp.maximum(jnp.diag(matrix), 1e-300))
     values, vectors = jnp.linalg.eigh(matrix / (scale[:, None] * scale[None, :]))
     inverse = jnp.where(values > _RANK * values[-1], 1.0 / jnp.where(values > 0, values, 1.0), 0.0)

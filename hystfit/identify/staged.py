@@ -1,4 +1,4 @@
-"""Identification in stages: hysteresis first, creep from a record that rests, then all together."""
+"""Identification in stages: hysteresis first, creep from a record at rest, then all parameters together."""
 
 from __future__ import annotations
 
@@ -11,13 +11,17 @@ from hystfit.errors import ParameterError
 from hystfit.identify.identification import Identification
 from hystfit.identify.ukf import Ukf
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Status
 
 
 @dataclasses.dataclass(frozen=True)
 class Phase:
-    """One stage of an identification: which parameters a record is to determine; empty frees all that are free by default.
+    """One stage of an identification.
 
-    `settings` go to `Ukf.of` (prior, noise, hold, ...).
+    Attributes:
+        data: its records.
+        only: parameters to identify from them; empty for all that are free by default.
+        settings: of `Ukf.of` (prior, noise, hold, ...).
     """
 
     data: Record | Dataset | Sequence[Record]
@@ -28,29 +32,32 @@ class Phase:
 def identify_in_stages(
     model: AbstractHysteresis, stages: Sequence[Phase], *, passes: int = 1
 ) -> tuple[AbstractHysteresis, list[Identification]]:
-    """Run the filter stage by stage, each from where the one before ended.
+    """Run the filter stage by stage, each from the result of the previous one.
 
-    A cold start of hysteresis and creep together is badly conditioned (slow relaxations look like an offset), so: hysteresis from a
-    record of 1 to 10 Hz; creep and the offset from a step or staircase of 100 s and more, the hysteresis held; then all
-    from both records, with a small prior. While the input rests parameters of the hysteresis wait, its offset among
-    them: the creep stages need the setting hold="none".
+    A cold start of hysteresis and creep together is badly conditioned (slow relaxation resembles an offset). Identify the
+    hysteresis from a record of 1 to 10 Hz; then creep and the offset from a step or staircase of 100 s or more, with the
+    hysteresis fixed; then all parameters from both records, with a small prior. The creep stages need the setting
+    hold="none", because parameters of the hysteresis, the offset among them, are else fixed while the input rests.
 
-    The first stage starts at the model's own values unless its settings say start="data".
+    Args:
+        model: start of the first stage, unless its settings have start="data".
+        stages: the stages in turn.
+        passes: over the records of each stage.
 
     Returns:
-        The model of the last stage and what each stage found.
+        The model of the last stage and the identification of each stage.
 
     Raises:
         ParameterError: no stages, a stage that diverged, unknown names.
     """
     if not stages:
         raise ParameterError("staged identification needs at least one stage")
-    found: list[Identification] = []
+    results: list[Identification] = []
     for number, stage in enumerate(stages, start=1):
         settings = {"start": "model", **stage.settings}
         result = Ukf.of(model, stage.data, only=stage.only or None, **settings).fit(stage.data, passes=passes)
-        found.append(result)
-        if result.model is None or result.status == "diverged":
-            raise ParameterError(f"stage {number} diverged: {'; '.join(result.notes)}")
+        results.append(result)
+        if result.model is None or result.status is Status.DIVERGED:
+            raise ParameterError(f"stage {number} diverged: {'; '.join(map(str, result.notes))}")
         model = result.model
-    return model, found
+    return model, results

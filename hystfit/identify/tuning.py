@@ -1,8 +1,7 @@
-"""Covariances of the unscented filter, read off records: noise, priors of states and parameters, what a resting input freezes."""
+"""Settings of the unscented filter from records: noise, priors of states and parameters, parameters fixed at rest."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,16 +13,22 @@ from jaxtyping import Array
 
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.identify.identification import free_runs, run_metrics
+from hystfit.models.base import AbstractHysteresis
 from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import noise_rms
 
-_QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range: a smooth record says less than nothing
+_QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range
 
 
 def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> float:
-    """Standard deviation of the measurement [y]: as given, or estimated from the records with a floor.
+    """Standard deviation of the measurement noise [y].
+
+    Args:
+        data: the records.
+        half_range: of their output [y].
+        noise: the result if it is not None; else it is estimated from the records, with a floor.
 
     Raises:
         ParameterError: a noise that is not positive.
@@ -34,8 +39,8 @@ def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> 
                 f"noise must be a positive standard deviation (one number) in units of the output, got {noise}"
             )
         return float(noise)
-    found = [rms for rms, _ in (noise_rms(record.y) for record in data) if rms is not None]
-    return max([_QUIETEST * half_range, *found])
+    estimates = [rms for rms, _ in (noise_rms(record.y) for record in data) if rms is not None]
+    return max([_QUIETEST * half_range, *estimates])
 
 
 @eqx.filter_jit
@@ -49,48 +54,55 @@ def _states(model: Any, u: Array, dt: Array) -> Array:
 
 
 def state_ranges(model: AbstractHysteresis, data: Dataset) -> np.ndarray:
-    """Range of every state over the records when the model runs freely, shape (states,)."""
+    """Range of every state over the records in a simulation, shape (states,).
+
+    Raises:
+        ParameterError: the simulation is not finite.
+    """
     runs = [np.asarray(_states(model, jnp.asarray(record.u), jnp.asarray(record.dt))) for record in data]
     ranges = np.max([np.ptp(run, axis=0) for run in runs], axis=0)
     if not np.isfinite(ranges).all():
-        raise ParameterError("the free run of the start is not finite: start nearer, or use start='data'")
+        raise ParameterError("the simulation of the start is not finite: use better starting values, or start='data'")
     return np.maximum(ranges, 1e-12)
 
 
 def initial_error(space: ParameterSpace, data: Dataset) -> float:
-    """Three times the RMS error of the start's free run [y]."""
-    square, count = 0.0, 0
-    for number, record in enumerate(data):
-        model = space.tree(space.unconstrained(space.vector(space.template)), number)
-        y = np.asarray(simulate(model, jnp.asarray(record.u), jnp.asarray(record.dt))[0])
-        square += float(np.sum((record.y - y)[record.used] ** 2))
-        count += int(record.used.sum())
-    return 3.0 * math.sqrt(square / count)
+    """Three times the RMS simulation error of the template [y]."""
+    z = space.unconstrained(space.vector(space.template))
+    models = tuple(space.tree(z, number) for number in range(len(data)))
+    return 3.0 * run_metrics(free_runs(models, data), data).rmse
 
 
 def parameter_root(
     space: ParameterSpace, prior: float | Mapping[str, float] | np.ndarray | None, *, near: bool = False
 ) -> np.ndarray:
-    """Root of the prior covariance of z, shape (p, p): from nothing, one deviation, deviations by name, or a covariance.
+    """Root of the prior covariance of z, shape (p, p).
+
+    Args:
+        space: the free parameters.
+        prior: one standard deviation, standard deviations by name, a covariance of shape (p, p), or None for the default.
+        near: whether the start is close, which makes the default smaller.
 
     Raises:
         ParameterError: not positive, an unknown name, wrong shape, not symmetric, not positive definite.
     """
     kinds = np.asarray(space.coordinates.kinds)
-    # wider, and the outer sigma points of many parameters are so far off that their mean says little
+    # with wider priors of many parameters the outer sigma points are too far off for a useful mean
     deviations = np.where(kinds == REAL, 0.02, 0.2) if near else np.where(kinds == REAL, 0.1, 0.5)
     if isinstance(prior, Mapping):
         for name, value in prior.items():
             leaf, positions = space.find(name)
             rows = [k for k, source in enumerate(space.sources) if source[0] == leaf and source[1] in positions]
             if not rows:
-                raise ParameterError(f"prior names {name!r}, which is fixed; free are {', '.join(space.names)}")
+                raise ParameterError(
+                    f"prior names {name!r}, which is fixed; the free parameters are {', '.join(space.names)}"
+                )
             deviations[rows] = value
     elif isinstance(prior, np.ndarray) and prior.ndim == 2:
         return _root_of(prior, len(space))
     elif np.ndim(prior):
         raise ParameterError(
-            f"prior must be one deviation, deviations by name, or a covariance of shape ({len(space)}, {len(space)}); "
+            f"prior must be one standard deviation, standard deviations by name, or a covariance of shape ({len(space)}, {len(space)}); "
             f"got an array of shape {np.shape(prior)}"
         )
     elif prior is not None:
@@ -110,42 +122,37 @@ def _root_of(covariance: np.ndarray, size: int) -> np.ndarray:
     except np.linalg.LinAlgError as error:
         least = np.linalg.eigvalsh(covariance)[0]
         raise ParameterError(
-            f"prior covariance is not positive definite (least eigenvalue {least:.3g}): give deviations, or add to its diagonal"
+            f"prior covariance is not positive definite (least eigenvalue {least:.3g}): give standard deviations, or add to its diagonal"
         ) from error
 
 
-def rests(space: ParameterSpace, hold: str) -> np.ndarray:
-    """Which free parameters a resting input freezes, shape (p,): those of rate-independent models in the tree, all, or none."""
+def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
+    """Which free parameters are fixed while the input rests, shape (p,).
+
+    Args:
+        space: the free parameters.
+        hold: "auto" (those of rate-independent models in the tree), "all" or "none".
+    """
     if hold != "auto":
         return np.full(len(space), hold == "all")
+    paths = jax.tree_util.tree_flatten_with_path(space.template)[0]
     flags = []
     for leaf, _, _ in space.sources:
         node, owner = space.template, space.template
-        for key in _keys(space.template, space.leaves[leaf].index)[:-1]:
+        for key in paths[space.leaves[leaf].index][0][:-1]:
             node = node[key.idx] if isinstance(key, jax.tree_util.SequenceKey) else getattr(node, key.name)
             owner = node if isinstance(node, AbstractHysteresis) else owner
         flags.append(bool(owner.rate_independent))
     return np.array(flags)
 
 
-def _keys(tree: Any, index: int) -> tuple[Any, ...]:
-    return jax.tree_util.tree_flatten_with_path(tree)[0][index][0]
-
-
-def all_but(model: AbstractHysteresis, only: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
-    """Those of `names` that `only` (leaves or elements) does not mean."""
-    space = ParameterSpace.of(model)
-    chosen = {(leaf, k) for leaf, positions in map(space.find, only) for k in positions}
-    left = []
-    for name in names:
-        leaf, positions = space.find(name)
-        if not {(leaf, k) for k in positions} & chosen:
-            left.append(name)
-    return left
-
-
 def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str) -> np.ndarray:
-    """Standard deviations of the states, shape (states,): as given, one for all, or the default.
+    """Standard deviations of the states, shape (states,).
+
+    Args:
+        given: one for all, shape (states,), or None for the default.
+        default: shape (states,).
+        name: of the setting, for messages.
 
     Raises:
         ParameterError: negative, not finite, or of another length.
@@ -159,7 +166,7 @@ def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str)
 
 
 def not_negative(value: float, name: str) -> float:
-    """The number itself.
+    """The value of a setting.
 
     Raises:
         ParameterError: it is negative or not finite.

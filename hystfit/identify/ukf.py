@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -15,25 +16,31 @@ from jaxtyping import Array, Bool, Float
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify import tuning
-from hystfit.identify.base import AbstractIdentifier, Info, Sample, run_stream
-from hystfit.identify.consistency import verdict
-from hystfit.identify.unscented import Unscented, triangular
+from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, free_only, run_stream
+from hystfit.identify.sigma_points import Unscented, triangular
 from hystfit.inference.problem import check_fittable, scales_of
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Note, Severity, Status
+from hystfit.outcome.note import warn
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.loops import reversals
 
 _STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the records
+_NIS_BAND = (0.8, 1.2)  # mean normalized innovation squared of a consistent filter
+_SETTLED = 1e-3  # largest relative change of a parameter over the last tenth of the record
+_FOLLOWS = 0.01  # simulation error beyond the noise, RMS in parts of the output's range
 
 
 class UkfState(NamedTuple):
-    """What the filter knows between two samples.
+    """State of the filter between two samples.
 
     Attributes:
         mean: states of the model, then parameters z: shape (n,).
-        root: lower triangular; root root^T is the covariance with which the next step starts (process noise included).
+        root: lower triangular; root root^T is the covariance before the next step (process noise included).
         u: last input.
-        tally: number of the record (-1 before the first), samples used, missing, refused, sum of the NIS, its moving average.
+        tally: number of the record (-1 before the first); numbers of samples used, missing and rejected; sum of the normalized
+            innovations squared (NIS), and their moving average.
     """
 
     mean: Float[Array, " n"]
@@ -43,14 +50,14 @@ class UkfState(NamedTuple):
 
 
 class Ukf(AbstractIdentifier):
-    """States and parameters of any model, followed sample by sample.
+    """States and parameters of any model, estimated sample by sample.
 
-    The sigma points of [state, z] go through one `step` of the model, so that state and output come from one set and no separate
+    The sigma points of [state, z] go through one `step` of the model, so state and output come from one set and no separate
     output function is needed; process noise enters between the samples. The new root follows from one QR factorization
-    of weighted deviations from which the gain is subtracted (Joseph's form), so that any gain is allowed: parameters of
-    rate-independent parts have none while the input rests, as it then says nothing about them.
+    of weighted deviations from which the gain is subtracted (Joseph's form), so any gain is allowed: it is zero for parameters
+    of rate-independent parts while the input rests, when the output has no information about them.
 
-    The covariance is the filter's own belief. It is optimistic and must not be printed as an error bar.
+    The covariance is that of the filter's assumptions. It is optimistic and must not be used as an error bar.
 
     Attributes:
         coordinates: maps between z and the model.
@@ -58,15 +65,16 @@ class Ukf(AbstractIdentifier):
         prior: root of the covariance before the first sample, shape (n, n), block diagonal in states and z.
         walk: standard deviations of the process noise per sample, shape (n,).
         noise: standard deviation of the measurement [y].
-        resting: which of [state, z] are held while the input rests, shape (n,).
+        resting: which of [state, z] are fixed while the input rests, shape (n,).
         still: largest change of the input that counts as resting [u].
-        memory: samples over which the moving average of the NIS looks back.
-        caution, settling: extra noise at the start in units of `noise`, and the samples over which it dies out.
+        memory: samples over which the NIS is averaged.
+        caution, settling: extra noise at the start in units of `noise`, and the samples over which it decays.
         free: names of the parameters.
         scheme: sigma points.
     """
 
     method: ClassVar[str] = "ukf"
+    solved: ClassVar[tuple[str, ...]] = ()
 
     coordinates: Coordinates
     z0: Float[Array, " p"]
@@ -108,26 +116,28 @@ class Ukf(AbstractIdentifier):
 
         Args:
             model: any model; its values are the start with start="model", else those of `model.start(records)`.
-            data: the records it will run on: ranges and noise are read off them.
-            fix, free: parameters by name, as in `ParameterSpace`; `only` fixes all but these.
+            data: the records it will run on; ranges and noise are estimated from them.
+            fix, free: parameters by name, as in `ParameterSpace`.
+            only: the free parameters; all others are fixed. It excludes `fix` and `free`.
             start: where the parameters start.
             noise: measurement standard deviation [y]; None estimates it.
-            prior: deviation of z at the start: one number, numbers by name, or a covariance of shape (p, p). None is, from start="model",
-                0.5 for parameters with a bound (65 %) and 0.1 of their natural size for the others; from start="data" 0.2 and 0.02.
+            prior: standard deviation of z at the start: one number, numbers by name, or a covariance of shape (p, p). None is 0.5
+                (65 %) for parameters with a bound and 0.1 of their natural size for the others with start="model", 0.2 and 0.02
+                with start="data".
             walk: random walk of z, standard deviation per sample.
-            state_prior, state_walk: the same for the states, one number or one each; None is 0.1 and 2e-5 of the range that each
-                has over the records.
-            caution: extra measurement noise at the start [y], which dies out over `settling` samples (by the factor e); None is three
-                times the RMS error of the start's free run and a twentieth of the samples. Far from the truth the filter would else
-                believe its first, linearized steps too much and stop learning. 0 is the plain filter.
-            settling: see `caution`.
+            state_prior, state_walk: the same for the states, one number or shape (states,); None is 0.1 and 2e-5 of their ranges
+                over the records.
+            caution: extra measurement noise at the start [y], without which a filter far from the truth trusts its first,
+                linearized steps too much and stops adapting; None is three times the RMS simulation error of the start, 0 is the
+                plain filter.
+            settling: samples over which `caution` decays by the factor e; None is a twentieth of all.
             still: largest change of the input that counts as resting [u].
-            hold: what a resting input freezes: parameters of rate-independent parts, all parameters, or none.
-            alpha, beta, kappa: of the sigma points, see `Unscented`; a negative central weight is warned about.
+            hold: parameters that are fixed while the input rests: those of rate-independent parts ("auto"), "all" or "none".
+            alpha, beta, kappa: of the sigma points, see `Unscented`; a negative central weight gives a warning.
 
         Raises:
             ParameterError: a setting out of range, a covariance that is not symmetric and positive definite, an unknown name.
-            ModelError, DataError: data and model do not go together.
+            ModelError, DataError: the model cannot be fitted to these data.
         """
         data = Dataset.of(data)
         check_fittable(model, data)
@@ -137,19 +147,24 @@ class Ukf(AbstractIdentifier):
         tuning.not_negative(still, "still")
         if start == "data":
             model = model.start(list(data))
-        if only is not None:
-            free = [*free, *only]
-            fix = tuning.all_but(model, tuple(only), ParameterSpace.of(model, free=free).names)
         scales = scales_of(data)
-        space = ParameterSpace.of(model, fix=fix, free=free, scales=scales, records=[record.name for record in data])
+        if only is None:
+            space = ParameterSpace.of(
+                model, fix=fix, free=free, scales=scales, records=[record.name for record in data]
+            )
+        elif fix or free:
+            raise ParameterError("only names all free parameters: leave fix and free out, or leave only out")
+        else:
+            space = free_only(model, only, data)
         if not len(space):
             raise ParameterError("every parameter is fixed: there is nothing to identify (use predict)")
         ranges = tuning.state_ranges(space.template, data)
         s, p = ranges.size, len(space)
-        first = tuning.deviations(state_prior, _STATE_PRIOR * ranges, "state_prior")
+        state_deviation = tuning.deviations(state_prior, _STATE_PRIOR * ranges, "state_prior")
         drift = tuning.deviations(state_walk, _STATE_WALK * ranges, "state_walk")
         root = np.zeros((s + p, s + p))
-        root[:s, :s], root[s:, s:] = np.diag(first), tuning.parameter_root(space, prior, near=start == "data")
+        root[:s, :s] = np.diag(state_deviation)
+        root[s:, s:] = tuning.parameter_root(space, prior, near=start == "data")
         noise = tuning.measurement_noise(data, scales.y, noise)
         length = sum(int(record.used.sum()) for record in data)
         caution = tuning.initial_error(space, data) if caution is None else tuning.not_negative(caution, "caution")
@@ -167,7 +182,7 @@ class Ukf(AbstractIdentifier):
             prior=jnp.asarray(root),
             walk=jnp.asarray(np.concatenate([drift, np.full(p, walk)])),
             noise=jnp.asarray(noise),
-            resting=jnp.asarray(np.concatenate([np.zeros(s, bool), tuning.rests(space, hold)])),
+            resting=jnp.asarray(np.concatenate([np.zeros(s, bool), tuning.fixed_at_rest(space, hold)])),
             still=jnp.asarray(float(still)),
             memory=jnp.asarray(0.1 * length),
             caution=jnp.asarray(caution / noise),
@@ -187,12 +202,12 @@ class Ukf(AbstractIdentifier):
         return self.scheme.n - self.z0.shape[0]
 
     def init(self) -> UkfState:
-        """The start and its covariance; the states follow from the first input."""
+        """Mean and covariance at the start; the states follow from the first input."""
         mean = jnp.concatenate([jnp.zeros(self.states, self.z0.dtype), self.z0])
         return UkfState(mean, self.prior, jnp.zeros((), self.z0.dtype), jnp.array([-1.0, 0, 0, 0, 0, 1.0]))
 
     def restart(self, state: UkfState, u: Float[Array, ""]) -> UkfState:
-        """A record begins: the states come to rest on u with their prior; parameters and their covariance go on."""
+        """Start of a record: the states are at rest on u with their prior; parameters and their covariance are kept."""
         tally = state.tally.at[0].add(1.0)
         s, root = self.states, self.prior
         root = root.at[s:, s:].set(triangular(state.root[s:].T))
@@ -200,43 +215,51 @@ class Ukf(AbstractIdentifier):
         rest = jax.vmap(lambda z: self._tree(z, tally[0]).init(u))(points[:, s:])
         points = points.at[:, :s].add(rest)
         mean = self.scheme.mean(points)
-        nothing = jnp.zeros_like(self.prior)
-        return UkfState(mean, self.scheme.root(points - mean, nothing), u, tally)
+        return UkfState(mean, self.scheme.root(points - mean, jnp.zeros_like(self.prior)), u, tally)
 
     def update(self, state: UkfState, sample: Sample) -> tuple[UkfState, Info]:
-        """One sample: predict, correct, factorize. The innovation is `error`; error^2 / variance is the NIS.
+        """One sample: predict, correct, factorize. `error` is the innovation, error^2 / variance the NIS.
 
-        An input that is not finite holds the last one, and the sample counts as missing.
+        Where the input is not finite, the previous one is kept and the sample counts as missing.
         """
-        told_input = jnp.isfinite(sample.u)
-        sample = sample._replace(u=jnp.where(told_input, sample.u, state.u))
+        known_input = jnp.isfinite(sample.u)
+        sample = sample._replace(u=jnp.where(known_input, sample.u, state.u))
         state = jax.lax.cond(sample.first, lambda s, u: self.restart(s, u), lambda s, u: s, state, sample.u)
         points, outputs = self.propagate(state, sample.u, sample.dt)
         mean, predicted = self.scheme.mean(points), self.scheme.mean(outputs)
-        off, beside = points - mean, outputs - predicted
+        point_deviations, output_deviations = points - mean, outputs - predicted
         noise = self.noise * (1.0 + self.caution * jnp.exp(-state.tally[1] / jnp.maximum(self.settling, 1e-3)))
-        variance = self.scheme.covariance(beside, beside) + noise**2
+        variance = self.scheme.covariance(output_deviations, output_deviations) + noise**2
         held = self.resting & (jnp.abs(sample.u - state.u) <= self.still) & ~sample.first
-        measured = jnp.isfinite(sample.y) & told_input
-        sound = jnp.isfinite(variance) & jnp.all(jnp.isfinite(mean))
-        used = measured & sound
-        gain = jnp.where(held | ~used, 0.0, self.scheme.covariance(off, beside) / variance)
+        measured = jnp.isfinite(sample.y) & known_input
+        finite = jnp.isfinite(variance) & jnp.all(jnp.isfinite(mean))
+        used = measured & finite
+        gain = self.scheme.covariance(point_deviations, output_deviations) / variance
+        gain = jnp.where(held | ~used, 0.0, gain)
         error = jnp.where(used, sample.y - predicted, 0.0)
         added = jnp.concatenate([(noise * gain)[None], jnp.diag(jnp.where(held, 0.0, self.walk))])
-        root = self.scheme.root(off - beside[:, None] * gain, added)
+        root = self.scheme.root(point_deviations - output_deviations[:, None] * gain, added)
         if not self.scheme.safe:  # a Cholesky factorization may fail; a QR factorization of finite rows cannot
-            sound &= jnp.all(jnp.isfinite(root))
+            finite &= jnp.all(jnp.isfinite(root))
         new = UkfState(
-            jnp.where(sound, mean + gain * error, state.mean),
-            jnp.where(sound, root, state.root),
+            jnp.where(finite, mean + gain * error, state.mean),
+            jnp.where(finite, root, state.root),
             sample.u,
             self._count(state.tally, used, measured, error**2 / variance),
         )
-        told = jnp.where(used, error, jnp.nan)
-        return new, Info(new.mean[self.states :], told, used, variance)
+        return new, Info(new.mean[self.states :], jnp.where(used, error, jnp.nan), used, variance)
 
     def propagate(self, state: UkfState, u: Array, dt: Array) -> tuple[Float[Array, "m n"], Float[Array, " m"]]:
-        """Sigma points and their outputs after one step to the input u."""
+        """Sigma points and their outputs after one step.
+
+        Args:
+            state: of the filter before the step.
+            u: input at the end of the step [u].
+            dt: duration of the step.
+
+        Returns:
+            Points of shape (m, n) and outputs of shape (m,), m = 2 n + 1.
+        """
         s = self.states
         points = self.scheme.points(state.mean, state.root)
 
@@ -252,12 +275,12 @@ class Ukf(AbstractIdentifier):
 
     def _count(self, tally: Array, used: Array, measured: Array, nis: Array) -> Array:
         nis = jnp.where(used, nis, 0.0)
-        told = jnp.stack([used, ~measured, measured & ~used, used]).astype(tally.dtype).at[3].set(nis)
+        added = jnp.stack([used, ~measured, measured & ~used, used]).astype(tally.dtype).at[3].set(nis)
         average = jnp.where(used, tally[5] + (nis - tally[5]) / self.memory, tally[5])
-        return jnp.concatenate([tally[:1], tally[1:5] + told, average[None]])
+        return jnp.concatenate([tally[:1], tally[1:5] + added, average[None]])
 
     def covariance(self, state: UkfState) -> Float[Array, "n n"]:
-        """The filter's belief about [state, z]; optimistic, see the class."""
+        """Covariance of [state, z], shape (n, n); optimistic, see the class."""
         return state.root @ state.root.T
 
     def physical(self, theta: np.ndarray) -> np.ndarray:
@@ -265,16 +288,14 @@ class Ukf(AbstractIdentifier):
         rows = jnp.asarray(theta).reshape(-1, len(self.free))
         return np.asarray(jax.vmap(self.coordinates.physical)(rows)).reshape(np.shape(theta))
 
-    def model(self, theta: np.ndarray, record: Record) -> AbstractHysteresis | None:
-        """The identified model as a record of the data sees it."""
-        if not np.isfinite(theta).all():
-            return None
+    def model(self, theta: np.ndarray, record: Record) -> AbstractHysteresis:
+        """The identified model for a record; records that are not in the data share the parameters of the first."""
         marks = [name.partition("@")[2] for name in self.free]
-        known = list(dict.fromkeys(mark for mark in marks if mark))
-        return self.coordinates.tree(jnp.asarray(theta), known.index(record.name) if record.name in known else 0)
+        labels = list(dict.fromkeys(mark for mark in marks if mark))
+        return self.coordinates.tree(jnp.asarray(theta), labels.index(record.name) if record.name in labels else 0)
 
     def one_step(self, theta: np.ndarray, data: Dataset) -> np.ndarray:
-        """Innovations of a filter of the states alone, the parameters held at theta [y]."""
+        """Innovations of a filter of the states only, with the parameters fixed at theta [y], shape (T,)."""
         s = self.states
         frozen = eqx.tree_at(
             lambda f: (f.z0, f.prior, f.walk),
@@ -284,6 +305,89 @@ class Ukf(AbstractIdentifier):
         _, info = run_stream(frozen, frozen.init(), Sample.stream(list(data)))
         return np.asarray(info.error)[np.asarray(info.used)]
 
-    def judge(self, data: Dataset, state: UkfState, history: np.ndarray, errors: np.ndarray) -> tuple[str, list[str]]:
-        """Settled, consistent, and does the free run follow? The free run decides."""
-        return verdict(self, data, state, history)
+    def judge(self, run: Run) -> Judgment:
+        """Whether the simulation follows the record, which decides, and innovations and changes of the parameters as notes."""
+        state, theta, notes = run.state, run.history[-1], _skipped(run.state)
+        if not np.isfinite(theta).all() or not np.isfinite(np.asarray(state.root)).all():
+            text = "mean or covariance of the filter is not finite: use alpha=1, a smaller prior, or a better start"
+            return Judgment(Status.DIVERGED, [*notes, Note(Code.DIVERGED, text, Severity.ERROR)])
+        equation_error = float(np.sqrt(np.mean(self.one_step(theta, run.data) ** 2)))
+        notes.append(_innovations(float(state.tally[5])))
+        if (unsettled := self._unsettled(run.history)) is not None:
+            notes.append(unsettled)
+        if run.free_run is None:
+            return Judgment(Status.DIVERGED, notes, equation_error)
+        measured = np.concatenate([record.y[record.used] for record in run.data])
+        excess = math.sqrt(max(0.0, run.free_run.rmse**2 - float(self.noise) ** 2)) / float(np.ptp(measured))
+        notes.append(
+            Note(
+                Code.SIMULATION_ERROR,
+                f"the simulation error beyond the noise is {100 * excess:.2g} % of the range (RMS)",
+            )
+        )
+        undetermined = self._undetermined(run.data, follows=excess <= _FOLLOWS)
+        if undetermined is not None:
+            return Judgment(Status.UNDETERMINED, [*notes, undetermined], equation_error)
+        return Judgment(Status.OK if excess <= _FOLLOWS else Status.NOT_CONVERGED, notes, equation_error)
+
+    def _unsettled(self, history: np.ndarray) -> Note | None:
+        """A note on parameters that change over the last tenth of the record."""
+        x = self.physical(history[[-max(2, len(history) // 10), -1]])
+        change = np.abs(x[1] - x[0]) / np.maximum(np.abs(x[1]), np.asarray(self.coordinates.scale))
+        rows = [(name, part) for name, part in zip(self.names, change, strict=True) if part > _SETTLED]
+        if not rows:
+            return None
+        listed = ", ".join(f"{name} by {100 * part:.2g} %" for name, part in rows)
+        return warn(Code.NOT_SETTLED, f"parameters still change over the last tenth of the record: {listed}")
+
+    def _undetermined(self, data: Dataset, *, follows: bool) -> Note | None:
+        """A note where the input has too few amplitudes to separate the parameters of the hysteresis."""
+        resting = np.asarray(self.resting)[self.states :]
+        shape = [n for n, rests in zip(self.names, resting, strict=True) if rests and not n.startswith("offset")]
+        count = loop_count(data)
+        if len(shape) < 2 or count > 2:
+            return None
+        described = f"{count} loop{'s' if count > 1 else ''} of one amplitude" if count else "no loop"
+        return warn(
+            Code.NOT_DETERMINED,
+            f"the data cannot separate {', '.join(shape)}: the input has {described}. The model "
+            f"{'predicts' if follows else 'does not predict even'} this input; for others excite several amplitudes "
+            "(signal amplitude-sweep)",
+        )
+
+
+def loop_count(data: Dataset) -> int:
+    """Number of different loops of the inputs: pairs of neighboring turning points that differ by 5 % of the range."""
+    low, high = min(r.u.min() for r in data), max(r.u.max() for r in data)
+    span = max(high - low, 1e-300)
+    pairs: list[np.ndarray] = []
+    for record in data:
+        turns = (record.u[reversals(record.u, 0.02 * span)] - low) / span
+        for pair in np.sort(np.stack([turns[:-1], turns[1:]], axis=1), axis=1):
+            if all(np.max(np.abs(pair - other)) > 0.05 for other in pairs):
+                pairs.append(pair)
+    return len(pairs)
+
+
+def _skipped(state: UkfState) -> list[Note]:
+    missing, rejected = int(state.tally[2]), int(state.tally[3])
+    notes = []
+    if missing:
+        text = f"samples without a measurement: {missing}; the model was driven through them by its input"
+        notes.append(Note(Code.SKIPPED_SAMPLES, text))
+    if rejected:
+        text = f"samples rejected because the prediction of the sigma points was not finite: {rejected}"
+        notes.append(warn(Code.SKIPPED_SAMPLES, text))
+    return notes
+
+
+def _innovations(average: float) -> Note:
+    """A note on the mean normalized innovation squared over the last tenth of the record."""
+    text = f"mean normalized innovation squared over the last tenth: {average:.3g}"
+    if average > _NIS_BAND[1]:
+        text += "; the filter is overconfident: increase noise or walk, or use a model with more freedom"
+    elif average < _NIS_BAND[0]:
+        text += "; the filter is underconfident: decrease noise or walk"
+    consistent = _NIS_BAND[0] <= average <= _NIS_BAND[1]
+    text += ". The covariance of the filter is no error bar: fit by least squares from here for standard errors"
+    return Note(Code.INNOVATIONS, text, Severity.INFO if consistent else Severity.WARNING)

@@ -35,7 +35,7 @@ class AbstractPrior(eqx.Module):
     """A density over one parameter."""
 
     def exact(self) -> list[Any]:
-        """Kind and fields to the last digit, which tell one prior from every other."""
+        """Kind and fields in full precision, which identify the prior."""
         return [
             type(self).__name__,
             *(np.asarray(getattr(self, field.name)).tolist() for field in dataclasses.fields(self)),
@@ -163,40 +163,45 @@ class LogitNormal(AbstractPrior):
 _KINDS = {"normal": Normal, "log-normal": LogNormal, "half-normal": HalfNormal, "uniform": Uniform}
 
 
-def parse(words: str) -> AbstractPrior:
-    """A prior from words: normal(mean, sd), log-normal(median, spread), half-normal(sd), uniform(lower, upper).
+def parse(text: str) -> AbstractPrior:
+    """A prior from text: normal(mean, sd), log-normal(median, spread), half-normal(sd), uniform(lower, upper).
 
     Raises:
         ParameterError: not of that form.
     """
-    match = re.fullmatch(r"\s*([a-z-]+)\s*\(([^()]*)\)\s*", words)
+    match = re.fullmatch(r"\s*([a-z-]+)\s*\(([^()]*)\)\s*", text)
     try:
         return _KINDS[match[1]](*(float(part) for part in match[2].split(",")))  # type: ignore[index]
     except (KeyError, TypeError, ValueError) as error:
         known = "normal(mean,sd), log-normal(median,spread), half-normal(sd), uniform(lower,upper)"
-        raise ParameterError(f"a prior is one of {known}; got {words!r}") from error
+        raise ParameterError(f"a prior is one of {known}; got {text!r}") from error
 
 
 def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> dict[str, AbstractPrior]:
-    """Priors about given values: a relative `spread`, of the distance to a bound or of the natural size.
+    """Priors about given values, with a relative `spread` in the distance to a bound or in the natural size.
+
+    Args:
+        space: the free parameters.
+        x: physical values, shape (p,).
+        spread: relative width.
 
     About a value on a bound (a play's weight of zero) there is no such prior: it is moved inside by a hundredth of the natural
     size, or of the way between two bounds.
     """
     c = space.coordinates
     lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
-    found: dict[str, AbstractPrior] = {}
+    priors: dict[str, AbstractPrior] = {}
     for k, (name, kind) in enumerate(zip(space.names, c.kinds, strict=True)):
         if kind == REAL:
-            found[name] = Normal(x[k], spread * max(0.1 * scale[k], abs(float(x[k]))))
+            priors[name] = Normal(x[k], spread * max(0.1 * scale[k], abs(float(x[k]))))
         elif kind == BOTH:
             away = _INSIDE * (upper[k] - lower[k])
-            found[name] = LogitNormal(lower[k], upper[k], np.clip(x[k], lower[k] + away, upper[k] - away), 2 * spread)
+            priors[name] = LogitNormal(lower[k], upper[k], np.clip(x[k], lower[k] + away, upper[k] - away), 2 * spread)
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
             distance = side * (x[k] - edge)
-            found[name] = LogNormal(distance if distance > 0 else _INSIDE * scale[k], spread, edge, side)
-    return found
+            priors[name] = LogNormal(distance if distance > 0 else _INSIDE * scale[k], spread, edge, side)
+    return priors
 
 
 def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[str, AbstractPrior]:
@@ -204,41 +209,44 @@ def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[s
 
     Args:
         space: the free parameters.
-        x: where a fit found them; an unbounded parameter far from zero (an offset of a distant sensor) widens its own prior.
+        x: the fitted values; an unbounded parameter far from zero (an offset of a distant sensor) widens its own prior.
     """
     c = space.coordinates
     lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
-    found: dict[str, AbstractPrior] = {}
+    priors: dict[str, AbstractPrior] = {}
     for k, (name, info, kind) in enumerate(zip(space.names, space.infos, c.kinds, strict=True)):
         if kind == REAL:
             size = scale[k] if x is None else max(scale[k], abs(float(x[k])))
-            found[name] = Normal(0.0, _WIDE * size)
+            priors[name] = Normal(0.0, _WIDE * size)
         elif kind == BOTH:
-            found[name] = Uniform(lower[k], upper[k])
+            priors[name] = Uniform(lower[k], upper[k])
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
             weight = HalfNormal(_WIDE * scale[k], edge, side)
-            found[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
-    return found
+            priors[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
+    return priors
 
 
 def choose_priors(
     space: ParameterSpace,
-    own: Mapping[str, AbstractPrior] | None,
+    given: Mapping[str, AbstractPrior] | None,
     x: np.ndarray | None = None,
     others: Sequence[str] = (),
 ) -> tuple[AbstractPrior, ...]:
-    """Default priors with the user's own in their places, in the order of the space.
+    """Default priors, replaced by the user's where given, in the order of the space.
 
-    A name without a record, such as "offset", stands for that parameter in every record. `others` are names of another space, for
-    the message on one that is in neither.
+    Args:
+        space: the free parameters.
+        given: by name; a name without a record, such as "offset", stands for that parameter in every record.
+        x: fitted values, as in `default_priors`.
+        others: names of another space, for the error message.
 
     Raises:
         ParameterError: a prior for no free parameter, or something that is no prior, one without a proper width, or one that lies
             outside the parameter's bounds.
     """
     chosen = default_priors(space, x)
-    for name, prior in (own or {}).items():
+    for name, prior in (given or {}).items():
         hits = [known for known in space.names if known == name or known.split("@")[0] == name]
         if not hits:
             raise ParameterError(
@@ -257,18 +265,16 @@ def choose_priors(
 
 
 def _check(name: str, prior: Any) -> None:
-    """Refuse what is no prior, or not a proper one."""
+    """Refuse anything but a proper prior."""
     if not isinstance(prior, AbstractPrior):
         raise ParameterError(
             f"the prior of {name!r} must be one of hystfit.inference.priors, got {type(prior).__name__}"
         )
     values = {f: float(getattr(prior, f)) for f in _NUMBERS if hasattr(prior, f)}
     if bad := [f"{f} = {value}" for f, value in values.items() if np.isnan(value)]:
-        raise ParameterError(f"the prior of {name!r}: {', '.join(bad)} is no number")
+        raise ParameterError(f"the prior of {name!r}: {', '.join(bad)} is not a number")
     if "upper" in values and values["upper"] < values["lower"]:
-        raise ParameterError(
-            f"the prior of {name!r} ({prior}): its lower limit must come first, and be below the upper one"
-        )
+        raise ParameterError(f"the prior of {name!r} ({prior}): its lower limxx")
     positive = ("sd", "spread") if isinstance(prior, LogitNormal) else ("sd", "spread", "median")
     widths = [values[f] for f in positive if f in values]
     widths += [values["upper"] - values["lower"]] if "upper" in values else []

@@ -1,10 +1,11 @@
-"""The problem that every estimator solves: a parameter space, a batch of data, and how misfit is counted."""
+"""The problem that every estimator and sampler solves: free parameters, records, loss, noise model and priors."""
 
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -16,87 +17,37 @@ from hystfit.config import require_x64
 from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
-from hystfit.models.base import AbstractHysteresis, run
-from hystfit.models.free_run import free_run, has_short_cut
-from hystfit.models.preisach.model import Preisach
+from hystfit.inference.density import Density
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.objective import Loss, Objective, bend_slope
+from hystfit.inference.priors import AbstractPrior, choose_priors
+from hystfit.inference.weights import responses
+from hystfit.inference.whitened import Whitened
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import input_range, output_range
-from hystfit.params.coordinates import Coordinates
+from hystfit.params.coordinates import BOTH
 from hystfit.params.space import ParameterSpace
 from hystfit.params.units import Scales
 
-Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
-_BROKEN = 1e3  # residual, in units of the output's half range, that stands for a simulation that is not finite
-
-
-class Objective(eqx.Module):
-    """The traced half of a `Problem`: arrays and structure, which compiled code takes as an argument.
-
-    Attributes:
-        coordinates: maps from z to the model.
-        batch: the data.
-        size: half range of the output, by which residuals are divided.
-        loss: how large residuals count; "linear" is plain least squares.
-        bend: residual, in the same units, beyond which a robust loss counts less.
-    """
-
-    coordinates: Coordinates
-    batch: Batch
-    size: Float[Array, ""]
-    bend: Float[Array, ""]
-    loss: Loss = eqx.field(static=True, default="linear")
-
-    def predict_physical(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
-        """Free run of every record at physical parameters x."""
-
-        def one(record: Any) -> Array:
-            return run(self.coordinates.assemble(x, record), self.batch.u[record], self.batch.dt[record])[0]
-
-        if self.batch.u.shape[0] == 1:
-            return one(0)[None]
-        return jax.lax.map(one, jnp.arange(self.batch.u.shape[0]))
-
-    def predict(self, z: Float[Array, " p"]) -> Float[Array, "R T"]:
-        """Free run of every record at unconstrained parameters z."""
-        return self.predict_physical(self.coordinates.physical(z))
-
-    def misfit(self, x: Float[Array, " p"]) -> Float[Array, " n"]:
-        """Residuals at physical x, weighted, in units of the output's half range, 0 where a sample does not count: shape (R * T,).
-
-        Bent by the robust loss, so that half their sum of squares is the cost.
-        """
-        raw = (self.predict_physical(x) - self.batch.y) / self.size
-        raw = jnp.where(jnp.isfinite(raw), raw, _BROKEN)
-        return _bend((jnp.sqrt(self.batch.weight) * raw).reshape(-1), self.bend, self.loss)
-
-    def residuals(self, z: Float[Array, " p"]) -> Float[Array, " n"]:
-        """`misfit` at unconstrained z."""
-        return self.misfit(self.coordinates.physical(z))
-
-
-def _bend(r: Array, bend: Array, loss: Loss) -> Array:
-    """sign(r) sqrt(rho(r^2)) for the loss rho: any least-squares solver then minimizes the robust cost."""
-    if loss == "linear":
-        return r
-    square = (r / bend) ** 2
-    if loss == "soft-l1":
-        rho_over = 2.0 / (1.0 + jnp.sqrt(1.0 + square))
-    elif loss == "cauchy":
-        rho_over = jnp.where(square > 1e-12, jnp.log1p(square) / jnp.where(square > 1e-12, square, 1.0), 1.0)
-    else:
-        rho_over = jnp.where(
-            square > 1.0, (2.0 * jnp.sqrt(jnp.maximum(square, 1.0)) - 1.0) / jnp.maximum(square, 1.0), 1.0
-        )
-    return r * jnp.sqrt(rho_over)
+LOSSES: tuple[str, ...] = get_args(Loss)
+Side = Literal["lower", "upper"]
 
 
 class Problem:
-    """A model, data, and which parameters are free: what estimators take.
+    """Free parameters, records, a loss, and for likelihoods a noise model and priors.
+
+    Vectors x are physical, z unconstrained. Those of the statistics hold the parameters of the model, then those of the noise.
 
     Attributes:
         model: the model whose values fixed parameters keep.
         data: the records.
-        space: the free parameters by name.
-        objective: the traced half.
+        space: its free parameters by name.
+        scales: natural sizes and units of the data.
+        objective: the traced half: arrays and structure without labels.
+        noise: a noise model with values, or None where there is no likelihood.
+        noise_space: its parameters.
+        priors: of the parameters of model and noise.
     """
 
     def __init__(
@@ -109,6 +60,13 @@ class Problem:
         loss: Loss = "linear",
     ):
         """Check that data and model fit each other, and collect the parameters.
+
+        Args:
+            model: gives the values of fixed parameters.
+            data: one record or several.
+            fix: names of parameters to hold, or names with values.
+            free: names of parameters to fit that the model holds by default.
+            loss: how large residuals count.
 
         Raises:
             PrecisionError: double precision is off.
@@ -123,46 +81,194 @@ class Problem:
         check_fittable(model, self.data)
         self.model = model
         self.scales = scales_of(self.data)
-        names = [record.name for record in self.data]
-        self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=names)
+        records = [record.name for record in self.data]
+        self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
         batch = Batch.of(self.data)
-        # The weights of a Preisach model are many and smooth: their number says little about what data determine.
-        if batch.count < len(self.space) and not isinstance(model, Preisach):
+        # Smooth weights are many, and their number is no measure of what the data must determine.
+        if batch.count < len(self.space) and model.estimator != "preisach":
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="
             )
         bend = jnp.asarray(0.02)  # a robust loss bends at 1 % of the range
         self.objective = Objective(self.space.coordinates, batch, jnp.asarray(self.scales.y), bend, loss)
+        self.noise: AbstractNoise | None = None
+        self.noise_space: ParameterSpace | None = None
+        self.priors: tuple[AbstractPrior, ...] = ()
 
-    def reweighted(self, weights: Sequence[np.ndarray]) -> Problem:
-        """The same problem with other weights, one array (T,) for each record; shapes stay, so that nothing compiles anew."""
-        changed = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
+    # -- variants ------------------------------------------------------------------------------------------------------
+
+    def _changed(self, **changes: Any) -> Problem:
         other = copy.copy(self)
-        other.data = Dataset(tuple(changed))
-        other.objective = eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(other.data))
+        for cached in ("setting", "density"):
+            other.__dict__.pop(cached, None)
+        for name, value in changes.items():
+            setattr(other, name, value)
         return other
 
-    def predict_at(self, x: Any) -> list[np.ndarray]:
+    def reweighted(self, weights: Sequence[np.ndarray]) -> Problem:
+        """The same problem with other weights, one array (T,) for each record; shapes stay, so nothing is compiled again."""
+        records = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
+        data = Dataset(tuple(records))
+        return self._changed(data=data, objective=eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(data)))
+
+    def with_loss(self, loss: Loss) -> Problem:
+        """The same problem with another loss."""
+        same = loss == self.objective.loss
+        objective = Objective(*(getattr(self.objective, k) for k in ("coordinates", "batch", "size", "bend")), loss)
+        return self if same else self._changed(objective=objective)
+
+    def trimmed(self) -> Problem:
+        """The same problem without padding that no record needs: long runs pay for their own compilation."""
+        used = np.asarray(self.objective.batch.weight) > 0
+        end = int(np.max(np.flatnonzero(used.any(axis=0)))) + 1
+        batch = jax.tree_util.tree_map(lambda v: v[:, :end], self.objective.batch)
+        return self._changed(objective=eqx.tree_at(lambda o: o.batch, self.objective, batch))
+
+    def with_noise(
+        self,
+        noise: AbstractNoise,
+        priors: Mapping[str, AbstractPrior] | None = None,
+        x: np.ndarray | None = None,
+    ) -> Problem:
+        """The same problem with a likelihood.
+
+        Args:
+            noise: a noise model with values.
+            priors: by name, of parameters of either; weak defaults for the others.
+            x: physical parameters of model and noise about which default priors are centered, shape (d,).
+
+        Raises:
+            ParameterError: a prior that cannot be used, see `choose_priors`.
+        """
+        space = ParameterSpace.of(noise, scales=self.scales)
+        chosen = dict(priors or {})
+        of_noise = {name: chosen.pop(name) for name in list(chosen) if name in space.names}
+        of_model = choose_priors(self.space, chosen, None if x is None else x[: len(self.space)], space.names)
+        both = of_model + choose_priors(space, of_noise, None if x is None else x[len(self.space) :])
+        return self._changed(noise=noise, noise_space=space, priors=both)
+
+    # -- names ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters of model and noise."""
+        return self.space.names + (self.noise_space.names if self.noise_space else ())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return self.space.units + (self.noise_space.units if self.noise_space else ())
+
+    @property
+    def free_and_fixed(self) -> dict[str, list[str]]:
+        """Names of free and fixed parameters, each once for all records, as the arguments `free` and `fix`."""
+        free = list(dict.fromkeys(name.partition("@")[0] for name in self.space.names))
+        return {"free": free, "fix": [name for name, _, _ in self.space.fixed()]}
+
+    @property
+    def used(self) -> np.ndarray:
+        """Which samples of the batch count, shape (R, T), bool."""
+        return np.asarray(self.objective.batch.weight) > 0
+
+    def at_bound(self, x: np.ndarray, tolerance: float = 1e-4) -> list[Side | None]:
+        """Which bound each parameter has reached, if any.
+
+        Args:
+            x: physical parameters of the model, shape (p,).
+            tolerance: distance in the parameter's scale, or with two bounds in the width between them.
+        """
+        c = self.space.coordinates
+        lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
+        width = np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
+        low, high = x - lower < tolerance * width, upper - x < tolerance * width
+        return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
+
+    # -- least squares -------------------------------------------------------------------------------------------------
+
+    def predict(self, x: Any) -> list[np.ndarray]:
         """Free-run output of every record at physical x, shapes (T_r,)."""
-        if has_short_cut(self.model):
+        if self.model.short_cut:
             models = [self.space.coordinates.assemble(jnp.asarray(x), k) for k in range(len(self.data))]
-            return [free_run(model, r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
-        rows = np.asarray(_predict_physical(self.objective, jnp.asarray(x)))
+            return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
+        rows = np.asarray(_run(self.objective, "predict", jnp.asarray(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 
-    def residuals(self, z: Any) -> np.ndarray:
-        """Weighted residuals in units of the output's half range at z, shape (R * T,)."""
-        return np.asarray(_residuals(self.objective, jnp.asarray(z)))
+    def residuals(self, x: Any) -> Float[np.ndarray, "R T"]:
+        """Prediction less measurement at physical x, output units, 0 where a sample does not count."""
+        return np.asarray(_run(self.objective, "residual", jnp.asarray(x)))
+
+    def linearize(self, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
+        """`residuals` and their derivatives with respect to physical x, by one compiled program for all uses.
+
+        Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
+        """
+        if self.model.estimator == "preisach":
+            length = self.objective.batch.u.shape[1]
+            jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
+            return self.residuals(x), jacobian * self.used[..., None]
+        residual, jacobian = _run(self.objective, "linearize", jnp.asarray(x))
+        return np.asarray(residual), np.asarray(jacobian)
+
+    def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
+        """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""
+        return np.asarray(_run(self.objective, "misfit", jnp.asarray(x)))
+
+    def linearize_misfit(self, x: Any) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n p"]]:
+        """`misfit` and its derivatives with respect to physical x."""
+        residual, jacobian = self.linearize(x)
+        root = np.sqrt(np.asarray(self.objective.batch.weight)) / self.scales.y
+        plain, rows = (root * residual).reshape(-1), (root[..., None] * jacobian).reshape(-1, jacobian.shape[-1])
+        if self.objective.loss == "linear":
+            return plain, rows
+        bent, slope = (np.asarray(v) for v in bend_slope(jnp.asarray(plain), self.objective.bend, self.objective.loss))
+        return bent, slope[:, None] * rows
+
+    # -- likelihoods ---------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def setting(self) -> Setting:
+        """The data as noise models need them; places in the input are relative to the range of all samples."""
+        inputs = np.concatenate([record.u for record in self.data])
+        return Setting.of(self.objective.batch, (float(inputs.min()), float(inputs.max())))
+
+    @functools.cached_property
+    def density(self) -> Density:
+        """The traced log density over the unconstrained parameters of model and noise.
+
+        Raises:
+            ModelError: the problem has no noise model.
+        """
+        if self.noise_space is None:
+            raise ModelError("a likelihood needs a noise model: use Problem.with_noise")
+        return Density(self.objective, self.noise_space.coordinates, self.setting, self.priors)
+
+    def whitened(self, noise: AbstractNoise | None = None) -> Whitened:
+        """Least squares in the coordinates in which a Gaussian noise model (the problem's own by default) is white."""
+        return Whitened(self.objective, noise or self.noise, self.setting)  # type: ignore[arg-type]
+
+    def unconstrained(self, x: np.ndarray) -> np.ndarray:
+        """z from physical parameters of model and noise, shape (d,)."""
+        p = len(self.space)
+        rest = [self.noise_space.unconstrained(x[p:])] if self.noise_space else []
+        return np.concatenate([self.space.unconstrained(x[:p]), *rest])
+
+    def log_likelihood(self, z: Any) -> float:
+        """Log density of the data at unconstrained z."""
+        return float(_run(self.density, "log_likelihood", jnp.asarray(z)))
+
+    def log_prior(self, z: Any) -> float:
+        """Log prior density over z."""
+        return float(self.density.log_prior(jnp.asarray(z)))
+
+    def log_posterior(self, z: Any) -> float:
+        """Log posterior density over z, up to a constant."""
+        return float(_run(self.density, "log_density", jnp.asarray(z)))
 
 
 @eqx.filter_jit
-def _predict_physical(objective: Objective, x: Array) -> Array:
-    return objective.predict_physical(x)
-
-
-@eqx.filter_jit
-def _residuals(objective: Objective, z: Array) -> Array:
-    return objective.residuals(z)
+def _run(traced: Any, method: str, argument: Array) -> Any:
+    """A method of an objective or density, compiled once for each method and shape."""
+    return getattr(traced, method)(argument)
 
 
 def scales_of(data: Dataset) -> Scales:
@@ -177,7 +283,7 @@ def scales_of(data: Dataset) -> Scales:
 
 
 def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
-    """Refuse data on which no fit can mean anything.
+    """Refuse data to which no fit is possible.
 
     Raises:
         DataError: no samples count, a constant input or output.

@@ -1,4 +1,4 @@
-"""What residuals say of the noise: correlated in time, repeating every loop, heavy-tailed; and which noise model that calls for."""
+"""Analysis of residuals: autocorrelation, error that repeats every loop, heavy tails, and the noise model that fits them."""
 
 from __future__ import annotations
 
@@ -9,33 +9,32 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.data.batch import Batch
-from hystfit.inference.noise import Setting, inducing_shapes
-from hystfit.inference.noise.serial import Contrasts, Samples, SlowNoiseFit, fit_slow_noise
-from hystfit.results.metrics import autocorrelation_time, is_correlated
+from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.discrepancy import inducing_shapes
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoiseFit, fit_slow_noise
+from hystfit.outcome import Code, Note, Severity
 
-CHANCE = 0.02  # probability under slow noise alone below which model error is said to repeat,
-REPEATS = 0.02  # if it is at least this part of the residuals' power
-_POINTS, _LENGTH = (
-    12,
-    0.3,
-)  # of the curves over the input that it is looked for in: inducing points, and smoothness in parts of the range
-_LENGTHS = (0.1, 0.15, 0.22, 0.3, 0.45, 0.7)  # among which its description takes the most probable
-_LARGEST = 3.0  # standard deviation of noise, in those of the residuals, up to which it is believed
-_TURNS = 8  # of the input, at least, to tell what repeats
-_ENOUGH = 240  # samples, for the same
-_TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are called heavy
+CHANCE = 0.02  # p-value, under slow noise alone, below which the model error counts as repeating,
+REPEATS = 0.02  # if it is at least this fraction of the residual variance
+_POINTS, _LENGTH = 12, 0.3  # inducing points and length scale (relative to the input range) of the curves tested for
+_LENGTHS = (0.1, 0.15, 0.22, 0.3, 0.45, 0.7)  # length scales, of which the most probable describes the curve
+_LARGEST = 3.0  # largest plausible standard deviation of noise, in that of the residuals
+_TURNS = 8  # reversals of the input needed to detect a repeating error
+_ENOUGH = 240  # samples needed for the same
+_TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are heavy
 _DRAWS = 20_000
 
 
 @dataclasses.dataclass(frozen=True)
-class Leftover:
-    """What a fit leaves, with the directions in which it could have left something else.
+class ResidualAnalysis:
+    """Residuals of a fit, and what can be learned from them about the noise.
 
     Attributes:
         samples: those that count.
         residual: output units times the square root of the weight, shape (n,).
-        basis: orthonormal columns that span the derivatives by the parameters, likewise weighted, shape (n, p).
+        basis: orthonormal basis of the weighted parameter Jacobian, shape (n, p).
     """
 
     samples: Samples
@@ -44,10 +43,16 @@ class Leftover:
 
     @classmethod
     def of(
-        cls, batch: Batch, residual: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m p"] | None = None
-    ) -> Leftover:
-        """From residuals and derivatives of all samples of a batch, record after record."""
-        samples = Samples.of(Setting.of(batch))
+        cls, setting: Setting, residual: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m p"] | None = None
+    ) -> ResidualAnalysis:
+        """From residuals and derivatives of all samples of a batch, record after record.
+
+        Args:
+            setting: the data in the form that noise models need.
+            residual: weighted residuals [y], shape (R T,).
+            jacobian: weighted derivatives with respect to the parameters, shape (R T, p); None without them.
+        """
+        samples = Samples.of(setting)
         on = samples.on.reshape(-1)
         basis = np.zeros((int(on.sum()), 0)) if jacobian is None else np.linalg.qr(jacobian[on])[0]
         return cls(samples, residual[on], basis)
@@ -75,45 +80,45 @@ class Leftover:
 
     @functools.cached_property
     def repeating(self) -> Repeating | None:
-        """Error that repeats with input and direction; None where the input turns too rarely to tell, or residuals are white."""
+        """Error that repeats with input and direction; None where the input has too few reversals, or residuals are white."""
         return _repeating(self) if self.correlated else None
 
     @functools.cached_property
     def noise(self) -> SlowNoiseFit | None:
-        """`slow`, with a curve over input and direction on top where `repeating` shows one; None where neither is believable.
+        """`slow`, with a curve over input and direction on top where `repeating` is significant; None where neither is plausible.
 
-        Noise that a fit could have swallowed whole (slower than the record, or shaped like the model's derivatives) may be of any size: the
-        restricted likelihood then makes it many times larger than all that is seen of it, and every error bar with it.
+        The restricted likelihood does not bound noise that the fit can absorb (slower than the record, or shaped like the model's
+        derivatives): it can become many times larger than the residuals, and every standard error with it.
         """
-        if self.repeating is not None and self.repeating.shown and self._believable(self._curved):
+        if self.repeating is not None and self.repeating.shown and self._plausible(self._curved):
             return self._curved
-        return self.slow if self._believable(self.slow) else None
+        return self.slow if self._plausible(self.slow) else None
 
     @functools.cached_property
     def _curved(self) -> SlowNoiseFit:
-        own = self.slow.noise
-        ratio = (own.white / own.slow) ** 2
-        fitted = [self._with(length) for length in _LENGTHS]
-        return fit_slow_noise(min(fitted, key=lambda contrasts: contrasts.at(ratio, own.time)[0]))
+        slow = self.slow.noise
+        ratio = (slow.white / slow.slow) ** 2
+        candidates = [self._with_curve(length) for length in _LENGTHS]
+        return fit_slow_noise(min(candidates, key=lambda contrasts: contrasts.at(ratio, slow.time)[0]))
 
     @functools.cached_property
     def curve_size(self) -> float | None:
-        """Standard deviation of curves over input and direction that would leave as much as is seen of one; None where nothing is seen.
+        """Standard deviation of curves over input and direction that leave the repeating part of the residuals; None without one.
 
-        A model swallows most of such a curve, so that it is larger than what it leaves. What is seen is shrunk, and slow noise has its
-        part of it: on average two thirds of the truth.
+        The model absorbs most of such a curve, so the curve is larger than its remainder. The estimate is shrunk, and slow noise takes
+        some of it: on average it is two thirds of the truth.
         """
         if self.repeating is None:
             return None
-        size = self._with(_LENGTH).expected ** 0.5
+        size = self._with_curve(_LENGTH).expected ** 0.5
         return size if np.isfinite(size) and size > 0 else None
 
-    def _believable(self, found: SlowNoiseFit) -> bool:
-        noise = found.noise
+    def _plausible(self, fit: SlowNoiseFit) -> bool:
+        noise = fit.noise
         curve = noise.loop * float(np.sqrt(np.mean(np.sum(noise.shapes**2, axis=1)))) if noise.shapes.shape[1] else 0.0
         return max(noise.slow, curve) <= _LARGEST * float(np.sqrt(np.mean(self.residual**2)))
 
-    def _with(self, length: float) -> Contrasts:
+    def _with_curve(self, length: float) -> Contrasts:
         power = (self.repeating.share if self.repeating else 0.0) * float(np.mean(self.residual**2))
         return Contrasts(self.samples, self.residual, self.basis, curves(self.samples, length), power)
 
@@ -123,8 +128,8 @@ class Repeating:
     """A smooth curve over (input, direction) in residuals.
 
     Attributes:
-        share: its part of their power.
-        chance: probability of as much under slow noise alone.
+        share: its fraction of the residual variance.
+        chance: p-value under slow noise alone.
     """
 
     share: float
@@ -132,88 +137,74 @@ class Repeating:
 
     @property
     def shown(self) -> bool:
-        """Too much for chance."""
+        """Whether it is significant."""
         return self.share > REPEATS and self.chance < CHANCE
 
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """What residuals look like.
+    """Which noise the residuals show.
 
     Attributes:
-        correlated: in time.
-        correlation_time: integrated autocorrelation time, samples; 1 for white residuals.
-        repeating: part of their power that a smooth curve over (input, direction) makes; None where residuals are white or the input
-            turns too rarely to tell.
-        chance: probability of so much under slow noise alone; None likewise.
-        kurtosis: excess kurtosis of their differences in time (slow parts cancel); 0 for Gaussian noise.
-        recommended: a noise model by name.
-        reasons: one sentence each.
+        recommended: name of a noise model.
+        findings: deviations from white Gaussian noise, each a note; none for white residuals.
     """
 
-    correlated: bool
-    correlation_time: float
-    repeating: float | None
-    chance: float | None
-    kurtosis: float
     recommended: str
-    reasons: tuple[str, ...]
+    findings: tuple[Note, ...]
 
-    def objections(self, noise: str) -> list[str]:
-        """Reasons against a noise model by name; "auto" is least squares with errors for slow and independent noise."""
-        if noise == "iid":
-            return [reason for reason in self.reasons if self.recommended != "iid"]
-        if noise == "student-t":
-            return [reason for reason in self.reasons if self.correlated]
-        told = {"auto": ("repeats", "tails"), "ou": ("repeats",), "ar1": ("repeats",)}.get(noise, ())
-        return [reason for reason in self.reasons if any(word in reason for word in told)]
+    def objections(self, noise: type[AbstractNoise]) -> list[Note]:
+        """Findings that a noise model does not allow for."""
+        return [note for note in self.findings if note.code not in noise.covers]
 
 
-def diagnose(left: Leftover) -> Diagnosis:
-    """Diagnose what a fit leaves."""
-    time = left.correlation_time
-    found = left.repeating
-    rough = np.concatenate([np.diff(row) for row in left.rows])
-    kurtosis = (
-        float(np.mean((rough - rough.mean()) ** 4) / max(float(np.var(rough)) ** 2, 1e-300) - 3)
-        if rough.size > 30
-        else 0.0
-    )
-    reasons: list[str] = []
-    recommended = "ou" if left.correlated else "iid"
-    if left.correlated:
-        reasons.append(
-            f"residuals are correlated over {time:.3g} samples: errors for independent noise would be too small"
+def diagnose(analysis: ResidualAnalysis) -> Diagnosis:
+    """Look for autocorrelation, heavy tails and repeating error in residuals."""
+    correlated, repeating, kurtosis = analysis.correlated, analysis.repeating, excess_kurtosis(analysis.rows)
+    findings: list[Note] = []
+    recommended = "ou" if correlated else "iid"
+    if correlated:
+        text = (
+            f"residuals are correlated over {analysis.correlation_time:.3g} samples: standard errors for independent noise would be "
+            "too small"
         )
+        findings.append(Note(Code.CORRELATED_RESIDUALS, text))
     if kurtosis > _TAILS:
-        reasons.append(f"residuals have heavy tails (excess kurtosis {kurtosis:.2g}): outliers")
-        recommended = recommended if left.correlated else "student-t"
-    if found is not None and found.shown:
+        text = f"residuals have heavy tails (excess kurtosis {kurtosis:.2g}): there are outliers"
+        findings.append(Note(Code.HEAVY_TAILS, text, Severity.WARNING))
+        recommended = "ou" if correlated else "student-t"
+    if repeating is not None and repeating.shown:
         recommended = "discrepancy"
-        reasons.append(
-            f"{found.share:.0%} of the residuals' power repeats with input and direction: the model itself is in error, more cycles do not "
-            "average that out, and only noise='discrepancy' allows for it"
+        text = (
+            f"{repeating.share:.0%} of the residual variance recurs every loop: the model is systematically wrong, and more cycles "
+            "will not help. noise='discrepancy' includes this in the errors"
         )
-    if not reasons:
-        reasons.append("residuals are white")
-    numbers = (None, None) if found is None else (found.share, found.chance)
-    return Diagnosis(left.correlated, time, *numbers, kurtosis, recommended, tuple(reasons))
+        findings.append(Note(Code.REPEATING_RESIDUALS, text, Severity.WARNING))
+    return Diagnosis(recommended, tuple(findings))
 
 
-def _repeating(left: Leftover) -> Repeating | None:
+def excess_kurtosis(rows: list[np.ndarray]) -> float:
+    """Excess kurtosis of the differences of residuals, in which slow noise cancels; 0 for Gaussian noise and below 30 samples."""
+    differences = np.concatenate([np.diff(row) for row in rows])
+    if differences.size <= 30:
+        return 0.0
+    return float(np.mean((differences - differences.mean()) ** 4) / max(float(np.var(differences)) ** 2, 1e-300) - 3)
+
+
+def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     """The score test of a variance component (Lin 1997) for a Gaussian process on either branch, in the inducing points of
     `LoopDiscrepancy`, against the slow and independent noise fitted without it.
 
-    That noise may look much like one pass of the curve; what tells them apart is that the curve is the same in every loop. What the
-    fit's parameters can imitate is left out.
+    Slow noise can resemble one pass of the curve; the curve, however, is the same in every loop. Directions of the parameters are
+    projected out.
     """
-    samples = left.samples
+    samples, residual, basis = analysis.samples, analysis.residual, analysis.basis
     turns = sum(int(np.count_nonzero(np.diff(row))) for row in _by_record(samples, samples.rising.astype(int)))
-    if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(left.residual):
+    if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
         return None
     columns = curves(samples, _LENGTH)
-    rows = np.asfortranarray(np.column_stack([left.basis, left.residual, columns]))
-    gram, p = rows.T @ left.slow.noise.solve(rows), left.basis.shape[1]
+    rows = np.asfortranarray(np.column_stack([basis, residual, columns]))
+    gram, p = rows.T @ analysis.slow.noise.solve(rows), basis.shape[1]
     gram = gram[p:, p:] - gram[p:, :p] @ np.linalg.solve(gram[:p, :p], gram[:p, p:])
     size, axes = np.linalg.eigh(gram[1:, 1:])
     kept = size > 1e-8 * size[-1]
@@ -225,12 +216,12 @@ def _repeating(left: Leftover) -> Repeating | None:
     variances = size + strengths[:, None] * size**2  # with a curve of that variance
     strength = strengths[np.argmin(np.sum(np.log(variances) + score**2 / variances, axis=1))]
     curve = columns @ (axes @ (strength * score / (1 + strength * size)))
-    curve = curve - left.basis @ (left.basis.T @ curve)
-    return Repeating(float(np.sum(curve**2) / np.sum(left.residual**2)), float(chance))
+    curve = curve - basis @ (basis.T @ curve)
+    return Repeating(float(np.sum(curve**2) / np.sum(residual**2)), float(chance))
 
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
-    """Columns of which smooth curves over the input are made, on either branch, times the root of the weights."""
+    """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
     shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), _POINTS))
     shapes = shapes * np.sqrt(samples.weight)[:, None]
     return np.hstack([shapes * samples.rising[:, None], shapes * ~samples.rising[:, None]])

@@ -1,6 +1,5 @@
 """Hysteresis models, one file each: a new model is one file and one line here."""
 
-from hystfit.models.base import AbstractFilter as AbstractFilter
 from hystfit.models.base import AbstractHysteresis as AbstractHysteresis
 from hystfit.models.base import Resume as Resume
 from hystfit.models.base import simulate as simulate
@@ -18,8 +17,8 @@ from hystfit.models.dynamics import Lag as Lag
 from hystfit.models.dynamics import SecondOrder as SecondOrder
 from hystfit.models.oscillator import BoucWenOscillator as BoucWenOscillator
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii as PrandtlIshlinskii
-from hystfit.models.preisach.density import ParametricPreisach as ParametricPreisach
 from hystfit.models.preisach.model import Preisach as Preisach
+from hystfit.models.preisach.parametric import ParametricPreisach as ParametricPreisach
 from hystfit.models.rate import SaturatingRate as SaturatingRate
 from hystfit.models.rate import Viscous as Viscous
 from hystfit.models.relaxation import Relaxation as Relaxation

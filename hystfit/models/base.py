@@ -15,6 +15,11 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
+from hystfit.models.bracketed import Root, solve_rising
+from hystfit.models.c_code import CPart
+from hystfit.models.design import Block, DesignMatrix
+from hystfit.params.param import leaves_of
+from hystfit.quality.needs import Needs
 
 
 class AbstractHysteresis(eqx.Module):
@@ -22,7 +27,9 @@ class AbstractHysteresis(eqx.Module):
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
 
-    Concrete classes say `rate_independent: ClassVar[bool]`, compositions derive it from their parts.
+    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init`, `step` and `start`. The
+    methods below `start` are optional: each has a default here, a model overrides those that it can do better, and `Sum` and
+    `Series` delegate all of them to their parts. `hystfit.testing.check_model` tests what a model gives.
     """
 
     @property
@@ -40,6 +47,12 @@ class AbstractHysteresis(eqx.Module):
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """Move the input from u0 to u1 in the time dt: (new state, output at the new sample)."""
 
+    @abc.abstractmethod
+    def start(self, records: Sequence[Record]) -> AbstractHysteresis:
+        """The same model with starting values estimated from measured records (host side, no gradient)."""
+
+    # -- optional: simulation ----------------------------------------------------------------------------------------------
+
     def sweep(
         self,
         state: Float[Array, " state"],
@@ -50,7 +63,14 @@ class AbstractHysteresis(eqx.Module):
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
         """Move the input from u0 over all samples u: (state after the last, output at each). One scan of `step`.
 
-        A model may do better: what does not depend on the state need not be in the scan.
+        To override where part of the work does not depend on the state, and need not be in the scan.
+
+        Args:
+            state: before the first sample.
+            u0: input before the first sample.
+            u: input, shape (T,).
+            dt: time since the sample before, shape (T,) [s].
+            unroll: of the scan.
         """
         single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
 
@@ -62,21 +82,236 @@ class AbstractHysteresis(eqx.Module):
         state, y = jax.lax.scan(body, state[0] if single else state, (before, u, dt), unroll=unroll)
         return (state[None] if single else state), y
 
-    @abc.abstractmethod
-    def start(self, records: Sequence[Record]) -> AbstractHysteresis:
-        """The same model with starting values read off measured records (host side, no gradient)."""
+    @property
+    def short_cut(self) -> bool:
+        """Whether `free_run` is faster than a scan over the samples."""
+        return False
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """The output of `simulate` on the host, shape (T,), in the fastest way that the model has.
+
+        Args:
+            u: input, shape (T,).
+            dt: as in `simulate`.
+
+        Raises:
+            ModelError: as `simulate`.
+        """
+        return np.asarray(simulate(self, u, dt)[0])
+
+    @property
+    def linear_in_input(self) -> bool:
+        """Whether the output is linear in the signal that comes in, apart from a constant of the initial state: linear filters."""
+        return False
+
+    # -- optional: fitting ---------------------------------------------------------------------------------------------------
 
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
         """What a user should know before trusting this model on an input u of shape (T,); nothing by default."""
         return ()
 
+    @property
+    def needs(self) -> Needs | None:
+        """The data that determine its parameters; None where that is not declared."""
+        return None
 
-class AbstractFilter(AbstractHysteresis):
-    """Linear dynamics with gain one, before or after a hysteresis: it delays or smooths, and adds no loop of its own shape."""
+    @property
+    def estimator(self) -> str | None:
+        """Name of the estimator that suits it; None where the number of its bounded linear weights decides."""
+        return None
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """What the linear weights are multiplied by, at the present values of the other parameters.
+
+        By differentiation of the simulation; to override where the columns are known in closed form.
+
+        Args:
+            u: input, shape (T,).
+            dt: as in `simulate`.
+        """
+        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _servable(leaf.info.bounds)]
+        u, dt = drive(self, u, dt)
+        rest, columns = _differentiated(self, tuple(leaf.index for leaf in leaves), u, dt)
+        blocks = (
+            Block(leaf.index, leaf.info, np.asarray(part).reshape(u.size, -1))
+            for leaf, part in zip(leaves, columns, strict=True)
+        )
+        return DesignMatrix(tuple(blocks), np.asarray(rest), np.arange(u.size))
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether the model can rest before the record on its `level` or on the record's "first" input (see `with_rest`)."""
+        return False
+
+    def with_rest(self, rest: str) -> AbstractHysteresis:
+        """The same model, at rest before the record on its "level" or on the record's "first" input."""
+        return self
+
+    @property
+    def from_saturation(self) -> bool:
+        """Whether every record starts from saturation, so that its input need not turn back (reversal curves)."""
+        return False
+
+    def sizes(self) -> dict[str, AbstractHysteresis]:
+        """Numbers of elements that a comparison should try: this model first and others of its kind, by their size in words.
+
+        Empty where there is nothing to choose.
+        """
+        return {}
+
+    def without_creep(self) -> AbstractHysteresis | None:
+        """The same model with its creep set to zero; None for a model that has no creep."""
+        return None
+
+    # -- optional: control ---------------------------------------------------------------------------------------------------
+
+    def reach(self) -> tuple[float, float] | None:
+        """Lowest and highest input for which the model was made; None where it has no such range."""
+        return None
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """Its one-sample inverse: a closed form, or by default a search.
+
+        Args:
+            sign: of a search; -1 for outputs that fall with the input.
+
+        Raises:
+            ModelError: the model has no causal inverse (a delay, a resonance).
+        """
+        return SearchStep(self, sign)
+
+    def led(self) -> Led | None:
+        """The resonance at the end of the model, which is inverted by leading the reference; None where there is none."""
+        return None
+
+    def c_part(self) -> CPart:
+        """Its part of the exported C code.
+
+        Raises:
+            ModelError: the model has no C code.
+        """
+        raise ModelError(f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)")
+
+
+class Led(NamedTuple):
+    """A resonance at the end of a model: the model before it (None where there is nothing), omega [rad/s] and zeta."""
+
+    model: AbstractHysteresis | None
+    omega: float
+    zeta: float
+
+
+def _servable(bounds: tuple[float, float]) -> bool:
+    """Weights that are free or >= 0 can be solved for in one quadratic program."""
+    return bounds[1] == np.inf and bounds[0] in (0.0, -np.inf)
+
+
+@eqx.filter_jit
+def _differentiated(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
+    """Output with the leaves `at` set to zero, and its derivatives in them."""
+    leaves, treedef = jax.tree_util.tree_flatten(model)
+
+    def output(values: list[Array]) -> Array:
+        flat = list(leaves)
+        for k, value in zip(at, values, strict=True):
+            flat[k] = value
+        return run(treedef.unflatten(flat), u, dt)[0]
+
+    zero = [jnp.zeros_like(leaves[k]) for k in at]
+    return output(zero), jax.jacfwd(output)(zero) if at else []
+
+
+# -- one-sample inverses -------------------------------------------------------------------------------------------------------
+
+
+class AbstractStepInverse(eqx.Module):
+    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1.
+
+    Attributes:
+        model: what is inverted.
+    """
+
+    model: eqx.AbstractVar[AbstractHysteresis]
+
+    @property
+    @abc.abstractmethod
+    def needs_limits(self) -> bool:
+        """A search needs an interval to search in; a closed form needs none."""
+
+    @abc.abstractmethod
+    def solve(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        target: Float[Array, ""],
+        dt: Float[Array, ""],
+        low: Float[Array, ""],
+        high: Float[Array, ""],
+    ) -> Root:
+        """The input, which a closed form may put outside the limits, and whether the output rises on the way to it.
+
+        Args:
+            state: of the model after the last sample.
+            u0: input of the last sample.
+            target: wanted output.
+            dt: time since the last sample [s].
+            low, high: limits of the input.
+        """
+
+    # Optional, as those of a model:
+
+    @property
+    def sign(self) -> float:
+        """-1 where the inverse assumes an output that falls with the input."""
+        return 1.0
+
+    def advance(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """The model's step; to override where the inverse holds tables that make it faster."""
+        return self.model.step(state, u0, u1, dt)
+
+
+class SearchStep(AbstractStepInverse):
+    """Bracketed search on the model's own step: for every model whose output rises, or falls, with its input.
+
+    Attributes:
+        model: any model.
+        falls: -1 where the output falls with the input, else 1.
+    """
+
+    model: AbstractHysteresis
+    falls: float = eqx.field(static=True, default=1.0)
+    needs_limits: bool = eqx.field(static=True, default=True)
+
+    @property
+    def sign(self) -> float:
+        """See the base class."""
+        return self.falls
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        miss = lambda u1: self.falls * (self.model.step(state, u0, u1, dt)[1] - target)
+        return solve_rising(miss, jnp.clip(u0, low, high), low, high)
+
+
+class LinearStep(AbstractStepInverse):
+    """Inverse of a model whose output is affine in the new input (`Lag`, `Relaxation`): a derivative gives its gain."""
+
+    model: AbstractHysteresis
+    needs_limits: bool = eqx.field(static=True, default=False)
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        value, gain = jax.jvp(lambda u: self.model.step(state, u0, u, dt)[1], (u0,), (jnp.ones_like(u0),))
+        return Root(u0 + (target - value) / jnp.where(gain > 0, gain, jnp.inf), gain > 0)
+
+
+# -- simulation ------------------------------------------------------------------------------------------------------------------
 
 
 def check_rest(rest: str) -> None:
-    """Refuse what is no place of rest before a record.
+    """Refuse an unknown state of rest before a record.
 
     Raises:
         ModelError: neither "level" nor "first".
@@ -116,6 +351,22 @@ def simulate(
     Raises:
         ModelError: no time for a model that needs it, or shapes that do not fit.
     """
+    u, dt = drive(model, u, dt)
+    # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
+    return _simulate(model, u, dt, resume, unroll)
+
+
+def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
+    """Input and time steps as arrays of shape (T,).
+
+    Args:
+        model: to be driven.
+        u: input, shape (T,).
+        dt: see `simulate`.
+
+    Raises:
+        ModelError: no time for a model that needs it, or shapes that do not fit.
+    """
     u = jnp.asarray(u, dtype=jnp.result_type(float))
     if u.ndim != 1 or u.size == 0:
         raise ModelError(f"the input must have shape (T,) with T > 0, got {u.shape}")
@@ -125,8 +376,7 @@ def simulate(
     dt = jnp.broadcast_to(dt, u.shape) if dt.ndim == 0 else dt
     if dt.shape != u.shape:
         raise ModelError(f"dt must have the shape of the input {u.shape}, got {dt.shape}")
-    # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
-    return _simulate(model, u, dt, resume, unroll)
+    return u, dt
 
 
 @eqx.filter_jit
@@ -137,7 +387,15 @@ def _simulate(model: Any, u: Array, dt: Array, resume: Resume | None, unroll: in
 def run(
     model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None, unroll: int = 1
 ) -> tuple[Array, Resume]:
-    """`simulate` without checks or jit, for use inside other traced code."""
+    """`simulate` without checks or jit, for use inside other traced code.
+
+    Args:
+        model: any model.
+        u: input, shape (T,).
+        dt: time since the sample before, shape (T,) [s].
+        resume: see `simulate`.
+        unroll: of the scan.
+    """
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
     state, y = model.sweep(resume.state, resume.u, u, dt, unroll)

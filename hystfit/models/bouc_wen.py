@@ -6,16 +6,20 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen_steps import begun, bound, exact_step, trapezoid
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
+from hystfit.models.bouc_wen_steps import begun, bound, exact_step, passed_rates, trapezoid
+from hystfit.models.bracketed import Root
+from hystfit.models.c_code import CPart, template
 from hystfit.models.starting import fit_linear, input_range, thinned
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
@@ -34,6 +38,11 @@ class BoucWen(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2,
+        symmetry="symmetric",
+        too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
+    )
 
     c: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
     mu: Float[Array, ""] = param(
@@ -75,7 +84,7 @@ class BoucWen(AbstractHysteresis):
         return h[None], self.offset + self.c * u1 - h
 
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
-        """Says where the sampling is too coarse for the cheap step."""
+        """Where the sampling is too coarse for the cheap step."""
         return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))), u)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
@@ -85,6 +94,64 @@ class BoucWen(AbstractHysteresis):
         mu = float(np.clip(-theta[1] / c, 0.02, 0.98))
         values = (c, mu, tau, rho, theta[2])
         return eqx.tree_at(lambda m: (m.c, m.mu, m.tau, m.rho, m.offset), self, tuple(map(jnp.asarray, values)))
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """See `BoucWenStep`."""
+        return BoucWenStep(self)
+
+    def c_part(self) -> CPart:
+        """Both schemes are in one template."""
+        numbers = {"C": self.c, "MU": self.mu, "TAU": self.tau, "RHO": self.rho, "OFFSET": self.offset}
+        numbers |= {"H0": self.init(jnp.zeros(()))[0], "EXACT": int(self.scheme == "exact")}
+        return CPart(template("bouc_wen.c"), 1, numbers)
+
+
+class BoucWenStep(AbstractStepInverse):
+    """Explicit inverse of `BoucWen` (after Minase et al. 2010): a quadratic for the semi-implicit step, Newton for the exact one.
+
+    With q = s h and x = |dv| the output moves by s dy = c x - (q' - q), which is convex in x: Newton steps from above cannot fail.
+    """
+
+    model: BoucWen
+    needs_limits: bool = eqx.field(static=True, default=False)
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        bw = self.model
+        gap = target - (bw.offset + bw.c * u0 - state[0])
+        s, way = jnp.where(gap < 0, -1.0, 1.0), jnp.abs(gap)
+        q, m = s * state[0], bw.mu * bw.c
+        up, down = bw.tau * (1 + bw.rho), bw.tau * (1 - bw.rho)
+        slope = bw.c - m + jnp.where(q >= 0, up, down) * q
+
+        def root(alpha: Array, beta: Array) -> Array:
+            """x where half the integral of the rates is alpha x + beta."""
+            a, b, d = alpha * bw.c, bw.c * (1 + beta) - m + alpha * (2 * q - way), way * (1 + beta) - 2 * q * beta
+            part = jnp.sqrt(jnp.maximum(b * b + 4 * a * d, 0.0))
+            return jnp.where(b > 0, 2 * d / jnp.where(b > 0, b + part, 1.0), (part - b) / jnp.where(a > 0, 2 * a, 1.0))
+
+        x = root(0.5 * jnp.where(q >= 0, up, down), jnp.zeros_like(q))
+        crosses = (q < 0) & (m * x > -q)
+        x = jnp.where(crosses, root(0.5 * up, 0.5 * (up - down) * q / jnp.where(m > 0, m, 1.0)), x)
+        moved = lambda x: s * bw.step(state, u0, u0 + s * x, dt)[0][0]
+        bound = jnp.where(up > 0, m / jnp.where(up > 0, up, 1.0), jnp.inf)
+        if bw.scheme == "semi-implicit":
+            # Where a long step is held at the bound of h, h is known.
+            half = 0.5 * passed_rates(q, x, m, up, down)
+            stuck = ((1 - half) * q + m * x) / (1 + half)
+            held = jnp.clip(stuck, jnp.minimum(q, bound), jnp.maximum(q, bound))
+            x = jnp.where(held == stuck, x, (way + held - q) / bw.c)
+        else:
+            far = (way + jnp.maximum(bound, q) - q) / bw.c
+            x = jnp.where(slope > 0, jnp.minimum(far, way / jnp.where(slope > 0, slope, 1.0)), far)
+
+            def newton(_: Array, x: Array) -> Array:
+                h = moved(x)
+                rate = bw.c - m + jnp.where(h >= 0, up, down) * h
+                return jnp.maximum(x - (bw.c * x - (h - q) - way) / jnp.where(rate > 0, rate, bw.c), 0.0)
+
+            x = jax.lax.fori_loop(0, 12, newton, x)
+        return Root(u0 + s * x, slope > 0)
 
 
 def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:

@@ -15,9 +15,11 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import coarse, grid_start
 from hystfit.models.bouc_wen_steps import begun, bound, passed_rates, power_of, runge_kutta, semi_implicit
+from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import input_range
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 
 class AsymmetricBoucWen(AbstractHysteresis):
@@ -36,6 +38,9 @@ class AsymmetricBoucWen(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2, symmetry="asymmetric", too_few="the shape parameters are nearly redundant"
+    )
 
     c: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
     mu: Float[Array, ""] = param(
@@ -93,7 +98,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         return h[None], self.offset + self.c * u1 + backbone - h
 
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
-        """Says where the sampling is too coarse for the cheap step."""
+        """Where the sampling is too coarse for the cheap step."""
         return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))) * max(1.0, float(self.n)), u)
 
     def start(self, records: Sequence[Record]) -> AsymmetricBoucWen:
@@ -105,3 +110,15 @@ class AsymmetricBoucWen(AbstractHysteresis):
         values = (c, mu, tau, rho, theta[3:], theta[2], place.center, place.half)
         fields = lambda m: (m.c, m.mu, m.tau, m.rho, m.b, m.offset, m.center, m.half)
         return eqx.tree_at(fields, self, tuple(map(jnp.asarray, values)))
+
+    def reach(self) -> tuple[float, float]:
+        """A quarter of half the range beyond the range of the backbone."""
+        center, half = float(self.center), float(self.half)
+        return center - 1.25 * half, center + 1.25 * half
+
+    def c_part(self) -> CPart:
+        """Both schemes are in one template."""
+        names = ("c", "mu", "tau", "rho", "n", "skew", "offset", "center", "half")
+        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": self.init(jnp.zeros(()))[0]}
+        numbers |= {"B": int(self.b.shape[0]) + 2, "EXACT": int(self.scheme == "exact")}
+        return CPart(template("bouc_wen_asymmetric.c"), 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(self.b))})

@@ -1,4 +1,8 @@
-"""One step of Bouc-Wen's law dq/dx = m - kappa q, q = s h, x = |dv|, with kappa = `up` above zero and `down` below."""
+"""One step of Bouc-Wen's law dq/dx = m - kappa q, with kappa = `up` above zero and `down` below.
+
+Arguments throughout: q = s h the state in the direction s of motion [y], x = |dv| the way [u], m = mu c the slope at q = 0 [y/u], `up`
+and `down` rates [1/u], `highest` the bound of q [y].
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
-_BEYOND = 3.0  # times the bound up to which a start is believed
+_BEYOND = 3.0  # factor beyond the bound up to which a starting value is accepted
 
 
 def begun(h0: Array, lowest: Array, highest: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -14,9 +15,12 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractFilter, AbstractHysteresis, check_rest
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_rest
+from hystfit.models.bracketed import Root
+from hystfit.models.c_code import CPart, template
 from hystfit.models.starting import fitted_input_range, input_range
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
 _TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))
@@ -24,7 +28,7 @@ _WEIGHTS = (0.50681, 0.49935, 0.49995, 0.50038, 0.49920, 0.50164, 0.49578, 0.517
 _BASE = 0.80793
 
 
-class LogCreep(AbstractFilter):
+class LogCreep(AbstractHysteresis):
     """Logarithmic creep of a displacement (Minase et al. 2010, eq. (2)):  L(t) = L0 [1 + gamma log10(t / 0.1 s)] after a step.
 
     Ten relaxations tau_i dz_i/dt = -z_i + gamma w_i x stand for the logarithm, so that any input and irregular time steps
@@ -108,6 +112,51 @@ class LogCreep(AbstractFilter):
         gamma = np.where(np.arange(self.gamma.shape[0]) == 0, 0.01, 0.0)
         return eqx.tree_at(lambda m: (m.gamma, m.span), self, (jnp.asarray(gamma), jnp.asarray(span)))
 
+    @property
+    def linear_in_input(self) -> bool:
+        """Where gamma does not depend on the displacement."""
+        return self.gamma.shape[0] == 1
+
+    def without_creep(self) -> LogCreep:
+        """See the base class."""
+        return eqx.tree_at(lambda m: m.gamma, self, jnp.zeros_like(self.gamma))
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """See `CreepStep`."""
+        return CreepStep(self)
+
+    def c_part(self) -> CPart:
+        """One recursion a relaxation."""
+        modes = int(self.tau.shape[0])
+        numbers = {"SPAN": self.span, "BASE": self.base, "MODES": modes, "DEGREE": int(self.gamma.shape[0]) - 1}
+        arrays = {"gamma": self.gamma, "weights": self.weights, "tau": self.tau}
+        return CPart(template("log_creep.c"), modes, numbers, arrays)
+
+
+class CreepStep(AbstractStepInverse):
+    """Inverse of `LogCreep` (Minase et al. 2010, eq. (19)): target less the remaining relaxations, over the gain of one sample."""
+
+    model: LogCreep
+    needs_limits: bool = eqx.field(static=True, default=False)
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        creep = self.model
+        share = -jnp.expm1(-dt / creep.tau)
+        remainder = target - jnp.sum((1 - share) * state)
+        k = jnp.sum(share * creep.weights) - creep.base
+        gain = lambda x: x * (1 + k * creep._rate(x))
+        if creep.gamma.shape[0] == 1:
+            slope = 1 + k * creep.gamma[0]
+            return Root(remainder / slope, slope > 0)
+
+        def newton(_: Array, x: Array) -> Array:
+            value, slope = jax.jvp(gain, (x,), (jnp.ones_like(x),))
+            return x - (value - remainder) / slope
+
+        x = jax.lax.fori_loop(0, 8, newton, u0)
+        return Root(x, jax.jvp(gain, (x,), (jnp.ones_like(x),))[1] > 0)
+
 
 class LinearCreep(AbstractHysteresis):
     """Linear creep operators of the input, with log-spaced time constants:  y = sum of a_i z_i,  tau_i dz_i/dt = x - z_i.
@@ -117,6 +166,8 @@ class LinearCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    has_rest: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(loop=False, time=True, creep=True)
 
     a: Float[Array, " k"] = param(
         (0.0,),
@@ -177,6 +228,27 @@ class LinearCreep(AbstractHysteresis):
         typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
         tau = jnp.asarray(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
         return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
+
+    def with_rest(self, rest: str) -> LinearCreep:
+        """See the base class."""
+        return dataclasses.replace(self, rest=rest)
+
+    def without_creep(self) -> LinearCreep:
+        """See the base class."""
+        return eqx.tree_at(lambda m: m.a, self, jnp.zeros_like(self.a))
+
+    def c_part(self) -> CPart:
+        """One recursion a relaxation."""
+        modes = int(self.tau.shape[0])
+        numbers = {
+            "LOW": self.low,
+            "HIGH": self.high,
+            "LEVEL": self.level,
+            "FIRST": int(self.rest == "first"),
+            "MODES": modes,
+        }
+        arrays = {"a": np.broadcast_to(np.asarray(self.a), (modes,)), "tau": self.tau}
+        return CPart(template("linear_creep.c"), modes, numbers, arrays)
 
 
 def _relaxed(

@@ -14,9 +14,11 @@ from scipy.linalg import block_diag
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 Scheme = Literal["midpoint", "explicit", "exact"]
 
@@ -39,6 +41,9 @@ class Duhem(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2, too_few="f and g are seen along one pair of branches, and trade off within it"
+    )
 
     alpha: Float[Array, ""] = param(
         1.0, bounds=(0.0, np.inf), unit="1/u", scale=2.0, doc="rate of approach to f; 1/alpha is forgotten"
@@ -62,7 +67,13 @@ class Duhem(AbstractHysteresis):
 
     @classmethod
     def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint", **fields: object) -> Duhem:
-        """A model with polynomials of these orders.
+        """A model with polynomials of given orders.
+
+        Args:
+            f: order of the anhysteretic curve.
+            g: order of the slope at reversal.
+            scheme: of integration.
+            **fields: values of other fields.
 
         Raises:
             ModelError: a negative order, or an unknown scheme.
@@ -81,7 +92,16 @@ class Duhem(AbstractHysteresis):
         high: float,
         **fields: object,
     ) -> Duhem:
-        """A model from the paper's coefficients of 1, v, v^2, ... with v between low and high [u]."""
+        """A model from the paper's coefficients of 1, v, v^2, ...
+
+        Args:
+            alpha: rate of approach to f [1/u].
+            f: coefficients of f, shape (m,) [y].
+            g: coefficients of g, shape (n,) [y/u].
+            low: lowest input [u].
+            high: highest input [u].
+            **fields: values of other fields.
+        """
         center, half = 0.5 * (low + high), 0.5 * (high - low)
         series = [powers_to_legendre(np.asarray(c), center, half) for c in (f, g)]
         return cls(alpha=alpha, f=series[0], g=series[1], center=center, half=half, **fields)
@@ -163,6 +183,26 @@ class Duhem(AbstractHysteresis):
         values = (rate, theta[:m], theta[m : m + n], first_output(records[0]), place.center, place.half)
         fields = lambda s: (s.alpha, s.f, s.g, s.w0, s.center, s.half)
         return eqx.tree_at(fields, self, tuple(jnp.asarray(v, dtype=float) for v in values))
+
+    def reach(self) -> tuple[float, float]:
+        """A quarter of half the range beyond the range of f and g."""
+        center, half = float(self.center), float(self.half)
+        return center - 1.25 * half, center + 1.25 * half
+
+    def c_part(self) -> CPart:
+        """All schemes are in one template; tables of the exact one are written where it is used."""
+        m, n = int(self.f.shape[0]), int(self.g.shape[0])
+        numbers = {"ALPHA": self.alpha, "W0": self.w0, "CENTER": self.center, "HALF": self.half, "F": m, "G": n}
+        numbers |= {"EXACT": int(self.scheme == "exact"), "EXPLICIT": int(self.scheme == "explicit")}
+        arrays = {"f": self.f, "g": self.g}
+        if self.scheme == "exact":
+            size = max(m, n)
+            numbers |= {"SIZE": size, "LONG": _LONG, "NODES": len(_NODES)}
+            padded = [np.pad(np.asarray(c), (0, size - c.shape[0])) for c in (self.f, self.g)]
+            slope = derivative_matrix(size) / float(self.half)
+            arrays |= {"f_padded": padded[0], "g_padded": padded[1], "derivative": slope}
+            arrays |= {"nodes": _NODES, "weights": _WEIGHTS}
+        return CPart(template("duhem.c"), 1, numbers, arrays)
 
 
 def _responses(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -12,11 +13,12 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractFilter, check_rest
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, LinearStep, check_rest
+from hystfit.models.c_code import CPart, template
 from hystfit.params.param import param
 
 
-class Delay(AbstractFilter):
+class Delay(AbstractHysteresis):
     """Pure delay by a (fractional) number of samples, between which the signal is interpolated linearly.
 
     Raises:
@@ -24,6 +26,7 @@ class Delay(AbstractFilter):
     """
 
     rate_independent: ClassVar[bool] = True
+    linear_in_input: ClassVar[bool] = True
 
     lag: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
     longest: int = eqx.field(static=True, default=8)
@@ -49,14 +52,20 @@ class Delay(AbstractFilter):
         """One sample."""
         return type(self)(lag=1.0, longest=self.longest)
 
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """Refused: see `_no_inverse`."""
+        raise _no_inverse(self)
 
-class Lag(AbstractFilter):
+
+class Lag(AbstractHysteresis):
     """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
 
     `level` is the input on which it rested before the record, so that a jump at the first sample is smoothed too.
     """
 
     rate_independent: ClassVar[bool] = False
+    linear_in_input: ClassVar[bool] = True
+    has_rest: ClassVar[bool] = True
 
     tau: Float[Array, ""] = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
     level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
@@ -85,11 +94,24 @@ class Lag(AbstractFilter):
         typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
         return eqx.tree_at(lambda m: m.tau, self, jnp.asarray(3.0 * typical))
 
+    def with_rest(self, rest: str) -> Lag:
+        """See the base class."""
+        return dataclasses.replace(self, rest=rest)
 
-class SecondOrder(AbstractFilter):
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """The output is affine in the new input."""
+        return LinearStep(self)
+
+    def c_part(self) -> CPart:
+        """Two recursions."""
+        return CPart(template("lag.c"), 2, {"TAU": self.tau, "LEVEL": self.level, "FIRST": int(self.rest == "first")})
+
+
+class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
     rate_independent: ClassVar[bool] = False
+    linear_in_input: ClassVar[bool] = True
 
     omega: Float[Array, ""] = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
     zeta: Float[Array, ""] = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
@@ -119,3 +141,22 @@ class SecondOrder(AbstractFilter):
         steps = np.concatenate([record.dt[1:] for record in records])
         typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.01
         return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)
+
+    def led(self) -> Led:
+        """The resonance itself."""
+        return Led(None, float(self.omega), float(self.zeta))
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """Refused: see `_no_inverse`."""
+        raise _no_inverse(self)
+
+    def c_part(self) -> CPart:
+        """The free decay of the deviation from the ramp response."""
+        return CPart(template("second_order.c"), 2, {"OMEGA": self.omega, "ZETA": self.zeta})
+
+
+def _no_inverse(model: AbstractHysteresis) -> ModelError:
+    return ModelError(
+        f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
+        "shift or lead the reference (hystfit.control.lead)"
+    )

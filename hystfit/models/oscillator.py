@@ -16,6 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 
 class BoucWenOscillator(AbstractHysteresis):
@@ -31,6 +32,9 @@ class BoucWenOscillator(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    needs: ClassVar[Needs] = Needs(
+        time=True, frequencies=2, too_few="mass, damping and stiffness trade off; it needs several, or a resonance"
+    )
 
     m: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u*s^2/y", doc="mass")
     d: Float[Array, ""] = param(0.1, bounds=(0.0, np.inf), unit="u*s/y", doc="damping")

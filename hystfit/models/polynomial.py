@@ -27,14 +27,24 @@ def derivative_matrix(n: int) -> np.ndarray:
 
 
 def legendre_to_powers(coefficients: np.ndarray, center: float, half: float) -> np.ndarray:
-    """Coefficients of 1, v, v^2, ... of a Legendre series in (v - center) / half."""
+    """Coefficients of 1, v, v^2, ... of a Legendre series in (v - center) / half.
+
+    Args:
+        coefficients: of the series, shape (n,).
+        center, half: middle and half width of the range of v.
+    """
     series = Legendre(np.asarray(coefficients, float), domain=[center - half, center + half])
     powers = series.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
     return np.pad(powers, (0, len(coefficients) - powers.size))
 
 
 def powers_to_legendre(powers: np.ndarray, center: float, half: float) -> np.ndarray:
-    """Legendre coefficients in (v - center) / half of a polynomial given by its powers of v."""
+    """Legendre coefficients in (v - center) / half of a polynomial given by its powers of v.
+
+    Args:
+        powers: coefficients of 1, v, v^2, ..., shape (n,).
+        center, half: middle and half width of the range of v.
+    """
     polynomial = Polynomial(np.asarray(powers, float), domain=[-1, 1], window=[-1, 1])
     series = polynomial.convert(kind=Legendre, domain=[center - half, center + half])
     return np.pad(series.coef, (0, len(powers) - series.coef.size))

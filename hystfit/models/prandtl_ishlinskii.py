@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Literal, get_args
 
@@ -12,10 +13,13 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, SearchStep
+from hystfit.models.bracketed import Root
+from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 Envelope = Literal["identity", "square", "mirror"]
 Operator = Literal["play", "stop"]
@@ -75,6 +79,8 @@ class PrandtlIshlinskii(AbstractHysteresis):
     rest: Rest = eqx.field(static=True, default="level")
 
     rate_independent: ClassVar[bool] = True
+    has_rest: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(amplitudes=2, symmetry="generalized", direction="counter-clockwise")
 
     def __check_init__(self) -> None:
         unknown = [kind for kind in self.envelopes if kind not in get_args(Envelope)]
@@ -105,6 +111,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
         rest: Rest = "level",
     ) -> PrandtlIshlinskii:
         """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range: dense where loops are small.
+
+        Args:
+            plays: number of thresholds.
+            degree: of the single-valued polynomial.
+            envelopes: of the input, one row of weights each.
+            operator: "play" or "stop".
+            hardening: add weights that fade with the path.
+            rest: where the input rested before the record.
 
         Raises:
             ModelError: fewer than one play or degree one.
@@ -168,3 +182,62 @@ class PrandtlIshlinskii(AbstractHysteresis):
             self,
             (w, b, jnp.asarray(out.center), jnp.asarray(low), jnp.asarray(high)),
         )
+
+    def with_rest(self, rest: str) -> PrandtlIshlinskii:
+        """See the base class."""
+        return dataclasses.replace(self, rest=rest)
+
+    def reach(self) -> tuple[float, float]:
+        """A quarter of the range beyond it on either side."""
+        low, high = float(self.low), float(self.high)
+        return low - 0.25 * (high - low), high + 0.25 * (high - low)
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """See `PlayStep`; a search where the model has envelopes, a bent single-valued part or hardening."""
+        plain = self.envelopes == ("identity",) and self.b.shape[0] == 1 and not self.hardening.size
+        return PlayStep(self) if plain else SearchStep(self, sign)
+
+    def c_part(self) -> CPart:
+        """Plays or stops, envelopes and hardening are in one template."""
+        kinds = [("identity", "square", "mirror").index(kind) for kind in self.envelopes]
+        count, plays = self.w.shape
+        hardens = int(bool(self.hardening.size))
+        numbers = {"OFFSET": self.offset, "LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
+        numbers |= {"FIRST": int(self.rest == "first"), "STOPS": int(self.operator == "stop"), "HARDENS": hardens}
+        numbers |= {"ENVELOPES": int(count), "PLAYS": int(plays), "B": int(self.b.shape[0]) + 1}
+        arrays = {"w": self.w, "r": self.r, "b": np.append(0.0, np.asarray(self.b)), "kinds": np.array(kinds)}
+        if hardens:
+            numbers["S0"] = self.s0
+            arrays["hardening"] = self.hardening
+        return CPart(template("prandtl_ishlinskii.c"), int(count * plays) + hardens, numbers, arrays)
+
+
+class PlayStep(AbstractStepInverse):
+    """Exact inverse of `PrandtlIshlinskii` with one identity envelope and a straight single-valued part.
+
+    A way d from the last input moves the plays whose dead band t_j it has passed: b d + sum of w_j max(0, d - t_j) is
+    piecewise linear and rising, and the active plays follow from its values at the t_j. Stops give min(d, t_j) instead.
+    """
+
+    model: PrandtlIshlinskii
+    needs_limits: bool = eqx.field(static=True, default=False)
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        pi = self.model
+        w, x0 = pi.w[0], (u0 - pi.low) / (pi.high - pi.low)
+        steepness = 2.0 * pi.b[0]
+        now = pi.step(state, u0, u0, dt)[1]
+        s, way = jnp.where(target < now, -1.0, 1.0), jnp.abs(target - now)
+        dead = jnp.maximum(s * (state - x0) + pi.r, 0.0)
+        reached = dead[:, None] - dead[None, :]  # way at the start of play k less the dead band of play j
+        if pi.operator == "play":
+            gains = steepness * dead + jnp.maximum(reached, 0.0) @ w
+            active = gains < way
+            slope, shift = steepness + jnp.sum(jnp.where(active, w, 0.0)), jnp.sum(jnp.where(active, w * dead, 0.0))
+        else:
+            gains = steepness * dead + jnp.minimum(dead[:, None], dead[None, :]) @ w
+            active = gains < way
+            slope, shift = steepness + jnp.sum(jnp.where(active, 0.0, w)), -jnp.sum(jnp.where(active, w * dead, 0.0))
+        d = jnp.where(slope > 0, (way + shift) / jnp.where(slope > 0, slope, 1.0), jnp.where(way > 0, jnp.inf, 0.0))
+        return Root(pi.low + (x0 + s * d) * (pi.high - pi.low), slope >= 0)

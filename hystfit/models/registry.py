@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.util
 import inspect
-import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import BoucWen
 from hystfit.models.bouc_wen_asymmetric import AsymmetricBoucWen
 from hystfit.models.bouc_wen_force import BoucWenForce
-from hystfit.models.compose import Offset, Series, Sum
+from hystfit.models.compose import AbstractComposition, Offset, Series, Sum
 from hystfit.models.creep import LinearCreep, LogCreep
 from hystfit.models.duhem import Duhem
 from hystfit.models.dynamics import Delay, Lag, SecondOrder
@@ -27,45 +24,65 @@ from hystfit.models.preisach.model import Preisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
 from hystfit.quality.needs import Needs
+from hystfit.registry import class_from_file
+
+# Loops that lag (counter-clockwise: piezo actuators with time, and creep; magnetic materials without), force that leads, and curves.
+DataKind = Literal["lagging-timed", "lagging-untimed", "leading", "reversal-curves"]
+_LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
 
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A model that the command line knows.
+    """A model that users choose by name.
 
     Attributes:
         make: builds it with its defaults, or with settings by name.
         place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
         doc: what it is for, one line.
-        variant: tells this model from others of its class that stand before it.
+        variant: whether a model of this class is this variant; the last entry that fits gives its name.
+        compared_on: kinds of data on which `compare` tries it by default.
+        compared_as: the expression that is tried; the name by default.
     """
 
     make: Callable[..., AbstractHysteresis]
     place: str
     doc: str
     variant: Callable[[Any], bool] = lambda model: True
+    compared_on: tuple[DataKind, ...] = ()
+    compared_as: str = ""
 
     def settings(self) -> dict[str, int | bool | str]:
-        """What can be chosen beside values of parameters, with what it is where nothing is said."""
+        """Settings besides the values of parameters, with their defaults."""
         given = inspect.signature(self.make).parameters.values()
         return {p.name: p.default for p in given if isinstance(p.default, (int, str))}
 
     def shown(self) -> str:
         """The settings as `make_model` takes them."""
-        said = lambda value: ("no", "yes")[value] if isinstance(value, bool) else value
-        return ":".join(f"{name}={said(value)}" for name, value in self.settings().items())
+        words = lambda value: ("no", "yes")[value] if isinstance(value, bool) else value
+        return ":".join(f"{name}={words(value)}" for name, value in self.settings().items())
 
 
 MODELS: dict[str, Entry] = {
-    "duhem": Entry(Duhem.of_order, "core", "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters"),
-    "bouc-wen": Entry(BoucWen, "core", "normalized Bouc-Wen y = c v - h; symmetric loops, 5 parameters"),
+    "duhem": Entry(
+        Duhem.of_order,
+        "core",
+        "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters",
+        compared_on=(*_LAGGING, "leading"),
+    ),
+    "bouc-wen": Entry(
+        BoucWen, "core", "normalized Bouc-Wen y = c v - h; symmetric loops, 5 parameters", compared_on=_LAGGING
+    ),
     "bouc-wen-asymmetric": Entry(
-        AsymmetricBoucWen, "core", "generalized Bouc-Wen: exponent, skew, bent backbone; 9 parameters"
+        AsymmetricBoucWen,
+        "core",
+        "generalized Bouc-Wen: exponent, skew, bent backbone; 9 parameters",
+        compared_on=("lagging-timed",),
     ),
     "bouc-wen-force": Entry(
         BoucWenForce,
         "core",
         "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
+        compared_on=("leading",),
     ),
     "bouc-wen-oscillator": Entry(
         BoucWenOscillator, "core", "mass, damper and Bouc-Wen spring; force in, displacement out; needs time"
@@ -74,12 +91,14 @@ MODELS: dict[str, Entry] = {
         partial(Preisach.of, n=30, spacing="quantile"),
         "core",
         "Preisach with cells; weights >= 0 and smooth by a convex solve",
+        compared_on=_LAGGING,
     ),
     "preisach-magnetic": Entry(
         partial(Preisach.of, n=40, symmetric=True, spacing="square"),
         "core",
         "Preisach of a material without remembered sign: mirror cells are tied",
         lambda model: model.symmetric,
+        compared_on=("lagging-untimed",),
     ),
     "preisach-relays": Entry(
         partial(Preisach.of, n=20, elements="relays", spacing="quantile"),
@@ -92,6 +111,7 @@ MODELS: dict[str, Entry] = {
         "core",
         "Preisach with cells from first-order reversal curves, each a record that starts from saturation",
         lambda model: model.spacing == "reversal-curves",
+        compared_on=("reversal-curves",),
     ),
     "prandtl-ishlinskii": Entry(
         PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"
@@ -118,7 +138,11 @@ MODELS: dict[str, Entry] = {
     "lag": Entry(Lag, "before", "two first-order lags of the input (amplifier, sensor); needs time"),
     "creep": Entry(LinearCreep, "beside", "logarithmic creep of the input, added to the output; needs time"),
     "log-creep": Entry(
-        LogCreep, "after", "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time"
+        LogCreep,
+        "after",
+        "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time",
+        compared_on=("lagging-timed",),
+        compared_as="bouc-wen+log-creep",
     ),
     "viscous": Entry(Viscous, "beside", "force in proportion to the input's rate; needs time"),
     "saturating-rate": Entry(SaturatingRate, "beside", "force that saturates in the input's rate; needs time"),
@@ -182,7 +206,7 @@ def _chosen(name: str, given: str) -> dict[str, int | bool | str]:
 
 def _from_file(expression: str) -> AbstractHysteresis:
     path, _, name = expression.rpartition(":")
-    kind = load_class(path, name)
+    kind = class_from_file(path, name, AbstractHysteresis, ModelError)
     try:
         return kind()
     except TypeError as error:
@@ -191,38 +215,12 @@ def _from_file(expression: str) -> AbstractHysteresis:
         ) from error
 
 
-def load_class(path: str, name: str) -> type[AbstractHysteresis]:
-    """A model class from a file of the user's.
-
-    Raises:
-        ModelError: the file cannot be read or run, or holds no such model.
-    """
-    file = Path(path)
-    if not file.is_file():
-        raise ModelError(f"no file {path!r} with a model")
-    spec = importlib.util.spec_from_file_location(f"model_file_{file.stem}", file.resolve())
-    if spec is None or spec.loader is None:
-        raise ModelError(f"{path!r} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses and the saved description look up the module of a class there
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[spec.name]
-        raise ModelError(f"{path} does not run: {type(error).__name__}: {error}") from error
-    kind = getattr(module, name, None)
-    if not (isinstance(kind, type) and issubclass(kind, AbstractHysteresis)):
-        found = [k for k, v in vars(module).items() if isinstance(v, type) and issubclass(v, AbstractHysteresis)]
-        raise ModelError(f"{path} has no model {name!r}; it has {found}")
-    return kind
-
-
 def model_name(model: AbstractHysteresis) -> str:
     """Names as `make_model` takes them, joined by "+" in the order of the signal; the class's own for a model of the user's.
 
     Arguments that are no choice of a model, such as the number of plays, are not in the name.
     """
-    if isinstance(model, (Sum, Series)):
+    if isinstance(model, AbstractComposition):
         return "+".join(model_name(part) for part in model.parts)
     fitting = [name for name, kind in _kinds().items() if type(model) is kind and MODELS[name].variant(model)]
     return fitting[-1] if fitting else type(model).__name__
@@ -233,26 +231,14 @@ def _kinds() -> dict[str, type[AbstractHysteresis]]:
     return {name: type(entry.make()) for name, entry in MODELS.items()}
 
 
+def compared(kind: DataKind) -> tuple[str, ...]:
+    """Models that a comparison tries on data of a kind unless others are named."""
+    return tuple(entry.compared_as or name for name, entry in MODELS.items() if kind in entry.compared_on)
+
+
 def judged() -> dict[str, Needs]:
-    """What models need from data, by name."""
-    return {
-        "duhem": Needs(amplitudes=2, too_few="f and g are seen along one pair of branches, and trade off within it"),
-        "bouc-wen": Needs(
-            amplitudes=2,
-            symmetry="symmetric",
-            too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
-        ),
-        "bouc-wen-asymmetric": Needs(
-            amplitudes=2, symmetry="asymmetric", too_few="the shape parameters are nearly redundant"
-        ),
-        "bouc-wen-oscillator": Needs(
-            time=True,
-            frequencies=2,
-            too_few="mass, damping and stiffness trade off; it needs several, or a resonance",
-        ),
-        "preisach": Needs(
-            turning_pairs=(3, 10), too_few="it gives about 2 n numbers for the n (n + 1) / 2 weights of n levels"
-        ),
-        "prandtl-ishlinskii": Needs(amplitudes=2, symmetry="generalized", direction="counter-clockwise"),
-        "creep": Needs(loop=False, time=True, creep=True),
-    }
+    """The data that models need, by the first name of each class that declares it; `check` reports on these."""
+    kinds = _kinds()
+    first = {kind: name for name, kind in reversed(kinds.items())}
+    made = {name: MODELS[name].make() for name, kind in kinds.items() if first[kind] == name}
+    return {name: model.needs for name, model in made.items() if model.needs is not None}

@@ -12,11 +12,12 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractFilter
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep
+from hystfit.models.c_code import CPart, template
 from hystfit.params.param import param
 
 
-class Relaxation(AbstractFilter):
+class Relaxation(AbstractHysteresis):
     """Viscoelastic relaxation with static gain one:  y = x - sum of a_i (x - z_i),  tau_i dz_i/dt = x - z_i.
 
     A step of x shows the part 1 - sum of a_i at once, the rest with the time constants tau_i: loops grow, and lag, with
@@ -27,6 +28,7 @@ class Relaxation(AbstractFilter):
     """
 
     rate_independent: ClassVar[bool] = False
+    linear_in_input: ClassVar[bool] = True
 
     a: Float[Array, " modes"] = param((0.05, 0.02), bounds=(-1.0, 1.0), scale=0.1, doc="parts that follow slowly")
     tau: Float[Array, " modes"] = param((0.1, 1.0), bounds=(0.0, np.inf), unit="s", scale=1.0, doc="time constants")
@@ -53,3 +55,12 @@ class Relaxation(AbstractFilter):
         longest = max(float(np.sum(record.dt[1:])) for record in records)
         tau = np.geomspace(10 * typical, max(longest / 5, 100 * typical), self.tau.shape[0] + 2)[1:-1]
         return eqx.tree_at(lambda m: (m.a, m.tau), self, (jnp.full(self.a.shape, 0.02), jnp.asarray(tau)))
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """The output is affine in the new input."""
+        return LinearStep(self)
+
+    def c_part(self) -> CPart:
+        """One recursion a mode."""
+        modes = int(self.tau.shape[0])
+        return CPart(template("relaxation.c"), modes, {"MODES": modes}, {"a": self.a, "tau": self.tau})

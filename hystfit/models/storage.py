@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import load_class
+from hystfit.registry import class_from_file
 
 
 def to_json(model: AbstractHysteresis) -> dict[str, Any]:
@@ -58,7 +58,10 @@ def _unpack(described: Any) -> Any:
     try:
         if "class" in described:
             home, _, name = described["class"].rpartition(":")
-            kind = load_class(home, name) if home.endswith(".py") else getattr(importlib.import_module(home), name)
+            if home.endswith(".py"):
+                kind = class_from_file(home, name, eqx.Module, ModelError)
+            else:
+                kind = getattr(importlib.import_module(home), name)
             # A frozen module is rebuilt field by field: constructors such as Sum(*parts) do not take their fields.
             model = object.__new__(kind)
             for field, value in described["fields"].items():

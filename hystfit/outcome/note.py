@@ -30,18 +30,27 @@ class Code(enum.StrEnum):
     AT_BOUND = "at-bound"  # a parameter lies on its bound
     ZERO_WEIGHTS = "zero-weights"  # linear weights lie on their bound
     REGULARIZED = "regularized"  # standard errors include the regularization
-    CORRELATED_RESIDUALS = "correlated-residuals"  # standard errors allow for autocorrelation
+    CORRELATED_RESIDUALS = "correlated-residuals"  # the residuals are autocorrelated
+    ERROR_RATIO = "error-ratio"  # how far autocorrelation changes the standard errors
     REPEATING_RESIDUALS = "repeating-residuals"  # part of the residuals recurs every loop
     HEAVY_TAILS = "heavy-tails"  # outliers in the residuals
-    LARGE_NOISE = "large-noise"  # slow noise would have to be larger than the residuals
     ROUNDING = "rounding"  # residuals are of the size of rounding errors
     NOISE_MODEL = "noise-model"  # the noise model and its parameters
-    NOISE_MISMATCH = "noise-mismatch"  # the residuals are inconsistent with the noise model that was chosen
     MODEL_ADVICE = "model-advice"  # the model's own remark on this input
     CHOICE = "choice"  # what was chosen automatically
     EXTRAPOLATION = "extrapolation"  # a record leaves the fitted range of inputs
     OFFSET_REFITTED = "offset-refitted"  # the offset of a test record was refitted
+    # identifiers
     SEQUENTIAL = "sequential"  # the result comes from a sequential identifier
+    NOISE_BIAS = "noise-bias"  # output noise biases the estimate
+    INVALID_MODEL = "invalid-model"  # the identified parameters are no valid model
+    DIVERGED = "diverged"  # the estimate or its simulation is not finite
+    ONE_STEP_ERROR = "one-step-error"  # the one-step error is far above the least that is possible
+    STEP_SIZE = "step-size"  # the step size of a gradient method is not bounded
+    INNOVATIONS = "innovations"  # size of the innovations relative to their prediction
+    NOT_SETTLED = "not-settled"  # parameters change until the end of the record
+    SIMULATION_ERROR = "simulation-error"  # error of the model driven by the input only
+    SKIPPED_SAMPLES = "skipped-samples"  # samples that were missing, or that the filter could not use
     # samplers, profiles, calibration, design
     FIT_STATUS = "fit-status"  # the fit behind the result is not usable
     CHAINS = "chains"  # convergence of the chains
@@ -50,9 +59,11 @@ class Code(enum.StrEnum):
     OPEN_SIDE = "open-side"  # no confidence limit on one side
     OTHER_OPTIMUM = "other-optimum"  # the likelihood is larger elsewhere than at the fit
     BLOCKS = "blocks"  # block length of a robust covariance
-    REPLICATE = "replicate"  # a failed replicate
     CLOSES = "closes"  # the proposed input determines what the present data do not
     LOCAL = "local"  # the design holds near the fitted values
+    # predictions, inverses and simulated records
+    NOT_FINITE = "not-finite"  # the simulation is not finite
+    MISSED = "missed"  # samples of a reference that cannot be followed
     # records and files
     FILE_FORMAT = "file-format"  # encoding, delimiter, decimal mark, units and other assumptions about a file
     COLUMN_CHOICE = "column-choice"  # a column was chosen by its name, unit or position

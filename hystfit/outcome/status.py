@@ -6,7 +6,7 @@ import enum
 
 
 class Status(enum.StrEnum):
-    """How a verb ended. Only `OK` is usable without a second thought; `advice` says what to do about the others."""
+    """How a verb ended. Only `OK` is usable without a second thought; `advice` is the remedy for the others."""
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"
@@ -25,6 +25,7 @@ class Status(enum.StrEnum):
     NOT_FINITE = "not-finite"
     FIT_NOT_USABLE = "fit-not-usable"
     SKIPPED = "skipped"
+    UNTESTED = "untested"
 
     @property
     def usable(self) -> bool:
@@ -65,6 +66,7 @@ _ADVICE = {
     Status.NOT_FINITE: "the simulation is not finite: the model is unstable on this input or at this sampling rate",
     Status.FIT_NOT_USABLE: "the fit behind this result is not usable: see its status",
     Status.SKIPPED: "the data were not found, so nothing was run",
+    Status.UNTESTED: "these data test none of the assumptions: measure a record with nested loops",
 }
 _OF_VERB = {
     ("sample", Status.NOT_CONVERGED): "the chains have not converged: draw more, or fix what the data do not determine",

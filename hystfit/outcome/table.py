@@ -103,7 +103,9 @@ class Table:
 def _cell(value: Any, column: Column) -> str:
     if value is None or isinstance(value, str):
         return "-" if value is None else value
-    if isinstance(value, bool) or (not isinstance(value, (int, float)) and not hasattr(value, "__float__")):
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
         return str(value)
     return str(value) if isinstance(value, int) else number(float(value), column.form)
 

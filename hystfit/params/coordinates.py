@@ -88,7 +88,7 @@ class Coordinates(eqx.Module):
         return jnp.sum(jnp.where(kind == REAL, free, jnp.where(kind == BOTH, both, free + z)))
 
     def assemble(self, x: Float[Array, " p"], record: Any = 0) -> Any:
-        """The tree with the free elements set from x, for record number `record`."""
+        """The tree with the free elements set from x, with the parameters of record number `record`."""
         leaves, start = list(self.leaves), 0
         for index, positions, per_record in self.layout:
             count = len(positions)
@@ -106,5 +106,5 @@ class Coordinates(eqx.Module):
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:
-        """The tree at unconstrained coordinates z, for record number `record`."""
+        """The tree at unconstrained coordinates z, with the parameters of record number `record`."""
         return self.assemble(self.physical(z), record)

@@ -19,7 +19,7 @@ from hystfit.params.units import exponents
 
 @dataclasses.dataclass(frozen=True)
 class ParamInfo:
-    """Declaration of a parameter on its field.
+    """Declaration of a parameter on a field.
 
     Attributes:
         bounds: (lower, upper) in physical units.

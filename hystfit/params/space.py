@@ -23,7 +23,7 @@ _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstra
 
 
 def _strong(leaf: Any) -> Any:
-    # Python numbers leave weak types behind; every mixture of weak and strong types would be compiled separately.
+    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately.
     weak = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.weak_type
     return jnp.asarray(np.asarray(leaf)) if weak else leaf
 
@@ -217,7 +217,7 @@ class ParameterSpace:
         return np.asarray(self.coordinates.physical(jnp.asarray(z)))
 
     def tree(self, z: Any, record: int = 0) -> Any:
-        """The tree at z, for record number `record`."""
+        """The tree at z, with the parameters of record number `record`."""
         return self.coordinates.tree(jnp.asarray(z), record)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:

@@ -393,7 +393,7 @@ def _main_runs(rows: list[list[str]], index: np.ndarray, layout: Layout, lines: 
 
 
 def _check_thousands(columns: Sequence[Sequence[str]], layout: Layout, index: np.ndarray, source: str) -> None:
-    """Raise where a mark could set thousands apart or be the decimal mark and nothing in the file tells which."""
+    """Refuse numbers in which a mark is either a thousands separator or the decimal mark, and nothing in the file decides."""
     numbers = [k for k, kind in enumerate(layout.kinds) if kind == cells.NUMBER]
     evidence = {k: cells.thousands(columns[k], layout.decimal) for k in numbers}
     proven = any(found[2] for found in evidence.values())

@@ -11,20 +11,20 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError
+from hystfit.inference.autocorrelation import autocorrelation
 from hystfit.params.units import axis_label
-from hystfit.results.metrics import autocorrelation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from hystfit.results.result import FitResult, ParameterEstimate
 
-# Okabe and Ito's colors, told apart by everybody.
+# Okabe and Ito's colors, which can also be distinguished with color-vision deficiency.
 MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"
-DARK = "#8a5a00"  # of HELD_OUT, for words
-MANY = 12  # weights of one array above which they are summed up in one row
+DARK = "#8a5a00"  # of HELD_OUT, for text
+MANY = 12  # weights of one array above which they share one row
 _POINTS, _LOOP_POINTS, _RASTER = 4000, 40_000, 6000
-_BEYOND = 2.0  # times the largest residual fitted, outside of which a few others are not drawn
+_BEYOND = 2.0  # times the largest residual fitted, beyond which a few residuals not fitted are not drawn
 
 
 def fit(
@@ -35,7 +35,7 @@ def fit(
     data: Record | Dataset | Sequence[Record] | None = None,
     refit_offset: bool = False,
 ) -> Axes:
-    """A picture of a fit.
+    """Draw a picture of a fit.
 
     Args:
         result: the fit.
@@ -63,7 +63,7 @@ def fit(
 
 
 class _Trace:
-    """One record as drawn: measured, predicted, and which samples were fitted."""
+    """One record as drawn: measured and predicted output, and which samples were fitted."""
 
     def __init__(self, record: Record, predicted: np.ndarray, fitted: bool, start: float):
         self.u, self.y, self.predicted = record.u, record.y, predicted
@@ -106,7 +106,7 @@ def thin(most: int, *columns: np.ndarray) -> np.ndarray:
 
 
 def _line(ax: Axes, x: np.ndarray, y: np.ndarray, label: str, color: str, width: float) -> None:
-    """A line, named in the legend once, with nothing drawn where y is missing."""
+    """A line with one entry in the legend and gaps where y is missing."""
     if not np.isfinite(y).any():
         return
     known = ax.get_legend_handles_labels()[1]
@@ -171,18 +171,18 @@ def _residuals_input(traces: list[_Trace], ax: Axes) -> None:
 
 
 def _frame(ax: Axes, traces: list[_Trace]) -> None:
-    """Limits that show the residuals of the fit, where a few others are so large that they would flatten them."""
+    """Limit the axis to the residuals fitted, where a few others are so large that they would flatten them."""
     seen, held = (np.abs(np.concatenate([t.residual[getattr(t, k)] for t in traces])) for k in ("seen", "held"))
     limit = _BEYOND * np.max(seen, initial=0.0)
     beyond = held > limit
     if limit > 0 and 0 < beyond.sum() <= 0.05 * held.size:
         ax.set_ylim(-limit, limit)
-        words = f"{beyond.sum()} not fitted lie outside, up to {held.max():.3g}"
-        ax.text(0.99, 0.98, words, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
+        text = f"{beyond.sum()} samples not fitted lie outside (up to {held.max():.3g})"
+        ax.text(0.99, 0.98, text, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
 
 
 def _autocorrelation(traces: list[_Trace], ax: Axes) -> None:
-    """Autocorrelation of the longest record's residuals, up to where it has died out, with the 95 % band of white noise."""
+    """Autocorrelation of the residuals of the longest record, until it has decayed, with the 95 % band of white noise."""
     chosen = [t.residual[t.seen] if t.seen.any() else t.residual[t.held] for t in traces]
     r = max(chosen, key=lambda part: part.size)
     r = r[np.isfinite(r)]
@@ -191,7 +191,7 @@ def _autocorrelation(traces: list[_Trace], ax: Axes) -> None:
     large = np.flatnonzero(np.abs(rho) > 0.2)
     shown = rho[: max(20, min(rho.size, 2 * int(large[-1]) + 10))]
     at = thin(_POINTS, shown)
-    ax.axhspan(-band, band, color=FAINT, alpha=0.5, lw=0, label="white noise, 95 %")
+    ax.axhspan(-band, band, color=FAINT, alpha=0.5, lw=0, label="95 % band of white noise")
     ax.axhline(0.0, color="black", lw=0.7)
     if shown.size <= 60:
         ax.vlines(at, 0, shown[at], color=MODEL, lw=1.5)
@@ -213,7 +213,7 @@ KINDS: dict[str, Callable[..., Any]] = {
 
 
 def grouped(parameters: Sequence[ParameterEstimate], many: int = MANY) -> list[tuple[str, list[ParameterEstimate]]]:
-    """Parameters under the name that a report gives them: arrays (or per-record sets) of more than `many` under one."""
+    """Parameters by their name in a report; arrays (or per-record sets) of more than `many` share one name."""
     base = lambda p: re.split(r"[\[@]", p.name)[0]
     families: dict[tuple[str, bool], list[ParameterEstimate]] = {}
     for p in parameters:
@@ -229,7 +229,7 @@ def grouped(parameters: Sequence[ParameterEstimate], many: int = MANY) -> list[t
 
 
 def _parameters(result: FitResult, ax: Axes) -> Axes:
-    """Standard errors in percent of the values, log scale; words where there is none."""
+    """Standard errors in percent of the values, log scale; the reason where there is none."""
     rows = [(name, family) for name, family in grouped(result.parameters) if not family[0].fixed]
     relative = [
         [100 * p.stderr / abs(p.value) for p in family if p.stderr is not None and p.stderr > 0 and p.value != 0]
@@ -247,11 +247,11 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
         else:
             ax.plot(values, np.full(len(values), k), "|", color=MODEL, ms=9, alpha=0.6)
             if len(values) < len(family):
-                words = f" {len(family) - len(values)} of {len(family)} without"
-                ax.text(max(values), k, words, va="center", fontsize="small", color="#666666")
+                text = f" {len(family) - len(values)} of {len(family)} have no standard error"
+                ax.text(max(values), k, text, va="center", fontsize="small", color="#666666")
     ax.axvline(100.0, color=HELD_OUT, lw=1, ls="--")
     over = ax.get_xaxis_transform()
-    ax.text(100.0, 1.01, "as large as the value", transform=over, color=DARK, fontsize="small", ha="center")
+    ax.text(100.0, 1.01, "100 % of the value", transform=over, color=DARK, fontsize="small", ha="center")
     ax.set_xscale("log")
     ax.set(xlim=(left, right), ylim=(-0.6, len(rows) - 0.4), xlabel="standard error [% of the value]")
     ax.set_yticks(range(len(rows)), [name if len(f) == 1 else f"{name} ({len(f)})" for name, f in rows])
@@ -261,9 +261,9 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
 
 
 def _why(family: Sequence[ParameterEstimate]) -> str:
-    """Why parameters have no standard error."""
+    """The reason why parameters have no standard error."""
     if all(p.at_bound for p in family):
-        return f"at its {family[0].at_bound} bound" if len(family) == 1 else "all on their bounds"
+        return f"at its {family[0].at_bound} bound" if len(family) == 1 else "all at a bound"
     if any(p.identifiable is False for p in family):
         return "not determined by these data"
     return "no standard error"

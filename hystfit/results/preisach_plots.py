@@ -1,4 +1,4 @@
-"""Pictures of Preisach models and reversal curves, as the field draws them; axes in, axes out."""
+"""Pictures of Preisach models and reversal curves, as the field draws them; each function takes axes and returns them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hystfit.models.preisach.model import Preisach
 
 
 def plot_density(model: Preisach, ax: Any = None, reach: np.ndarray | None = None) -> Any:
-    """Mass per area of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data never went.
+    """Weight density of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data do not reach.
 
     Args:
         model: with cells.
-        ax: matplotlib axes, made if None.
+        ax: matplotlib axes; new ones if None.
         reach: part of each weight's cells that the data switched, as a fit returns it.
     """
     ax = _axes(ax)
@@ -37,7 +37,7 @@ def plot_density(model: Preisach, ax: Any = None, reach: np.ndarray | None = Non
     signed = bool((square[i, j] < -1e-3 * top).any())
     shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top} if signed else {"cmap": "magma_r", "vmin": 0, "vmax": top}
     mesh = ax.pcolormesh(levels, levels, square, shading="flat", rasterized=True, **shades)
-    ax.figure.colorbar(mesh, ax=ax, label="mass per area")
+    ax.figure.colorbar(mesh, ax=ax, label="weight density")
     if reach is not None:
         _hatch(ax, model, reach)
     return _label(ax)
@@ -56,7 +56,7 @@ def _hatch(ax: Any, model: Preisach, reach: np.ndarray) -> None:
 
 
 def _label(ax: Any) -> Any:
-    ax.set(xlabel="switching down, beta", ylabel="switching up, alpha", aspect="equal")
+    ax.set(xlabel="switch-down threshold beta", ylabel="switch-up threshold alpha", aspect="equal")
     return ax
 
 
@@ -71,23 +71,30 @@ def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None) -> Any:
     ax.figure.colorbar(mesh, ax=ax, label="FORC distribution")
     shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
     if shown.any():
-        far, half = np.quantile([x[shown], np.abs(y[shown])], 0.99, axis=1)  # lone points at the rim are noise
+        far, half = np.quantile([x[shown], np.abs(y[shown])], 0.99, axis=1)  # isolated points at the edge are noise
         ax.set(xlim=(0, 1.2 * far), ylim=(-1.2 * half, 1.2 * half))
     ax.axhline(0, color="0.5", lw=0.6)
     ax.set(xlabel="coercivity (H - Hr) / 2", ylabel="interaction (H + Hr) / 2")
     return ax
 
 
-def _edges(middle: np.ndarray) -> np.ndarray:
-    """Edges of cells about increasing middles, shape (n + 1,)."""
-    between = 0.5 * (middle[1:] + middle[:-1])
-    return np.concatenate([[2 * middle[0] - between[0]], between, [2 * middle[-1] - between[-1]]])
+def _edges(centers: np.ndarray) -> np.ndarray:
+    """Edges of the cells around increasing centers (n,), shape (n + 1,)."""
+    between = 0.5 * (centers[1:] + centers[:-1])
+    return np.concatenate([[2 * centers[0] - between[0]], between, [2 * centers[-1] - between[-1]]])
 
 
 def plot_curves(
     data: Dataset | Sequence[Record], predicted: Sequence[np.ndarray] = (), ax: Any = None, every: int = 1
 ) -> Any:
-    """Reversal curves, measured as dots and predicted as lines, colored by their order of reversal."""
+    """Reversal curves, measured as dots and predicted as lines, colored by their order of reversal.
+
+    Args:
+        data: one record for each curve.
+        predicted: output of the model on each curve, shape (T,).
+        ax: matplotlib axes; new ones if None.
+        every: draw every n-th curve.
+    """
     import matplotlib
 
     ax = _axes(ax)

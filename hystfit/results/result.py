@@ -1,32 +1,30 @@
-"""What a fit gives back: a value with a status, errors, a verdict on what the data determine, and where it came from."""
+"""The result of a fit: a value with a status, errors, notes on what the data determine, and its problem."""
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
+import functools
 import importlib.metadata
 import platform
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.free_run import free_run
 from hystfit.models.registry import model_name
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
+from hystfit.registry import attribute
 from hystfit.results.metrics import Metrics
 
-SCHEMA = "hystfit.fit/1"
-SEQUENTIAL = ("rls", "gradient-correction", "ukf")  # methods of `identify`, which see each sample once
-ADVICE = {
-    "ok": "usable",
-    "not-converged": "the solver did not converge: more starts, method='trf', or fix what the data do not determine",
-    "poor": "the model does not describe this loop: try hystfit compare, or a model with more freedom",
-    "no-loop": "the input never turns back, so that there is no loop: measure a cycle, or fit a curve instead",
-}
+SCHEMA = "hystfit.fit/2"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,9 +36,9 @@ class ParameterEstimate:
         value: in `unit`.
         stderr: standard error; None where it means nothing (fixed, on a bound, not determined).
         lower, upper: bounds; None where there is none.
-        fixed: it was held.
-        at_bound: "lower" or "upper" where it ran into a bound.
-        identifiable: the data determine it; None where it was fixed.
+        fixed: whether it was held.
+        at_bound: "lower" or "upper" where it reached a bound.
+        identifiable: whether the data determine it; None where it was fixed.
     """
 
     name: str
@@ -60,39 +58,57 @@ class ParameterEstimate:
 
 
 @dataclasses.dataclass(frozen=True)
-class FitResult:
-    """A fitted model and what is known of it.
+class NoiseEstimate:
+    """The noise behind the standard errors of a fit.
 
     Attributes:
-        model: fitted, of the type that went in; with several records, as the first of them sees it.
-        models: one for each record (they share all but per-record parameters).
-        data: the records fitted.
-        status: "ok", "not-converged", "poor" or "no-loop"; only the first is usable without a second thought.
-        notes: the verdict, one sentence each: what is not determined, which bounds were reached, what was chosen.
+        name: as it was chosen: "auto" (least squares, with errors for the noise seen in the residuals), "iid", or the noise model
+            that refined the fit.
+        parameters: of that noise, by name; empty where the residuals count as independent.
+    """
+
+    name: str
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def refines(self) -> bool:
+        """Whether the estimate is the optimum of a likelihood of its own, not of least squares."""
+        return self.name not in ("auto", "iid")
+
+
+@dataclasses.dataclass(frozen=True)
+class FitResult:
+    """A fitted model, its errors, and the problem that it solved.
+
+    Attributes:
+        problem: model, records, free parameters and loss, to go on from.
+        x: free parameters where the fit ended, physical units, shape (p,).
+        status: only `Status.OK` is usable without a second thought.
+        notes: what is not determined, which bounds were reached, what was chosen.
         parameters: free and fixed ones.
         covariance: of the free parameters, shape (p, p), NaN where it means nothing; `free_names` is their order.
         train: metrics on the fitted samples; `test` on others, None where none were given.
-        correlation_time: integrated autocorrelation time of the residuals, in samples.
-        honest_ratio: by how much the errors grew for it, beside those for independent residuals.
+        sigma: standard deviation of the residuals [y].
+        correlation_time: integrated autocorrelation time of the residuals, samples.
+        error_ratio: ratio of the reported standard errors to those for i.i.d. residuals.
         rank, condition: of the relative Jacobian; None where there is none.
         method: the estimator's name; `starts` and `in_best_basin`, how many starts and how many of them agree.
         compile_s, run_s: seconds that the fit spent compiling and running; None where it was not measured.
-        provenance: versions, seed, data checksums, date.
+        noise: behind the standard errors.
+        provenance: versions, seed, data checksums, date; for people.
     """
 
-    model: AbstractHysteresis
-    models: tuple[AbstractHysteresis, ...]
-    data: Dataset
-    status: str
-    notes: tuple[str, ...]
+    problem: Problem
+    x: np.ndarray
+    status: Status
+    notes: tuple[Note, ...]
     parameters: tuple[ParameterEstimate, ...]
-    free_names: tuple[str, ...]
     covariance: np.ndarray
     train: Metrics
     test: Metrics | None
     sigma: float
     correlation_time: float
-    honest_ratio: float
+    error_ratio: float
     rank: int | None
     condition: float | None
     method: str
@@ -100,19 +116,40 @@ class FitResult:
     in_best_basin: int
     compile_s: float | None
     run_s: float | None
+    noise: NoiseEstimate
     provenance: dict[str, Any]
 
     @property
+    def data(self) -> Dataset:
+        """The records fitted."""
+        return self.problem.data
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of `x`."""
+        return self.problem.space.names
+
+    @functools.cached_property
+    def models(self) -> tuple[AbstractHysteresis, ...]:
+        """The fitted model of each record; they share all but per-record parameters."""
+        coordinates = self.problem.space.coordinates
+        return tuple(coordinates.assemble(jnp.asarray(self.x), k) for k in range(len(self.data)))
+
+    @property
+    def model(self) -> AbstractHysteresis:
+        """The fitted model, of the type that went in; with several records, that of the first."""
+        return self.models[0]
+
+    @property
     def usable(self) -> bool:
-        """Whether the status is "ok"."""
-        return self.status == "ok"
+        """Whether the status is `Status.OK`."""
+        return self.status.usable
 
     @property
     def advice(self) -> str:
         """What to do about the status, in one sentence."""
-        if self.status == "not-converged" and self.method in SEQUENTIAL:
-            return "the sequential method did not arrive: see the verdict, or fit by least squares (method='lm')"
-        return ADVICE[self.status]
+        sequential = any(note.code is Code.SEQUENTIAL for note in self.notes)
+        return self.status.advice("identify" if sequential else "fit")
 
     @property
     def name(self) -> str:
@@ -125,6 +162,15 @@ class FitResult:
                 return parameter
         raise KeyError(f"no parameter {name!r}; there are {[p.name for p in self.parameters]}")
 
+    def with_notes(self, *notes: Note, first: bool = False) -> FitResult:
+        """The same result with further notes, at the end or first."""
+        return dataclasses.replace(self, notes=(*notes, *self.notes) if first else (*self.notes, *notes))
+
+    def record_number(self, record: Record) -> int:
+        """Whose per-record parameters predict a record: its own where it was fitted, else those of the first record."""
+        names = [fitted.name for fitted in self.data]
+        return names.index(record.name) if record.name in names else 0
+
     def predict(self, record: Record, *, refit_offset: bool = False) -> np.ndarray:
         """Free run over a record's input, shape (T,): of its own model where it was fitted, else of the first record's.
 
@@ -134,11 +180,10 @@ class FitResult:
 
         Raises:
             ModelError: the model needs time and the record has none.
-            DataError: an offset is asked for and no output counts.
+            DataError: an offset is to be refitted and no output counts.
         """
-        names = [own.name for own in self.data]
-        model = self.models[names.index(record.name)] if record.name in names else self.model
-        y = free_run(model, record.u, None if record.t is None else record.dt)
+        model = self.models[self.record_number(record)]
+        y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
@@ -151,27 +196,28 @@ class FitResult:
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
-    def extrapolates(self, record: Record) -> str | None:
-        """A warning where a record leaves the range of inputs fitted; None where it does not."""
+    def extrapolation(self, record: Record) -> Note | None:
+        """A warning where a record leaves the fitted range of inputs; None where it does not."""
         low = min(float(r.u[r.used].min()) for r in self.data)
         high = max(float(r.u[r.used].max()) for r in self.data)
         outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
         outside &= record.used
         if not outside.any():
             return None
-        return (
-            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the inputs fitted "
+        text = (
+            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs "
             f"({low:.4g} to {high:.4g} {record.u_unit}): the prediction there is an extrapolation"
         )
+        return warn(Code.EXTRAPOLATION, text)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json` (architecture: schema hystfit.fit/1); unknown values are null."""
+        """The contents of `result.json`; unknown values are null."""
         return {
             "schema": SCHEMA,
             "model": self.name,
-            "status": self.status,
+            "status": str(self.status),
             "advice": self.advice,
-            "notes": list(self.notes),
+            "notes": [note.to_dict() for note in self.notes],
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "free_names": list(self.free_names),
             "covariance": [[float(v) if np.isfinite(v) else None for v in row] for row in self.covariance],
@@ -179,10 +225,15 @@ class FitResult:
             "residuals": {
                 "sigma": self.sigma,
                 "correlation_time_samples": self.correlation_time,
-                "honest_to_iid_error_ratio": self.honest_ratio,
+                "error_ratio_to_iid": self.error_ratio,
             },
             "identifiability": {"rank": self.rank, "free": len(self.free_names), "condition": self.condition},
             "method": {"name": self.method, "starts": self.starts, "in_best_basin": self.in_best_basin},
+            "problem": {
+                "loss": self.problem.objective.loss,
+                "fixed": [p.name for p in self.parameters if p.fixed],
+                "noise": {"name": self.noise.name, "parameters": self.noise.parameters},
+            },
             "timing": {"compile_s": self.compile_s, "run_s": self.run_s},
             "provenance": self.provenance,
         }
@@ -197,29 +248,18 @@ class FitResult:
         Raises:
             HystfitError: the folder cannot be made or written.
         """
-        from hystfit.results.report import write_into
-        from hystfit.results.saved import write_fit, writing
-
-        target = Path(folder)
-        with writing(target) as scratch:
-            write_fit(self, scratch)
-            if report:
-                write_into(self, scratch)
-        return target
+        return _view("saved:save_fit")(self, folder, report=report)
 
     def report(self) -> str:
         """The report as text."""
-        from hystfit.results.report import text_report
-
-        return text_report(self)
+        return _view("report:text_report")(self)
 
     def __str__(self) -> str:
         return self.report()
 
     def __repr__(self) -> str:
-        from hystfit.results.report import headline
-
-        return f"<FitResult: {headline(self)}; print it for the report>"
+        headline = _view("report:headline")(self)
+        return f"<FitResult: {headline}; print it for the report>"
 
     def plot(
         self,
@@ -229,14 +269,24 @@ class FitResult:
         data: Record | Dataset | Sequence[Record] | None = None,
         refit_offset: bool = False,
     ) -> Any:
-        """A picture of the fit, of the records fitted or of others; kinds and arguments as in `plots.fit`; returns the axes."""
-        from hystfit.results import plots
+        """A picture of the fit, of the fitted records or of others; returns the axes.
 
-        return plots.fit(self, kind, ax=ax, data=data, refit_offset=refit_offset)
+        Args:
+            kind: one of `hystfit.plots.KINDS`.
+            ax: axes to draw on; new ones by default.
+            data: other records than those fitted.
+            refit_offset: as in `predict`.
+        """
+        return _view("plots:fit")(self, kind, ax=ax, data=data, refit_offset=refit_offset)
+
+
+def _view(name: str) -> Any:
+    """A function of a result that its methods call; bound late, because those modules import this one."""
+    return attribute(f"hystfit.results.{name}")
 
 
 def provenance(data: Dataset, seed: int | None, **more: Any) -> dict[str, Any]:
-    """Versions, seed, checksums of the data, date."""
+    """Versions, seed, checksums of the data, date; a record for people, never read back."""
     packages = ("hystfit", "jax", "equinox", "optimistix", "numpy", "scipy")
     return {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

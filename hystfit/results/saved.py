@@ -1,11 +1,8 @@
-"""Results on disk: folders written whole or not at all, JSON that any reader takes, fits and records read back."""
+"""Fits and records on disk."""
 
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -14,99 +11,31 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import DataError, HystfitError
+from hystfit.errors import DataError
+from hystfit.inference.problem import Problem
 from hystfit.models.storage import from_json, to_json
-from hystfit.params.space import ParameterSpace
+from hystfit.outcome import Note, Status
+from hystfit.results.folders import dump_json, writing
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import SCHEMA, FitResult, ParameterEstimate
+from hystfit.results.report import write_into
+from hystfit.results.result import SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
 
 
-class writing:
-    """Context that gives a scratch folder beside the target and moves its files in place when all are written.
-
-    After an error (or an interrupt) nothing is left: no scratch folder, no target that was not there before.
-
-    Raises:
-        HystfitError: the target cannot be made or written; the message names the folder and the reason.
-    """
-
-    def __init__(self, target: str | Path):
-        self.target = Path(target)
-
-    def __enter__(self) -> Path:
-        """Make the scratch folder."""
-        self.made = not self.target.exists()
-        try:
-            self.target.mkdir(exist_ok=True)
-            self.scratch = Path(tempfile.mkdtemp(prefix=".hystfit-", dir=self.target))
-        except OSError as error:
-            raise self._refused(error) from error
-        return self.scratch
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        """Move the files, or remove them after an error."""
-        try:
-            if kind is None:
-                _move(self.scratch, self.target)
-        except OSError as failure:
-            raise self._refused(failure) from failure
-        finally:
-            shutil.rmtree(self.scratch, ignore_errors=True)
-            if self.made and kind is not None:
-                shutil.rmtree(self.target, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise self._refused(error) from error
-
-    def _refused(self, error: OSError) -> HystfitError:
-        if isinstance(error, FileNotFoundError) and not self.target.parent.is_dir():
-            return HystfitError(
-                f"cannot write to {str(self.target)!r}: the folder {str(self.target.parent)!r} does not exist; make it first"
-            )
-        if isinstance(error, FileExistsError):
-            return HystfitError(f"cannot write to {str(self.target)!r}: it is a file, and a folder is needed")
-        return HystfitError(f"cannot write to {str(self.target)!r}: {error.strerror or error}")
-
-
-def _move(source: Path, target: Path) -> None:
-    """Move the files of a folder into another, and those of its folders into theirs."""
-    for entry in sorted(source.iterdir()):
-        if entry.is_dir():
-            (target / entry.name).mkdir(exist_ok=True)
-            _move(entry, target / entry.name)
-        else:
-            os.replace(entry, target / entry.name)
-
-
-def check_writable(target: str | Path) -> None:
-    """Refuse a folder that could not be written later, before long work begins; what it makes it removes.
-
-    Raises:
-        HystfitError: as `writing`.
-    """
-    attempt = writing(target)
-    attempt.__enter__()
-    shutil.rmtree(attempt.scratch, ignore_errors=True)
-    if attempt.made:
-        attempt.target.rmdir()
+def save_fit(result: FitResult, folder: str | Path, *, report: bool = True) -> Path:
+    """See `FitResult.save`."""
+    target = Path(folder)
+    with writing(target) as scratch:
+        write_fit(result, scratch)
+        if report:
+            write_into(result, scratch)
+    return target
 
 
 def write_fit(result: FitResult, folder: Path) -> None:
-    """Write result.json, model.json and records.npz of a fit into a folder that is there."""
+    """Write result.json, model.json and records.npz of a fit into an existing folder."""
     dump_json(folder / "result.json", result.to_dict())
     dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models]})
     save_records(folder / "records.npz", result.data)
-
-
-def dump_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON that any reader takes: no NaN, no infinity.
-
-    Raises:
-        HystfitError: the content is not JSON-able.
-    """
-    try:
-        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except (TypeError, ValueError) as error:
-        raise HystfitError(f"{path.name} would hold a value that JSON has not: {error}") from error
 
 
 def save_records(path: Path, data: Dataset) -> None:
@@ -160,7 +89,7 @@ def load_fit(folder: str | Path) -> FitResult:
     """The result that `FitResult.save` or `hystfit fit --out` wrote.
 
     Raises:
-        DataError: the folder holds no fit, or one that is damaged.
+        DataError: the folder holds no fit, one of another schema, or one that is damaged.
     """
     folder = Path(folder)
     try:
@@ -170,37 +99,42 @@ def load_fit(folder: str | Path) -> FitResult:
         reason = f"{Path(error.filename or folder).name}: {error.strerror}"
         raise DataError(f"{str(folder)!r} holds no fit as hystfit fit --out writes it ({reason})") from error
     except ValueError as error:
-        raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit anew") from error
-    found = stored.get("schema") if isinstance(stored, dict) else None
-    if found != SCHEMA:
-        raise DataError(f"{folder / 'result.json'}: schema {found!r}, expected {SCHEMA!r}")
+        raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit again") from error
+    schema = stored.get("schema") if isinstance(stored, dict) else None
+    if schema != SCHEMA:
+        older = " (written by an earlier version of hystfit: fit again)" if schema == "hystfit.fit/1" else ""
+        raise DataError(f"{folder / 'result.json'}: schema {schema!r}, expected {SCHEMA!r}{older}")
     try:
         return _result_of(stored, described, load_records(folder / "records.npz"))
+    except DataError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit anew") from error
+        raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit again") from error
 
 
 def _result_of(stored: dict[str, Any], described: dict[str, Any], data: Dataset) -> FitResult:
-    models = tuple(from_json(model) for model in described["models"])
+    models = [from_json(model) for model in described["models"]]
+    block = stored["problem"]
+    free = list(dict.fromkeys(name.partition("@")[0] for name in stored["free_names"]))
+    problem = Problem(models[0], data, fix=block["fixed"], free=free, loss=block["loss"])
+    if problem.space.names != tuple(stored["free_names"]):
+        raise ValueError(f"its free parameters {stored['free_names']} are not those of its model {problem.space.names}")
+    docs = {name: info.doc for name, _, info in problem.space.fixed()}
+    docs |= {name: info.doc for name, info in zip(problem.space.names, problem.space.infos, strict=True)}
     metrics = {k: Metrics(**v) if v else None for k, v in stored["metrics"].items()}
-    p = len(stored["free_names"])
-    space = ParameterSpace.of(models[0], records=[record.name for record in data])
-    docs = {name: info.doc for name, _, info in space.fixed()}
-    docs |= {name: info.doc for name, info in zip(space.names, space.infos, strict=True)}
+    p = len(problem.space)
     return FitResult(
-        model=models[0],
-        models=models,
-        data=data,
-        status=stored["status"],
-        notes=tuple(stored["notes"]),
+        problem=problem,
+        x=problem.space.vector(models if len(models) > 1 else models[0]),
+        status=Status(stored["status"]),
+        notes=tuple(Note.of(note) for note in stored["notes"]),
         parameters=tuple(ParameterEstimate(name=k, **v, doc=docs.get(k, "")) for k, v in stored["parameters"].items()),
-        free_names=tuple(stored["free_names"]),
         covariance=np.array(stored["covariance"], dtype=float).reshape(p, p),
         train=metrics["train"],  # type: ignore[arg-type]
         test=metrics["test"],
         sigma=stored["residuals"]["sigma"],
         correlation_time=stored["residuals"]["correlation_time_samples"],
-        honest_ratio=stored["residuals"]["honest_to_iid_error_ratio"],
+        error_ratio=stored["residuals"]["error_ratio_to_iid"],
         rank=stored["identifiability"]["rank"],
         condition=stored["identifiability"]["condition"],
         method=stored["method"]["name"],
@@ -208,5 +142,6 @@ def _result_of(stored: dict[str, Any], described: dict[str, Any], data: Dataset)
         in_best_basin=stored["method"]["in_best_basin"],
         compile_s=stored["timing"]["compile_s"],
         run_s=stored["timing"]["run_s"],
+        noise=NoiseEstimate(block["noise"]["name"], block["noise"]["parameters"]),
         provenance=stored["provenance"],
     )

@@ -1,1 +1,1 @@
-"""Posterior draws: likelihood and prior in whitened coordinates, NUTS and an ensemble sampler, diagnostics, and what holds the draws."""
+"""Posterior draws: samplers in whitened coordinates, diagnostics, and the posterior that holds the draws."""

@@ -1,4 +1,4 @@
-"""Parts of a run on disk: each is written whole or not at all, so that a kill leaves what a later run can go on from."""
+"""Parts of a run on disk, each written whole or not at all, so that a later run resumes after an interruption."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def load(file: Path) -> dict[str, np.ndarray] | None:
 
 
 def keep(file: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write beside, then rename: a kill leaves a whole file or none."""
+    """Write under another name, then rename: an interruption leaves a whole file or none."""
     scratch = file.with_name(f".{file.name}")
     with scratch.open("wb") as handle:
         np.savez(handle, **arrays)  # type: ignore[arg-type]
@@ -35,10 +35,16 @@ def keep(file: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays from a file of a folder, or made and kept there; what made a damaged file makes the same again."""
-    found = None if folder is None else load(folder / name)
-    if found is not None:
-        return found
+    """Arrays from a file of a folder, or computed and kept there.
+
+    Args:
+        folder: None keeps nothing.
+        name: of the file.
+        make: computes the arrays; a damaged file is computed again.
+    """
+    kept = None if folder is None else load(folder / name)
+    if kept is not None:
+        return kept
     arrays = make()
     if folder is not None:
         keep(folder / name, arrays)
@@ -46,9 +52,14 @@ def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarr
 
 
 def claim(folder: Path, label: str, described: dict[str, Any]) -> Path:
-    """A folder for the parts of one run, new or of the same one: `described`, which the file `label` keeps, tells runs apart.
+    """A folder for the parts of one run: a new one, or that of the same run, which is identified by the file `label`.
 
-    Other versions of hystfit or JAX make another run: what they compute need not go on from the same point.
+    Runs of other versions of hystfit or JAX are other runs: they need not continue from the same point.
+
+    Args:
+        folder: made where it does not exist.
+        label: name of the file.
+        described: identifies the run, JSON-able.
 
     Raises:
         DataError: the folder holds another run, a damaged label, or cannot be made.
@@ -81,4 +92,4 @@ def _digest(file: Path) -> str:
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["digest"])
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{os.fspath(file)!r} is damaged: remove its folder to start anew") from error
+        raise DataError(f"{os.fspath(file)!r} is damaged: remove its folder to start again") from error

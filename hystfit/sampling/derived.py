@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
-
-if TYPE_CHECKING:
-    from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.posterior import Posterior
 
 _CYCLES, _POINTS = 3, 400
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
@@ -54,12 +51,12 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
         raise ParameterError(f"{posterior.result.name} does not depend on time: it has no creep")
     low = min(float(r.u[r.used].min()) for r in posterior.result.data)
     high = max(float(r.u[r.used].max()) for r in posterior.result.data)
-    found: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     if any("creep" not in name for name in names):
-        found |= _loop(posterior, low, high, count)
+        values |= _loop(posterior, low, high, count)
     if any("creep" in name for name in names):
-        found["creep_percent_per_decade"] = _creep(posterior, low, high, count)
-    return {name: found[name] for name in names}
+        values["creep_percent_per_decade"] = _creep(posterior, low, high, count)
+    return {name: values[name] for name in names}
 
 
 def _record(u: np.ndarray, t: np.ndarray) -> Record:

@@ -7,10 +7,13 @@ import dataclasses
 import numpy as np
 from scipy.stats import norm, rankdata
 
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+
 GOOD_RHAT = 1.01
 GOOD_ESS = 400
 _APART = 1.1  # R-hat above which chains are not merely short
-_MORE = 20.0  # times as many draws, above which the number of draws is not the trouble
+_MORE = 20.0  # factor in the number of draws above which more draws are no remedy
 
 
 def split(draws: np.ndarray) -> np.ndarray:
@@ -92,24 +95,24 @@ class Convergence:
         columns = [draws[:, :, k] for k in range(draws.shape[2])]
         return cls(*(np.array([f(column) for column in columns]) for f in (rhat, bulk_ess, tail_ess)))
 
-    def verdict(self, names: tuple[str, ...]) -> tuple[bool, list[str]]:
-        """Whether the chains may be used, and what is wrong with them otherwise."""
+    def problems(self, names: tuple[str, ...]) -> list[Note]:
+        """What is wrong with the chains; nothing where they may be used."""
         notes = []
         worst = int(np.argmax(np.where(np.isfinite(self.rhat), self.rhat, np.inf)))
         if not self.rhat[worst] <= GOOD_RHAT:
             advice = "draw more"
             if self.rhat[worst] > _APART:
                 advice = (
-                    "they lie apart, and more draws alone hardly help: fit a model that describes the data, hold or give a prior to what "
-                    "they leave open, or look for modes with sampler='nested'"
+                    "more draws alone will not help; use a model that describes the data, fix the parameters that the data do not "
+                    "determine or give them a prior, or look for several modes with sampler='nested'"
                 )
-            notes.append(
-                f"the chains have not mixed: R-hat of {names[worst]} is {self.rhat[worst]:.3f} (want {GOOD_RHAT}): {advice}"
-            )
+            text = f"the chains have not mixed: R-hat of {names[worst]} is {self.rhat[worst]:.3f} (should be below {GOOD_RHAT}): {advice}"
+            notes.append(warn(Code.CHAINS, text))
         both = np.fmin(np.nan_to_num(self.bulk), np.nan_to_num(self.tail))
         least = int(np.argmin(both))
         if both[least] < GOOD_ESS:
             times = GOOD_ESS / max(both[least], 1)
             more = f": draw about {times:.1f} times as many" if times < _MORE else ""
-            notes.append(f"too few effective draws: {both[least]:.0f} for {names[least]} (want {GOOD_ESS}){more}")
-        return not notes, notes
+            text = f"too few effective draws: {both[least]:.0f} for {names[least]} ({GOOD_ESS} are needed){more}"
+            notes.append(warn(Code.CHAINS, text))
+        return notes

@@ -1,4 +1,4 @@
-"""The ensemble sampler emcee with differential-evolution moves over a vectorized likelihood, resumable after a kill.
+"""The ensemble sampler emcee with differential-evolution moves over a vectorized likelihood; resumes after interruption.
 
 The snooker move is never used: in emcee 3.1.6 it samples a distribution that is too narrow (upstream pull request 531).
 """
@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -18,39 +17,42 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
-from hystfit.sampling.raw import Raw
-from hystfit.sampling.settings import check_counts
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
-MOST = 10  # parameters beyond which ensembles mix too slowly to be trusted
+MOST = 10  # parameters of a model beyond which ensembles mix too slowly
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
 _STEADY = 0.05  # and their estimate of it has settled to this, relative
-_TOGETHER = 8  # walkers at once where trajectories are kept: those of more leave the cache
-_FINE = 20.0  # samples of an autocorrelation time that are enough to estimate it
+_TOGETHER = 8  # walkers at once where trajectories are kept: more do not fit into the cache
+_FINE = 20.0  # samples per autocorrelation time that suffice to estimate it
 
 
 @dataclasses.dataclass(frozen=True)
-class Ensemble:
+class Ensemble(AbstractSampler):
     """Settings of emcee.
 
     Attributes:
         walkers: even, more than twice the number of parameters.
         draws: steps at most; it stops sooner when the autocorrelation time is known and chains hold 50 of it.
-        check: steps between two looks at the autocorrelation time, and writes to disk; a twentieth of the chain once that is more.
+        check: steps between two looks at the autocorrelation time, and writes to disk; a twentieth of the chain once that is longer.
     """
 
+    name: ClassVar[str] = "emcee"
+    many_short_chains: ClassVar[bool] = True
     walkers: int = 64
     draws: int = 5000
     check: int = 250
 
     def __post_init__(self) -> None:
-        check_counts(self, {"walkers": 2, "draws": 50, "check": 10})
+        self.check_counts({"walkers": 2, "draws": 50, "check": 10})
         if self.walkers % 2:
             raise ParameterError(f"walkers must be even, got {self.walkers}")
 
-    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
-        """Draw, or go on from the file that a folder holds.
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
+        """Draw, or continue from the file in a folder.
 
         Raises:
             ParameterError: too few walkers or too many parameters.
@@ -58,10 +60,9 @@ class Ensemble:
         target, d = setup.target, setup.target.center.shape[0]
         if self.walkers < 2 * d + 2:
             raise ParameterError(f"{d} parameters need at least {2 * d + 2} walkers, got {self.walkers}")
-        if d > MOST + len(setup.noise_space):
-            raise ParameterError(
-                f"emcee is for up to {MOST} parameters, and the model has {d - len(setup.noise_space)}: use sampler='nuts'"
-            )
+        model = len(setup.problem.space)
+        if model > MOST:
+            raise ParameterError(f"emcee is for up to {MOST} parameters, and the model has {model}: use sampler='nuts'")
         sampler = walk(target, self.walkers)
         file = None if folder is None else folder / "emcee.h5"
         chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, seed)
@@ -89,26 +90,25 @@ class Ensemble:
         q = np.swapaxes(chain[burn:], 0, 1)
         z = np.asarray(target.center) + q @ np.asarray(target.factor).T
         rate = np.broadcast_to((accepted / len(chain))[:, None], q.shape[:2])
-        notes = [f"emcee: autocorrelation time {tau:.3g} steps, the first {burn} steps left out"]
+        notes = [Note(Code.CHAINS, f"emcee: autocorrelation time {tau:.3g} steps; the first {burn} steps are left out")]
         if not settled:
-            notes.append(
-                f"the chains hold {len(chain) / tau:.0f} autocorrelation times (want {_LONG:.0f}): more steps are needed"
-            )
-        return Raw(z, np.swapaxes(logs[burn:], 0, 1), {"acceptance": np.array(rate)}, tuple(notes))
+            text = f"the chains hold {len(chain) / tau:.0f} autocorrelation times ({_LONG:.0f} are needed): take more steps"
+            notes.append(warn(Code.CHAINS, text))
+        return Raw(z, np.swapaxes(logs[burn:], 0, 1), {"acceptance": np.array(rate)}, tuple(notes), complete=settled)
 
 
 def longest_time(chain: Float[np.ndarray, "steps walkers d"], before: float = np.inf) -> float:
     """Longest integrated autocorrelation time of a chain [steps], given an earlier estimate of it.
 
-    Steps much closer to each other than that say nothing new and are passed over: a look at a long chain is to cost less than
-    the steps since the last one. Infinite while a walker has yet to move.
+    Steps much closer to each other than that add no information and are skipped, so that the estimate costs less than the steps since
+    the last one. Infinite while a walker has not moved.
     """
     import emcee
 
     every = max(1, int(before / _FINE)) if np.isfinite(before) else 1
     with np.errstate(invalid="ignore"):
-        found = every * float(np.max(emcee.autocorr.integrated_time(chain[::every], tol=0, quiet=True)))
-    return found if np.isfinite(found) else np.inf
+        time = every * float(np.max(emcee.autocorr.integrated_time(chain[::every], tol=0, quiet=True)))
+    return time if np.isfinite(time) else np.inf
 
 
 def _look(chain: np.ndarray, before: float) -> tuple[float, bool]:
@@ -120,8 +120,9 @@ def _look(chain: np.ndarray, before: float) -> tuple[float, bool]:
 @eqx.filter_jit
 def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
-    together = _TOGETHER if target.keeps_trajectories else len(q)
-    return jax.lax.map(lambda row: target.log_density(target.unwhitened(row), lean=True), q, batch_size=together)
+    together = _TOGETHER if target.density.keeps_trajectories else len(q)
+    one = lambda row: target.density.log_density(target.unwhitened(row), lean=True)
+    return jax.lax.map(one, q, batch_size=together)
 
 
 def walk(target: Target, walkers: int) -> Any:
@@ -195,9 +196,11 @@ def _resume(file: Path | None, walkers: int, d: int) -> tuple[Any, ...] | None:
         chain, logs = np.asarray(backend.get_chain()), np.asarray(backend.get_log_prob())
         accepted, random_state = np.array(backend.accepted), tuple(backend.random_state or ())
     except (OSError, KeyError, AttributeError) as error:
-        raise DataError(f"{str(file)!r} is no emcee run that can go on (damaged?): remove it to start anew") from error
+        raise DataError(
+            f"{str(file)!r} is not an emcee run that can be resumed (damaged?): remove it to start again"
+        ) from error
     if chain.shape[1:] != (walkers, d):
         raise DataError(
-            f"{str(file)!r} holds {chain.shape[1:]} walkers and parameters, not {(walkers, d)}: remove it to start anew"
+            f"{str(file)!r} holds {chain.shape[1:]} walkers and parameters, not {(walkers, d)}: remove it to start again"
         )
     return chain, logs, accepted, emcee.State(chain[-1], log_prob=logs[-1], random_state=random_state)

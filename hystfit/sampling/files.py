@@ -5,20 +5,20 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError, MissingExtraError
+from hystfit.outcome import Note, Status
+from hystfit.results.folders import dump_json, writing
+from hystfit.results.saved import load_fit
+from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.raw import Evidence
+from hystfit.sampling.posterior import SCHEMA, Posterior
 
-if TYPE_CHECKING:
-    from hystfit.sampling.posterior import Posterior
-
-SCHEMA = "hystfit.sample/1"
-_PLAIN = ("sampler", "noise", "status", "priors", "seconds", "seed", "provenance")
-_LISTS = ("names", "units", "notes")
+_PLAIN = ("sampler", "noise", "priors", "seconds", "seed", "provenance")
+_LISTS = ("names", "units")
 
 
 def variable(name: str) -> str:
@@ -27,24 +27,22 @@ def variable(name: str) -> str:
 
 
 def dataset(posterior: Posterior) -> Any:
-    """Draws as an xarray Dataset with dimensions chain and draw; what is no draw stands in an attribute as JSON."""
+    """Draws as an xarray Dataset with dimensions chain and draw; all other fields are JSON in an attribute."""
     xarray = _xarray()
     chains, draws, _ = posterior.draws.shape
     place = {"chain": np.arange(chains), "draw": np.arange(draws)}
     variables = {
         variable(name): (("chain", "draw"), posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)
     }
-    made = xarray.Dataset(variables, coords=place)
+    table = xarray.Dataset(variables, coords=place)
     for name, unit in zip(posterior.names, posterior.units, strict=True):
-        made[variable(name)].attrs["units"] = unit
-    made.attrs["hystfit"] = json.dumps(_header(posterior))
-    return made
+        table[variable(name)].attrs["units"] = unit
+    table.attrs["hystfit"] = json.dumps(_header(posterior))
+    return table
 
 
 def save(posterior: Posterior, folder: str | Path) -> Path:
     """Write posterior.nc, result.json, and the fit in fit/: see `Posterior.save`."""
-    from hystfit.results.saved import dump_json, writing
-
     xarray = _xarray()
     target = Path(folder)
     stats = {"lp": posterior.log_density, **posterior.stats}
@@ -58,10 +56,13 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     return target
 
 
-def load(folder: str | Path) -> dict[str, Any]:
-    """Fields of the `Posterior` that `save` wrote: see `load_posterior`."""
-    from hystfit.results.saved import load_fit
+def load_posterior(folder: str | Path) -> Posterior:
+    """What `Posterior.save` wrote.
 
+    Raises:
+        DataError: the folder holds no such file, or one that is damaged.
+        MissingExtraError: xarray or h5netcdf is not installed.
+    """
     xarray, place = _xarray(), Path(folder)
     file = place / "posterior.nc"
     try:
@@ -71,12 +72,14 @@ def load(folder: str | Path) -> dict[str, Any]:
         with xarray.open_dataset(file, group="sample_stats", engine="h5netcdf") as stored:
             stats = {str(k): stored[k].values for k in stored}
         kept = {k: header[k] for k in _PLAIN} | {k: tuple(header[k]) for k in _LISTS}
+        kept["status"] = Status(header["status"])
+        kept["notes"] = tuple(Note.of(note) for note in header["notes"])
         kept["convergence"] = Convergence(**{k: np.array(v, float) for k, v in header["convergence"].items()})
         kept["evidence"] = header["evidence"] and Evidence(*header["evidence"])
         kept["log_density"] = stats.pop("lp")
-    except (OSError, KeyError, ValueError) as error:
-        raise DataError(f"{os.fspath(file)!r} is no posterior that hystfit saved: {error}") from error
-    return {"result": load_fit(place / "fit"), "draws": draws, "stats": stats, **kept}
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise DataError(f"{os.fspath(file)!r} is not a posterior that hystfit saved: {error}") from error
+    return Posterior(result=load_fit(place / "fit"), draws=draws, stats=stats, **kept)
 
 
 def _header(posterior: Posterior) -> dict[str, Any]:
@@ -84,6 +87,8 @@ def _header(posterior: Posterior) -> dict[str, Any]:
         "schema": SCHEMA,
         **{k: getattr(posterior, k) for k in _PLAIN},
         **{k: list(getattr(posterior, k)) for k in _LISTS},
+        "status": str(posterior.status),
+        "notes": [note.to_dict() for note in posterior.notes],
         "convergence": {k: getattr(posterior.convergence, k).tolist() for k in ("rhat", "bulk", "tail")},
         "evidence": posterior.evidence,
     }

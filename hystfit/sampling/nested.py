@@ -6,9 +6,8 @@ Skilling (2006), Bayesian Analysis 1, 833; batches of deletions after Fowlie, Ha
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,30 +17,32 @@ from jaxtyping import Array
 from scipy.special import logsumexp
 
 from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.inference.density import Density
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.sampling.base import AbstractSampler, Evidence, Progress, Raw
 from hystfit.sampling.chunks import stored
-from hystfit.sampling.raw import Evidence, Raw
-from hystfit.sampling.settings import check_counts
 from hystfit.sampling.setup import Setup
-from hystfit.sampling.target import Target
 
 _CHUNK = 10  # deletions of a batch in one compiled call, and between two writes to disk
 _PATHS = 200  # simulated shrinkages of the prior volume, for the error of the evidence
-_DEEPEST = 500.0  # nats of compression at which a run gives up: no proper posterior is that narrow
+_DEEPEST = 500.0  # nats of compression at which a run ends without convergence
 
 
 @dataclasses.dataclass(frozen=True)
-class Nested:
+class Nested(AbstractSampler):
     """Settings of nested sampling.
 
     Attributes:
-        live: points that hold the prior volume; the error of the log evidence falls with their square root.
-        moves: slice moves for every new point; None takes eight times the number of parameters. Too few and the evidence comes
-            out low where there are several modes.
-        rest: part of the evidence in the live points at which a run ends.
-        draws: equally weighted draws kept of each run, at most as many as its weights are worth.
+        live: number of live points; the error of the log evidence falls with their square root.
+        moves: slice moves for every new point; None takes eight times the number of parameters. With too few the evidence is too low
+            where there are several modes.
+        rest: fraction of the evidence in the live points at which a run ends.
+        draws: equally weighted draws kept of each run, at most the effective number of its weights.
         chains: independent runs, compared with each other as chains are.
     """
 
+    name: ClassVar[str] = "nested"
     live: int = 400
     moves: int | None = None
     rest: float = 0.01
@@ -49,12 +50,12 @@ class Nested:
     chains: int = 2
 
     def __post_init__(self) -> None:
-        check_counts(self, {"live": 50, "draws": 50, "chains": 1} | ({} if self.moves is None else {"moves": 1}))
+        self.check_counts({"live": 50, "draws": 50, "chains": 1} | ({} if self.moves is None else {"moves": 1}))
         if not 0 < self.rest < 1:
             raise ParameterError(f"rest must lie between 0 and 1, got {self.rest!r}")
 
-    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
-        """Draw, or go on from the chunks that a folder holds.
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
+        """Draw, or continue from the chunks in a folder.
 
         Raises:
             DataError: hardly any draw from the prior has a finite likelihood.
@@ -66,40 +67,39 @@ class Nested:
         z = np.stack([run.z[at] for run, at in zip(runs, rows, strict=True)])
         density = np.stack([run.log_density[at] for run, at in zip(runs, rows, strict=True)])
         values = np.array([run.log_z for run in runs])
-        own = np.array([run.error for run in runs])
+        errors = np.array([run.error for run in runs])
         apart = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-        error = max(float(np.sqrt(np.sum(own**2))), apart * np.sqrt(len(values))) / len(values)
-        notes = [f"nested sampling: {sum(run.steps for run in runs)} batches of {self.live // 10} points"]
-        if apart > 3 * float(np.sqrt(np.mean(own**2))):
-            notes.append(
-                f"the evidences of the runs differ by {np.ptp(values):.2g}, more than their errors: more steps are needed "
-                "(raise live, at the shell --live)"
-            )
-        if not all(run.ended for run in runs):
-            notes.append("the likelihood goes on rising without end: more steps are needed, or a proper noise level")
+        error = max(float(np.sqrt(np.sum(errors**2))), apart * np.sqrt(len(values))) / len(values)
+        batches = sum(run.steps for run in runs)
+        notes = [Note(Code.CHAINS, f"nested sampling: {batches} batches of {self.live // 10} points")]
+        agree, ended = True, all(run.ended for run in runs)
+        if apart > 3 * float(np.sqrt(np.mean(errors**2))):
+            agree = False
+            text = f"the evidences of the runs differ by {np.ptp(values):.2g}, more than their errors: use more live points (--live)"
+            notes.append(warn(Code.CHAINS, text))
+        if not ended:
+            notes.append(warn(Code.CHAINS, "the likelihood keeps rising without limit: give the noise a proper prior"))
         evidence = Evidence(float(np.mean(values)), error, float(np.mean([run.information for run in runs])))
-        return Raw(z, density, {}, tuple(notes), evidence)
+        return Raw(z, density, {}, tuple(notes), agree and ended, evidence)
 
-    def _once(
-        self, setup: Setup, seed: int, number: int, folder: Path | None, report: Callable[[str, float], None]
-    ) -> _Run:
-        target, d = setup.target, setup.target.center.shape[0]
+    def _once(self, setup: Setup, seed: int, number: int, folder: Path | None, report: Progress) -> _Run:
+        density, d = setup.target.density, setup.target.center.shape[0]
         key = jax.random.fold_in(jax.random.key(seed), number)
         settings = (self.moves or 8 * d, self.live // 10)
         first = stored(folder, f"nested-{number}-live.npz", lambda: _from_priors(setup, key, self.live))
-        state, part = _begin(target, jnp.asarray(first["z"]), *settings), float(first["part"])
+        state, part = _begin(density, jnp.asarray(first["z"]), *settings), float(first["part"])
         dead, ended, k = [], False, 0
         leaves, form = jax.tree_util.tree_flatten(state)
         while not ended and float(state.integrator.logX) > -_DEEPEST:
             advance = lambda k=k, state=state: _pack(
-                *_advance(target, state, jax.random.fold_in(key, k + 1), *settings)
+                *_advance(density, state, jax.random.fold_in(key, k + 1), *settings)
             )
             chunk = stored(folder, f"nested-{number}-{k:05d}.npz", advance)
             dead.append({name: chunk[name] for name in ("z", "prior", "likelihood", "birth")})
             state = jax.tree_util.tree_unflatten(form, [jnp.asarray(chunk[f"state{n}"]) for n in range(len(leaves))])
             k += 1
-            found = state.integrator
-            inside, outside = float(found.logZ_live), float(found.logZ)
+            totals = state.integrator
+            inside, outside = float(totals.logZ_live), float(totals.logZ)
             left = inside - float(np.logaddexp(outside, inside))
             ended = bool(left < np.log(self.rest))
             deep = -float(state.integrator.logX)
@@ -111,7 +111,7 @@ class Nested:
 
 
 class _Run(NamedTuple):
-    """One finished run: all points with their weights (sum 1), the evidence, and whether it came to an end."""
+    """One finished run: all points with their weights (sum 1), the evidence, and whether it ended."""
 
     z: np.ndarray
     log_density: np.ndarray
@@ -165,63 +165,60 @@ def _from_priors(setup: Setup, key: Array, count: int) -> dict[str, np.ndarray]:
     Raises:
         DataError: fewer than one draw in a hundred.
     """
-    target, p = setup.target, setup.target.p
-    found: list[np.ndarray] = []
+    problem, density = setup.problem, setup.target.density
+    batches: list[np.ndarray] = []
     tried = kept = 0
     while kept < count:
         if tried >= 100 * count:
             raise DataError(
                 f"only {kept} of {tried} draws from the priors have a finite likelihood: give narrower priors for nested sampling"
             )
-        keys = jax.random.split(jax.random.fold_in(key, 10**6 + tried), len(target.priors))
-        x = np.stack([np.asarray(prior.sample(k, (count,))) for prior, k in zip(target.priors, keys, strict=True)], 1)
+        keys = jax.random.split(jax.random.fold_in(key, 10**6 + tried), len(problem.priors))
+        x = np.stack([np.asarray(prior.sample(k, (count,))) for prior, k in zip(problem.priors, keys, strict=True)], 1)
         tried += count
-        z = [
-            np.concatenate([setup.problem.space.unconstrained(row[:p]), setup.noise_space.unconstrained(row[p:])])
-            for row in x
-            if _within(setup, row)
-        ]
+        z = [problem.unconstrained(row) for row in x if _within(setup, row)]
         if z:
-            good = np.isfinite(np.asarray(_likelihood(target, jnp.asarray(np.stack(z)))))
-            found.append(np.stack(z)[good])
+            good = np.isfinite(np.asarray(_likelihood(density, jnp.asarray(np.stack(z)))))
+            batches.append(np.stack(z)[good])
             kept += int(good.sum())
-    # The last batch is counted whole: its surplus tells of the part too.
-    return {"z": np.concatenate(found)[:count], "part": np.asarray(kept / tried)}
+    # The last batch counts whole: its surplus is information about the fraction too.
+    return {"z": np.concatenate(batches)[:count], "part": np.asarray(kept / tried)}
 
 
 def _within(setup: Setup, x: np.ndarray) -> bool:
-    both = (setup.problem.space.coordinates, setup.noise_space.coordinates)
+    density = setup.target.density
+    both = (density.objective.coordinates, density.noise)
     lower, upper = (np.concatenate([np.asarray(getattr(c, side)) for c in both]) for side in ("lower", "upper"))
     return bool(np.isfinite(x).all() and (x > lower).all() and (x < upper).all())
 
 
 @eqx.filter_jit
-def _likelihood(target: Target, z: Array) -> Array:
-    return jax.lax.map(target.log_likelihood_lean, z, batch_size=50)
+def _likelihood(density: Density, z: Array) -> Array:
+    return jax.lax.map(density.log_likelihood_lean, z, batch_size=50)
 
 
-def _sampler(target: Target, moves: int, batch: int) -> Any:
+def _sampler(density: Density, moves: int, batch: int) -> Any:
     try:
         import blackjax
     except ImportError as error:
         raise MissingExtraError("blackjax", "bayes", "nested sampling") from error
 
     def likelihood(z: Array) -> Array:
-        value = target.log_likelihood_lean(z)
+        value = density.log_likelihood_lean(z)
         return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
-    return blackjax.nss(target.log_prior, likelihood, moves, batch)
+    return blackjax.nss(density.log_prior, likelihood, moves, batch)
 
 
 @eqx.filter_jit
-def _begin(target: Target, z: Array, moves: int, batch: int) -> Any:
-    return _sampler(target, moves, batch).init(z)
+def _begin(density: Density, z: Array, moves: int, batch: int) -> Any:
+    return _sampler(density, moves, batch).init(z)
 
 
 @eqx.filter_jit
-def _advance(target: Target, state: Any, key: Array, moves: int, batch: int) -> tuple[Any, Any]:
+def _advance(density: Density, state: Any, key: Array, moves: int, batch: int) -> tuple[Any, Any]:
     """One chunk: the later state, and the points that died, shape (chunk, batch, ...)."""
-    step = _sampler(target, moves, batch).step
+    step = _sampler(density, moves, batch).step
 
     def once(state: Any, key: Array) -> tuple[Any, Any]:
         state, info = step(key, state)

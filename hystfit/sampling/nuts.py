@@ -1,4 +1,4 @@
-"""The no-U-turn sampler (Hoffman and Gelman 2014) of blackjax in whitened coordinates, resumable chunk by chunk."""
+"""The no-U-turn sampler (Hoffman and Gelman 2014) of blackjax in whitened coordinates; resumes after interruption, bit for bit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.outcome import Code
+from hystfit.outcome.note import warn
+from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
-from hystfit.sampling.raw import Raw
-from hystfit.sampling.settings import check_counts
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
@@ -29,17 +30,18 @@ _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of
 
 
 @dataclasses.dataclass(frozen=True)
-class Nuts:
+class Nuts(AbstractSampler):
     """Settings of NUTS.
 
     Attributes:
         chains, draws: how many, and how many each.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
-        target_accept: acceptance that the step size is tuned to; 0.65 is best for Gaussian posteriors, to which whitening
-            brings most others (Beskos et al. 2013); curved ones need more.
+        target_accept: acceptance for which the step size is tuned; 0.65 is best for Gaussian posteriors (Beskos et al. 2013), and
+            most are nearly so once whitened; curved ones need more.
         max_depth: doublings of a trajectory at most.
     """
 
+    name: ClassVar[str] = "nuts"
     chains: int = 4
     draws: int = 1000
     warmup: int = 300
@@ -47,17 +49,17 @@ class Nuts:
     max_depth: int = 8
 
     def __post_init__(self) -> None:
-        check_counts(self, {"chains": 1, "draws": 4, "warmup": 50, "max_depth": 1})
+        self.check_counts({"chains": 1, "draws": 4, "warmup": 50, "max_depth": 1})
         if not 0 < self.target_accept < 1:
             raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
 
-    def run(self, setup: Setup, seed: int, folder: Path | None, report: Callable[[str, float], None]) -> Raw:
-        """Draw, chains side by side on the processor's cores, or go on from the chunks that a folder holds."""
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
+        """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder."""
         drawn: dict[int, list[np.ndarray]] = {number: [] for number in range(self.chains)}
-        telling, halted = threading.Lock(), threading.Event()
+        reporting, halted = threading.Lock(), threading.Event()
 
-        def tell(number: int, q: np.ndarray) -> bool:
-            with telling:
+        def collect(number: int, q: np.ndarray) -> bool:
+            with reporting:
                 drawn[number].append(q)
                 count = sum(min(_CHUNK * len(parts), self.draws) for parts in drawn.values())
                 so_far = sum(_least(np.concatenate(parts)) for parts in drawn.values() if parts)
@@ -76,8 +78,8 @@ class Nuts:
         first = warm(0)  # compiles what all chains run
 
         def chain(number: int) -> dict[str, np.ndarray]:
-            own = first if number == 0 else warm(number)
-            return self._chain(setup, own, jax.random.fold_in(key, number), number, folder, tell)
+            adapted = first if number == 0 else warm(number)
+            return self._chain(setup, adapted, jax.random.fold_in(key, number), number, folder, collect)
 
         with ThreadPoolExecutor(min(self.chains, os.cpu_count() or 1)) as pool:
             try:
@@ -88,14 +90,8 @@ class Nuts:
         joined = {k: np.stack([part[k] for part in parts]) for k in parts[0]}
         z, density = joined.pop("z"), joined.pop("log_density")
         count = int(joined["diverging"].sum())
-        notes = (
-            (
-                f"{count} divergent transitions: parts of the posterior may be missing; raise target_accept (--target-accept)",
-            )
-            if count
-            else ()
-        )
-        return Raw(z, density, joined, notes)
+        text = f"{count} divergent transitions: parts of the posterior may be missing; raise target_accept (--target-accept)"
+        return Raw(z, density, joined, (warn(Code.DIVERGENCES, text),) if count else ())
 
     def _chain(
         self,
@@ -104,16 +100,16 @@ class Nuts:
         key: Array,
         number: int,
         folder: Path | None,
-        tell: Callable[[int, np.ndarray], bool],
+        collect: Callable[[int, np.ndarray], bool],
     ) -> dict[str, np.ndarray]:
-        """One chain after its warm-up; it ends early where `tell` says so."""
+        """One chain after its warm-up; it ends early where `collect` returns true."""
         q, chunks = jnp.asarray(warm["q"]), []
         for k in range(-(-self.draws // _CHUNK)):
             advance = lambda k=k, q=q: self.chunk(setup.target, warm, q, jax.random.fold_in(key, k))
             chunk = stored(folder, f"nuts-{number}-{k:05d}.npz", advance)
             chunks.append(chunk)
             q = jnp.asarray(chunk["q"][-1])
-            if tell(number, chunk["q"]):
+            if collect(number, chunk["q"]):
                 break
         rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
         rows["z"] = np.asarray(setup.target.center) + rows.pop("q") @ warm["factor"].T
@@ -126,32 +122,38 @@ class Nuts:
         count = iter(range(10**6))
 
         def adapt(target: Target, q: Array, size: float, rounds: int) -> tuple[Array, Array, np.ndarray]:
-            tuning, seen = Tuning.about(size), []
+            tuning, positions = Tuning.about(size), []
             for _ in range(rounds):
-                found, tuning = _advance(target, q, tuning, jax.random.fold_in(key, next(count)), True, *settings)
-                q = found[0][-1]
-                seen.append(np.asarray(found[0]))
-            return q, jnp.exp(tuning.average), np.concatenate(seen)
+                out, tuning = _advance(target, q, tuning, jax.random.fold_in(key, next(count)), True, *settings)
+                q = out[0][-1]
+                positions.append(np.asarray(out[0]))
+            return q, jnp.exp(tuning.average), np.concatenate(positions)
 
         settings = (jnp.asarray(self.target_accept), self.max_depth)
         q, size, _ = adapt(target, _start(target, key), 0.5, quarter)
-        q, _, seen = adapt(target, q, float(size), 2 * quarter)
-        seen = seen[len(seen) // 10 :]
-        spread = np.cov(seen.T).reshape(d, d)
-        shrunk = (len(seen) * spread + _PRIOR_DRAWS * np.eye(d)) / (len(seen) + _PRIOR_DRAWS)
+        q, _, positions = adapt(target, q, float(size), 2 * quarter)
+        positions = positions[len(positions) // 10 :]
+        n, spread = len(positions), np.cov(positions.T).reshape(d, d)
+        shrunk = (n * spread + _PRIOR_DRAWS * np.eye(d)) / (n + _PRIOR_DRAWS)
         inner = np.linalg.cholesky(shrunk)
         better = eqx.tree_at(lambda t: t.factor, target, target.factor @ inner)
         q, size, _ = adapt(better, jnp.asarray(np.linalg.solve(inner, np.asarray(q))), 0.7, quarter)
         return {"q": np.asarray(q), "size": np.asarray(size), "factor": np.asarray(better.factor)}
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
-        """Draws from a position q on, with what `warm` found: positions (50, d), log densities and statistics (50,)."""
-        own = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(warm["factor"]))
-        still = (jnp.asarray(self.target_accept), self.max_depth)
-        found, _ = _advance(own, q, Tuning.about(float(warm["size"])), key, False, *still)
+        """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,).
+
+        Args:
+            target: the posterior.
+            warm: what `warm` returned.
+            q: position, shape (d,).
+            key: of the random numbers.
+        """
+        adapted = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(warm["factor"]))
+        fixed = (jnp.asarray(self.target_accept), self.max_depth)
+        out, _ = _advance(adapted, q, Tuning.about(float(warm["size"])), key, False, *fixed)
         return {
-            k: np.asarray(v)
-            for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), found, strict=True)
+            k: np.asarray(v) for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True)
         }
 
 

@@ -1,4 +1,4 @@
-"""`Posterior`: draws with their diagnostics, tables, pictures, bands and derived quantities."""
+"""`Posterior`: draws with their diagnostics, tables, plots, bands and derived quantities."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Column, Note, Status, Table
+from hystfit.registry import attribute
 from hystfit.results.result import FitResult
-from hystfit.sampling import files
+from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.predictive import predictive_draws, simulate_draws
-from hystfit.sampling.raw import Evidence
 
-ADVICE = {
-    "ok": "usable",
-    "poor-fit": "the draws have converged, on a model that does not describe these data: choose another one (hystfit compare)",
-    "not-converged": "the chains have not converged: draw more, or fix what the data do not determine",
-}
+SCHEMA = "hystfit.sample/2"
+
+
+def _view(name: str) -> Any:
+    """A function of a posterior that its methods call; bound late, because those modules import this one."""
+    return attribute(f"hystfit.sampling.{name}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +40,8 @@ class Posterior:
         log_density: log posterior in unconstrained coordinates, shape (chains, draws).
         stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
         convergence: R-hat and effective sizes.
-        status: "ok", "not-converged", or "poor-fit" (draws of a model that does not describe the data).
-        notes: what was chosen, what went wrong.
+        status: only `Status.OK` is usable; `Status.POOR_FIT` means draws of a model that does not describe the data.
+        notes: choices and problems.
         priors: in words, by parameter.
         seconds: wall time of sampling.
         seed: of the draws.
@@ -57,8 +58,8 @@ class Posterior:
     log_density: np.ndarray
     stats: dict[str, np.ndarray]
     convergence: Convergence
-    status: str
-    notes: tuple[str, ...]
+    status: Status
+    notes: tuple[Note, ...]
     priors: dict[str, str]
     seconds: float
     seed: int
@@ -68,7 +69,7 @@ class Posterior:
     @property
     def usable(self) -> bool:
         """Whether the chains have converged, on a model that describes the data."""
-        return self.status == "ok"
+        return self.status.usable
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Draws of one parameter, shape (chains, draws)."""
@@ -89,50 +90,55 @@ class Posterior:
             rows.append(row)
         return rows
 
-    def __str__(self) -> str:
-        width = max(len(name) for name in self.names)
-        shape = self.draws.shape
-        lines = [
-            f"{self.result.name}, noise {self.noise}, {self.sampler}: {shape[0]} chains of {shape[1]} draws: {self.status}"
-        ]
-        lines.append(
-            f"{'':{width}}  {'mean':>11} {'sd':>10} {'2.5 %':>11} {'97.5 %':>11} {'R-hat':>6} {'bulk':>6} {'tail':>6}"
+    def summary(self) -> Table:
+        """`table` for people."""
+        heads = (
+            ("mean", ".5g"),
+            ("sd", ".5g"),
+            ("2.5 %", ".5g"),
+            ("97.5 %", ".5g"),
+            ("R-hat", ".3f"),
+            ("bulk", ".0f"),
+            ("tail", ".0f"),
         )
-        number = lambda v, form: "-" if v is None else format(v, form)
-        for row in self.table():
-            values = [number(row[k], ".5g") for k in ("mean", "sd", "lower", "upper")]
-            end = [number(row["rhat"], ".3f"), number(row["bulk"], ".0f"), number(row["tail"], ".0f")]
-            lines.append(
-                f"{row['name']:{width}}  {values[0]:>11} {values[1]:>10} {values[2]:>11} {values[3]:>11} {end[0]:>6} {end[1]:>6} "
-                f"{end[2]:>6}  {row['unit']}".rstrip()
-            )
+        columns = [Column(""), *(Column(head, form=form) for head, form in heads), Column("", key="unit", left=True)]
+        keys = ("name", "mean", "sd", "lower", "upper", "rhat", "bulk", "tail", "unit")
+        return Table(columns, [[row[key] for key in keys] for row in self.table()])
+
+    def derived_table(self) -> Table:
+        """Derived quantities for people."""
+        columns = [
+            Column(""),
+            *(Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")),
+            Column("", "unit", left=True),
+        ]
+        keys = ("name", "median", "lower", "upper", "unit")
+        return Table(columns, [[row[key] for key in keys] for row in self.derived_rows])
+
+    def __str__(self) -> str:
+        chains, draws, _ = self.draws.shape
+        lines = [
+            f"{self.result.name}, noise {self.noise}, {self.sampler}: {chains} chains of {draws} draws: {self.status}"
+        ]
+        lines += self.summary().lines()
         if self.evidence is not None:
             lines.append(
-                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; for the same data only)"
+                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; comparable for the same data only)"
             )
-        lines += self._derived_words()
+        lines += self.derived_table().lines()
         lines += [f"note: {note}" for note in self.notes]
-        lines += [f"prior of {name}: {words}" for name, words in self.priors.items()]
+        lines += [f"prior of {name}: {text}" for name, text in self.priors.items()]
         return "\n".join(lines)
-
-    def _derived_words(self) -> list[str]:
-        words = lambda v: "-" if v is None else f"{v:.5g}"
-        return [
-            f"{row['name']}: {words(row['median'])} {row['unit']}, 95 % {words(row['lower'])} to {words(row['upper'])}".replace(
-                " ,", ","
-            )
-            for row in self.derived_rows
-        ]
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
         diverging = self.stats.get("diverging")
         return {
-            "schema": files.SCHEMA,
+            "schema": SCHEMA,
             "model": self.result.name,
-            "status": self.status,
-            "advice": ADVICE[self.status],
-            "notes": list(self.notes),
+            "status": str(self.status),
+            "advice": self.status.advice("sample"),
+            "notes": [note.to_dict() for note in self.notes],
             "sampler": self.sampler,
             "noise": self.noise,
             "chains": self.draws.shape[0],
@@ -153,10 +159,8 @@ class Posterior:
         return flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
 
     def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
-        """The models of `thinned` draws, as the first record sees them: simulate or invert each."""
-        from hystfit.fitting.again import problem_of
-
-        coordinates = problem_of(self.result)[0].space.coordinates
+        """The models of `thinned` draws, with the parameters of the first record: simulate or invert each."""
+        coordinates = self.result.problem.space.coordinates
         for row in self.thinned(count, seed):
             yield coordinates.assemble(jnp.asarray(row), 0)
 
@@ -164,7 +168,7 @@ class Posterior:
 
     def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
         """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
-        return simulate_draws(self.result, record, self.thinned(count, seed))
+        return _view("predictive:simulate_draws")(self.result, record, self.thinned(count, seed))
 
     def bands(
         self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, kind: str = "predictive"
@@ -172,7 +176,7 @@ class Posterior:
         """(lower, median, upper) of the output over a record's input, each (T,).
 
         Args:
-            record: gives the input.
+            record: provides the input.
             level: of the pointwise band.
             count: draws used.
             seed: of their choice and of the noise.
@@ -184,41 +188,35 @@ class Posterior:
         """
         if kind not in ("credible", "predictive") or not 0 < level < 1:
             raise ParameterError(f"kind must be credible or predictive and 0 < level < 1, got {kind!r} and {level}")
-        draw = predictive_draws if kind == "predictive" else Posterior.predict
+        draw = _view("predictive:predictive_draws") if kind == "predictive" else Posterior.predict
         y = draw(self, record, count, seed)
         edges = np.quantile(y, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
         return edges[0], edges[1], edges[2]
 
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
         """Posterior draws of derived quantities, each (count,): see `hystfit.sampling.derived.QUANTITIES`."""
-        from hystfit.sampling.derived import derive
-
-        return derive(self, quantities, count)
+        return _view("derived:derive")(self, quantities, count)
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:
         """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
-        from hystfit.sampling.derived import QUANTITIES, units
-
         finite = lambda v: float(v) if np.isfinite(v) else None
-        rows, unit = [], units(self)
+        rows, unit, about = [], _view("derived:units")(self), _view("derived:QUANTITIES")
         for name, values in self.derived().items():
             low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
             row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}
-            rows.append(row | {"upper": finite(high), "about": QUANTITIES[name]})
+            rows.append(row | {"upper": finite(high), "about": about[name]})
         return rows
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:
         """A picture: "corner", "trace", "rank" or "bands"; returns the matplotlib figure."""
-        from hystfit.sampling import plots
-
-        return plots.draw(self, kind, **options)
+        return _view("posterior_plots:draw")(self, kind, **options)
 
     # -- files ---------------------------------------------------------------------------------------------------------
 
     def dataset(self) -> Any:
         """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them."""
-        return files.dataset(self)
+        return _view("files:dataset")(self)
 
     def to_arviz(self) -> Any:
         """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
@@ -227,7 +225,8 @@ class Posterior:
         except ImportError as error:
             raise MissingExtraError("arviz", "bayes", "to_arviz") from error
         stats = {"lp": self.log_density, **self.stats}
-        posterior = {files.variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
+        variable = _view("files:variable")
+        posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
         if hasattr(arviz, "InferenceData"):
             return arviz.from_dict(posterior=posterior, sample_stats=stats)
         return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
@@ -239,14 +238,4 @@ class Posterior:
             MissingExtraError: xarray or h5netcdf is not installed.
             HystfitError: the folder cannot be written.
         """
-        return files.save(self, folder)
-
-
-def load_posterior(folder: str | Path) -> Posterior:
-    """What `Posterior.save` wrote.
-
-    Raises:
-        DataError: the folder holds no such file, or one that is damaged.
-        MissingExtraError: xarray or h5netcdf is not installed.
-    """
-    return Posterior(**files.load(folder))
+        return _view("files:save")(self, folder)

@@ -1,4 +1,4 @@
-"""A posterior made ready for sampling: which noise, which priors, where its mode is and how it is curved there."""
+"""The posterior of a fit prepared for sampling: noise model, priors, mode and curvature."""
 
 from __future__ import annotations
 
@@ -7,150 +7,117 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.data.batch import Batch
 from hystfit.errors import DataError, ParameterError
-from hystfit.fitting.again import problem_of
-from hystfit.fitting.covariance import leftover
-from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.released import refine_released
+from hystfit.fitting.covariance import analyze
+from hystfit.fitting.noise_refinement import refine
+from hystfit.inference.density import Density
 from hystfit.inference.newton import maximize
-from hystfit.inference.noise import Setting
-from hystfit.inference.priors import AbstractPrior, LogNormal, choose_priors
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.priors import AbstractPrior
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import Leftover, diagnose
+from hystfit.inference.residuals import ResidualAnalysis, diagnose
+from hystfit.outcome import Code, Note
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
 from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
-_CURVE = 0.7  # standard deviation of the logarithm of a repeating error's size about what the residuals show of it
-_WIDEST = 3.0  # standard deviation in z that a direction without curvature is given to start with
+_WIDEST = 3.0  # standard deviation in z given at first to a direction without curvature
 
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
-    """A posterior made ready for sampling.
+    """A posterior prepared for sampling.
 
     Attributes:
-        problem: model and data, as they were fitted.
-        noise_name: which noise model.
-        noise_space: its parameters.
+        problem: model and data as they were fitted, with noise model and priors.
+        noise: the choice of the noise model, as users write it.
         target: centered on the posterior's mode and whitened by the curvature there.
-        names, units: of all parameters.
         notes: what was chosen, and why.
     """
 
     problem: Problem
-    noise_name: str
-    noise_space: ParameterSpace
+    noise: str
     target: Target
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return self.problem.names
 
     def describe_priors(self) -> dict[str, str]:
         """Priors in words, by parameter."""
-        return {name: str(prior) for name, prior in zip(self.names, self.target.priors, strict=True)}
+        return {name: str(prior) for name, prior in zip(self.names, self.problem.priors, strict=True)}
 
 
-def choose_noise(left: Leftover, asked: str) -> tuple[str, list[str]]:
-    """The noise model to use and why: what was asked for, or for "auto" slow noise, unless the residuals call for more."""
-    found = diagnose(left)
-    if asked == "auto":
-        name = found.recommended if found.recommended in ("discrepancy", "student-t") else "ou"
-        plain = "the default, which holds independent noise as a case" if found.recommended == "iid" else ""
-        return name, [f"noise model {name}: {plain or '; '.join(found.reasons)}"]
-    return asked, [f"noise={asked!r} was asked for, but {why}" for why in found.objections(asked)]
+def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
+    """The noise model to use, and notes on the choice.
+
+    Args:
+        residuals: of the fit.
+        choice: a noise model, or "auto" for slow noise unless the residuals need another.
+    """
+    diagnosis = diagnose(residuals)
+    if choice != "auto":
+        mismatches = diagnosis.objections(NOISES.find(choice))  # type: ignore[arg-type]
+        return choice, [
+            dataclasses.replace(note, text=f"noise={choice!r} was chosen, but {note.text}") for note in mismatches
+        ]
+    name = diagnosis.recommended if diagnosis.recommended in ("discrepancy", "student-t") else "ou"
+    reasons = "; ".join(note.text for note in diagnosis.findings)
+    if diagnosis.recommended == "iid":
+        reasons = "the default, which includes independent noise"
+    return name, [Note(Code.NOISE_MODEL, f"noise model {name}: {reasons}")]
 
 
 def prepare(
     result: FitResult,
     *,
-    noise: str = "auto",
+    noise: str | type[AbstractNoise] = "auto",
     priors: Mapping[str, AbstractPrior] | None = None,
 ) -> Setup:
-    """Make the posterior of a fit ready: noise model, priors, mode and curvature.
+    """Prepare the posterior of a fit: noise model, priors, mode and curvature.
 
     Args:
-        result: the fit; its data, free parameters and values are taken.
-        noise: "auto", or a name of `hystfit.inference.noise.NOISES`.
-        priors: the user's own, by parameter name; defaults for the others (`hystfit.inference.priors.default_priors`).
+        result: the fit; its data, free parameters and values are used.
+        noise: "auto", a name of `NOISES`, my_noise.py:MyNoise, or a class.
+        priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
 
     Raises:
         ParameterError: an unknown name, a prior that is flat or excludes the fit, too many parameters.
     """
-    problem, x = problem_of(result)
+    problem = result.problem.with_loss("linear")
     if len(problem.space) > _MOST:
         raise ParameterError(
-            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): fix most of them, or fewer cells or plays"
+            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): fix most of them, or use fewer cells "
+            "or plays"
         )
-    left = leftover(problem, x)
-    name, notes = choose_noise(left, noise)
-    refined = refine_released(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), name)
-    space = refined.space
-    values = np.concatenate([refined.x, refined.values])
-    chosen = choose_priors_for(problem.space, space, noise_priors(space, left) | dict(priors or {}), values)
-    z = np.concatenate([_inside(problem.space, refined.x), _inside(space, refined.values)])
-    batch = trimmed(problem.objective.batch)
-    objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
-    d = z.size
-    start = Target(objective, space.coordinates, Setting.of(batch), chosen, jnp.asarray(z), jnp.eye(d))
-    names, units = (*problem.space.names, *space.names), (*problem.space.units, *space.units)
-    if not np.isfinite(float(start.log_prior(jnp.asarray(z)))):
-        outside = [
-            n
-            for n, prior, v in zip(names, chosen, values, strict=True)
-            if not np.isfinite(float(prior.log_density(jnp.asarray(v))))
-        ]
+    residuals = analyze(problem, result.x)
+    choice, notes = choose_noise(residuals, noise)
+    refined = refine(problem, result.x, choice)
+    longest = max(row.size for row in residuals.rows)
+    suggested = refined.noise.default_priors(longest, residuals.curve_size)
+    chosen = {name: prior for name, prior in suggested.items() if name in refined.space.names} | dict(priors or {})
+    x = np.concatenate([refined.x, refined.values])
+    problem = refined.problem.with_noise(refined.noise, chosen, x).trimmed()
+    z = np.concatenate([_inside(problem.space, refined.x), _inside(refined.space, refined.values)])
+    if not np.isfinite(problem.log_prior(z)):
+        rows = zip(problem.names, problem.priors, x, strict=True)
+        outside = [name for name, prior, v in rows if not np.isfinite(float(prior.log_density(jnp.asarray(v))))]
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
-    mode = find_mode(start)
-    center, factor, value = whiten_by_curvature(mode)
+    center, factor, value = whiten_by_curvature(_mode(problem.density, jnp.asarray(z)))
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
-    target = eqx.tree_at(lambda t: (t.center, t.factor), start, (jnp.asarray(center), jnp.asarray(factor)))
-    return Setup(problem, name, space, target, names, units, tuple(notes))
-
-
-def noise_priors(space: ParameterSpace, left: Leftover) -> dict[str, AbstractPrior]:
-    """Defaults that the residuals decide.
-
-    Noise slower than a third of the record is a constant, which the offset already is. An error that repeats is about as large as
-    the residuals show: model and discrepancy explain each other, and without a prior that says so draws run off to
-    errors of any size that the model makes good (Brynjarsdottir and O'Hagan 2014).
-    """
-    slowest = max(max(row.size for row in left.rows) / 3, 10.0)
-    about = LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)  # one sample to the slowest: two sd each way
-    found: dict[str, AbstractPrior] = {"noise_time": about}
-    if left.curve_size is not None:
-        found["noise_loop"] = LogNormal(left.curve_size, _CURVE)
-    return {name: prior for name, prior in found.items() if name in space.names}
-
-
-def choose_priors_for(
-    model: ParameterSpace, noise: ParameterSpace, own: Mapping[str, AbstractPrior] | None, x: np.ndarray
-) -> tuple[AbstractPrior, ...]:
-    """Priors of both spaces, in their order; `own` may name parameters of either.
-
-    Raises:
-        ParameterError: see `hystfit.inference.priors.choose_priors`.
-    """
-    own = dict(own or {})
-    theirs = {name: own.pop(name) for name in list(own) if name in noise.names}
-    return choose_priors(model, own, x[: len(model)], noise.names) + choose_priors(noise, theirs, x[len(model) :])
-
-
-def trimmed(batch: Batch) -> Batch:
-    """A batch without padding that no record needs: a long run pays for its own compilation."""
-    used = np.asarray(batch.weight) > 0
-    end = int(np.max(np.flatnonzero(used.any(axis=0)))) + 1
-    return jax.tree_util.tree_map(lambda v: v[:, :end], batch)
+    target = Target(problem.density, jnp.asarray(center), jnp.asarray(factor))
+    return Setup(problem, NOISES.label(choice), target, tuple(notes))
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
@@ -163,17 +130,13 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _mode(target: Target) -> Any:
-    return maximize(target.log_density, target.center, target.slope)
-
-
-def find_mode(target: Target) -> Any:
-    """The posterior's mode in z, by Newton steps from the target's center."""
-    return _mode(target)
+def _mode(density: Density, z: Any) -> Any:
+    """The posterior's mode in z, by Newton steps."""
+    return maximize(density.log_density, z, density.slope)
 
 
 def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
-    """(center, factor, log posterior) from an `Optimum`: factor factor' = inverse curvature, bounded where there is next to none."""
+    """(center, factor, log posterior) from an `Optimum`: factor factor' = inverse curvature, bounded where there is hardly any."""
     curvature = -np.asarray(mode.hessian)
     curvature = np.where(np.isfinite(curvature), curvature, 0.0)
     size, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))

@@ -7,10 +7,10 @@ from hystfit.stage.actuator import piezo as piezo
 from hystfit.stage.actuator import population as population
 from hystfit.stage.kinematics import JacobianEstimate as JacobianEstimate
 from hystfit.stage.kinematics import Kinematics as Kinematics
-from hystfit.stage.kinematics import calibrate as calibrate
-from hystfit.stage.measured import Measured as Measured
-from hystfit.stage.measured import in_turn as in_turn
+from hystfit.stage.kinematics import identify_jacobian as identify_jacobian
 from hystfit.stage.stage import Stage as Stage
+from hystfit.stage.stage import StageMeasurement as StageMeasurement
 from hystfit.stage.stage import axis_plant as axis_plant
+from hystfit.stage.stage import drive_in_turn as drive_in_turn
 from hystfit.stage.stage import perturbed as perturbed
-from hystfit.stage.stage import refine as refine
+from hystfit.stage.stage import upsample as upsample

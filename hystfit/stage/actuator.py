@@ -1,4 +1,4 @@
-"""One simulated piezo actuator with its amplifier and its sensor: hysteresis, creep, limits and noise.
+"""One simulated piezo actuator with amplifier and sensor: hysteresis, creep, limits and noise.
 
 The numbers of `piezo` are a calibrated surrogate of the Tokin AE0505D16 stack of Minase et al. (2010), whose identified
 parameters were not published: 13 um over -20..100 V, a loop 2.4 um wide at 40 V, 0.0175 creep per decade.
@@ -35,15 +35,15 @@ def piezo(
 
     Args:
         c: displacement per voltage without hysteresis [um/V].
-        mu: part of the slope that the hysteresis takes at a reversal.
-        tau: rate at which the hysteresis saturates [1/V].
-        delta: shape of the loop's tips [1/V], |delta| < tau.
-        gamma: creep per decade of time; several numbers make it a polynomial in displacement / span.
-        span: displacement that the polynomial is in parts of [um].
+        mu: relative reduction of the slope at a reversal.
+        tau: rate of saturation of the hysteresis [1/V].
+        delta: shape of the tips of the loop [1/V], |delta| < tau.
+        gamma: creep per decade of time; several numbers are coefficients of a polynomial in displacement / span.
+        span: unit of the displacement in the polynomial [um].
         longest: time after a step up to which the creep is logarithmic [s]; 1000 s if None.
 
     Raises:
-        ParameterError: a number beyond its bounds.
+        ParameterError: a number outside its bounds.
     """
     coefficients = gamma if isinstance(gamma, tuple) else (gamma,)
     creep = (
@@ -53,9 +53,9 @@ def piezo(
     )
     if not tau > 0:
         raise ParameterError(f"tau must be positive, got {tau}")
-    made = Series(BoucWen(c=c, mu=mu, tau=tau, rho=delta / tau, scheme="exact"), creep)
-    ParameterSpace.of(made)  # refuses what is beyond the bounds
-    return made
+    model = Series(BoucWen(c=c, mu=mu, tau=tau, rho=delta / tau, scheme="exact"), creep)
+    ParameterSpace.of(model)  # raises outside the bounds
+    return model
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Amplifier:
 
 @dataclasses.dataclass(frozen=True)
 class Sensor:
-    """White noise (standard deviation) and resolution, both in the unit of what is measured; 0 is ideal.
+    """Standard deviation of white noise and resolution, both in the unit of the measured quantity; 0 is ideal.
 
     Raises:
         ParameterError: a negative number.
@@ -95,17 +95,17 @@ class Sensor:
 
     def read(self, y: Any, rng: np.random.Generator) -> np.ndarray:
         """A noisy, rounded reading of y, any shape."""
-        read = np.asarray(y, dtype=float) + self.noise * rng.standard_normal(np.shape(y))
-        return np.round(read / self.resolution) * self.resolution if self.resolution > 0 else read
+        reading = np.asarray(y, dtype=float) + self.noise * rng.standard_normal(np.shape(y))
+        return np.round(reading / self.resolution) * self.resolution if self.resolution > 0 else reading
 
 
 @dataclasses.dataclass(frozen=True)
 class Actuator:
-    """A stack with amplifier and displacement sensor: records to train on.
+    """A stack with amplifier and displacement sensor: a source of records.
 
     Attributes:
         model: voltage [V] to displacement [um]; any hystfit model.
-        amplifier, sensor: what stands before and after it.
+        amplifier, sensor: before and after it.
     """
 
     model: AbstractHysteresis = dataclasses.field(default_factory=piezo)
@@ -118,10 +118,14 @@ class Actuator:
         return np.asarray(simulate(self.model, self.amplifier.drive(u), jnp.diff(jnp.asarray(t), prepend=t[0]))[0])
 
     def record(self, t: Any, u: Any, *, seed: int, every: int = 1, name: str = "stage") -> Record:
-        """A measurement: the actuator runs on all samples, every `every`-th is recorded.
+        """A measurement. Its input is the voltage that reached the actuator.
 
-        Its input is the voltage that reached the actuator. An integration finer than the record keeps the sampling out
-        of the truth.
+        Args:
+            t: times [s], shape (T,).
+            u: commands [V], shape (T,).
+            seed: of the sensor noise.
+            every: the actuator is simulated at all samples, and every so many are recorded.
+            name: of the record.
 
         Raises:
             DataError: shapes differ, or `every` is not positive.
@@ -131,6 +135,7 @@ class Actuator:
             raise DataError(f"t and u must have one shape (T,), every >= 1; got {t.shape}, {u.shape}, every {every}")
         y = self.displacement(t, u)[::every]
         reached = np.asarray(self.amplifier.drive(u))
+        beyond = np.count_nonzero(reached != u)
         record = Record(
             u=reached[::every],
             y=self.sensor.read(y, np.random.default_rng(seed)),
@@ -142,14 +147,15 @@ class Actuator:
             name=name,
             source="simulated (surrogate of the AE0505D16)",
         )
-        clipped = np.count_nonzero(reached != u)
-        return record.noted(Code.PREPARED, f"{clipped} commands beyond the amplifier's limits") if clipped else record
+        if not beyond:
+            return record
+        return record.noted(Code.PREPARED, f"{beyond} commands beyond the limits of the amplifier")
 
 
 def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int) -> Any:
-    """`count` devices whose parameters scatter about those of a model: one model with a leading axis on every number.
+    """`count` devices whose parameters scatter about those of a model: one model with a leading axis on every parameter.
 
-    Run them with `jax.vmap`. Parameters with a lower bound scatter log-normally, the others normally.
+    Simulate them with `jax.vmap`. Parameters with a lower bound scatter log-normally, the others normally.
 
     Args:
         model: any model.
@@ -158,11 +164,11 @@ def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int
         seed: of the scatter.
 
     Raises:
-        ParameterError: no device, an unknown name, a negative scatter, or one beyond the bounds of a parameter.
+        ParameterError: no device, an unknown name, a negative scatter, or one that leaves the bounds of a parameter.
     """
     if count < 1 or any(not 0 <= size < np.inf for size in spread.values()):
         raise ParameterError(
-            f"a population needs at least one device and a scatter that is not negative; got {count} and {dict(spread)}"
+            f"a population needs at least one device and a scatter of 0 or more; got {count} and {dict(spread)}"
         )
     space = ParameterSpace.of(model, free=list(spread))
     sizes = np.zeros(len(space))
@@ -175,6 +181,6 @@ def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int
     x = np.where(np.isfinite(lower), center * np.exp(noise), center * (1 + noise))
     if not ((x >= lower) & (x <= upper)).all():
         raise ParameterError(
-            f"a scatter of {dict(spread)} reaches beyond the bounds of {type(model).__name__}: make it smaller"
+            f"a scatter of {dict(spread)} leaves the bounds of {type(model).__name__}: make it smaller"
         )
     return jax.vmap(space.coordinates.assemble)(jnp.asarray(x))

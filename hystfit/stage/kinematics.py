@@ -1,4 +1,4 @@
-"""Constant-Jacobian kinematics of a 3-RRR stage with three-fold symmetry, and its calibration from records."""
+"""Constant-Jacobian kinematics of a 3-RRR stage with three-fold symmetry, and identification of the Jacobian from records."""
 
 from __future__ import annotations
 
@@ -41,24 +41,20 @@ class Kinematics(eqx.Module):
         turn = jnp.broadcast_to(0.5 / self.arm, psi.shape)
         return (2 * self.amplification / 3) * jnp.stack([jnp.cos(psi), jnp.sin(psi), turn])
 
-    def extensions(self, pose: Float[Array, "*T 3"]) -> Float[Array, "*T 3"]:
-        """Actuator extensions [um] that hold a pose."""
-        return pose @ self.inverse_jacobian().T
-
     def pose(self, extensions: Float[Array, "*T 3"]) -> Float[Array, "*T 3"]:
-        """Pose that extensions hold, the dynamics aside."""
+        """Poses of extensions [um], shape (..., 3), without dynamics."""
         return extensions @ self.jacobian().T
 
 
 @dataclasses.dataclass(frozen=True)
 class JacobianEstimate:
-    """A Jacobian from records.
+    """An identified Jacobian.
 
     Attributes:
         jacobian: (x, y, theta) from extensions, shape (3, 3).
-        stderr: of its entries, from the residuals taken as independent.
+        stderr: standard errors of its entries for independent residuals, shape (3, 3).
         offset: pose at zero extension, shape (3,).
-        residual: RMS misfit of each axis, shape (3,).
+        residual: RMS residual of each axis, shape (3,).
     """
 
     jacobian: np.ndarray
@@ -67,10 +63,10 @@ class JacobianEstimate:
     residual: np.ndarray
 
 
-def calibrate(extensions: Any, poses: Any) -> JacobianEstimate:
+def identify_jacobian(extensions: Any, poses: Any) -> JacobianEstimate:
     """Least-squares Jacobian from actuator extensions (strain gauges) and poses (probes), both of shape (T, 3).
 
-    Move each actuator by itself over its range, in turn or with frequencies of their own.
+    Drive the actuators one after another, or each at its own frequency, over their range.
 
     Raises:
         DataError: shapes that differ, too few samples, values that are not finite.
@@ -82,7 +78,7 @@ def calibrate(extensions: Any, poses: Any) -> JacobianEstimate:
             f"need extensions and poses of one shape (T, 3), T > 4; got {extensions.shape} and {poses.shape}"
         )
     if not (np.isfinite(extensions).all() and np.isfinite(poses).all()):
-        raise DataError("extensions and poses must be finite: leave rows with missing values out")
+        raise DataError("extensions and poses must be finite: remove rows with missing values")
     columns = np.column_stack([extensions, np.ones(len(extensions))])
     centered = extensions - extensions.mean(axis=0)
     singular = np.linalg.svd(centered, compute_uv=False)
@@ -91,12 +87,12 @@ def calibrate(extensions: Any, poses: Any) -> JacobianEstimate:
             "the three actuators do not move independently: drive each by itself, or at its own frequency"
         )
     solution, *_ = np.linalg.lstsq(columns, poses, rcond=None)
-    left = poses - columns @ solution
-    variance = np.sum(left**2, axis=0) / (len(poses) - 4)
+    residuals = poses - columns @ solution
+    variance = np.sum(residuals**2, axis=0) / (len(poses) - 4)
     spread = np.diag(np.linalg.inv(columns.T @ columns))[:3]
     return JacobianEstimate(
         jacobian=solution[:3].T,
         stderr=np.sqrt(np.outer(variance, spread)),
         offset=solution[3],
-        residual=np.sqrt(np.mean(left**2, axis=0)),
+        residual=np.sqrt(np.mean(residuals**2, axis=0)),
     )

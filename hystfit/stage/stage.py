@@ -1,4 +1,4 @@
-"""The three-axis stage: three piezo actuators, 3-RRR kinematics, modal dynamics, sensors; a plant for control and a source of records."""
+"""The three-axis stage (three piezo actuators, 3-RRR kinematics, modal dynamics, sensors) and the plant of one of its axes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
-from hystfit.stage.actuator import Amplifier, Sensor, piezo, population
-from hystfit.stage.kinematics import AXES, Kinematics
-from hystfit.stage.measured import Measured
+from hystfit.stage.actuator import Amplifier, Sensor, piezo
+from hystfit.stage.kinematics import AXES, UNITS, Kinematics
 
 RATE = 10_000.0  # samples/s of the simulated controller
 MODES = {"x": (630.0, 0.02), "y": (630.0, 0.02), "theta": (900.0, 0.02)}  # Hz and damping ratio
@@ -29,13 +28,53 @@ def _stack(models: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
 
 
-class Stage(eqx.Module):
-    """Voltages of three actuators in, pose (x, y, theta) [um, um, mrad] out. `init` and `step` as any model has, on vectors.
+@dataclasses.dataclass(frozen=True)
+class StageMeasurement:
+    """Measured channels of the stage.
 
     Attributes:
-        actuators: one model whose numbers have a leading axis of 3.
+        t: times [s], shape (T,).
+        u: voltages that reached the actuators [V], shape (T, 3).
+        extension: from strain gauges on the actuators [um], shape (T, 3).
+        pose: from probes on the platform, x, y [um] and theta [mrad], shape (T, 3).
+        notes: on commands beyond the limits of the amplifiers.
+    """
+
+    t: np.ndarray
+    u: np.ndarray
+    extension: np.ndarray
+    pose: np.ndarray
+    notes: tuple[Note, ...] = ()
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Columns of a file by name, with the unit after the last underscore."""
+        channels = {"t_s": self.t} | {f"u{k + 1}_V": self.u[:, k] for k in range(3)}
+        channels |= {f"extension{k + 1}_um": self.extension[:, k] for k in range(3)}
+        return channels | {f"{axis}_{UNITS[axis]}": self.pose[:, k] for k, axis in enumerate(AXES)}
+
+    def record(self, axis: str, actuator: int) -> Record:
+        """One axis over the voltage of one actuator (0, 1, 2)."""
+        return Record(
+            u=self.u[:, actuator],
+            y=self.pose[:, AXES.index(axis)],
+            t=self.t,
+            u_unit="V",
+            y_unit=UNITS[axis],
+            u_name=f"voltage{actuator + 1}",
+            y_name=axis,
+            name=f"stage-{axis}",
+            source="simulated stage",
+            notes=self.notes,
+        )
+
+
+class Stage(eqx.Module):
+    """From voltages of three actuators to the pose (x, y, theta) [um, um, mrad], with the vector form of a model's `init` and `step`.
+
+    Attributes:
+        actuators: one model whose parameters have a leading axis of 3.
         kinematics: extensions to pose.
-        modes: `SecondOrder` of each axis, numbers with a leading axis of 3.
+        modes: `SecondOrder` of each axis, parameters with a leading axis of 3.
         low, high: limits of the amplifiers [V].
     """
 
@@ -54,20 +93,20 @@ class Stage(eqx.Module):
         modes: Mapping[str, tuple[float, float]] | None = None,
         amplifier: Amplifier = Amplifier(),  # noqa: B008 a frozen value
     ) -> Stage:
-        """A stage of one actuator model three times, or of three of one structure; defaults are the surrogate's.
+        """A stage of three actuators.
 
         Args:
-            actuators: voltage [V] to extension [um].
-            kinematics: see `Kinematics`.
-            modes: natural frequency [Hz] and damping ratio by axis.
+            actuators: one model of voltage [V] to extension [um] for all, or three of one structure; `piezo()` by default.
+            kinematics: extensions to pose; `Kinematics()` by default.
+            modes: natural frequency [Hz] and damping ratio by axis; `MODES` by default.
             amplifier: of each actuator.
 
         Raises:
-            ParameterError: not one or three actuators, not all axes, or a number beyond its bounds.
+            ParameterError: not one or three actuators, not all axes, or a number outside its bounds.
         """
-        given = [actuators or piezo()] * 3 if not isinstance(actuators, Sequence) else list(actuators)
-        if len(given) != 3:
-            raise ParameterError(f"a stage has three actuators, got {len(given)}")
+        devices = list(actuators) if isinstance(actuators, Sequence) else [actuators or piezo()] * 3
+        if len(devices) != 3:
+            raise ParameterError(f"a stage has three actuators, got {len(devices)}")
         modes = dict(MODES if modes is None else modes)
         if set(modes) != set(AXES):
             raise ParameterError(f"modes must name the axes {', '.join(AXES)}, got {', '.join(modes)}")
@@ -77,13 +116,13 @@ class Stage(eqx.Module):
             raise ParameterError(
                 f"amplification and arm must be positive, got {kinematics.amplification} and {kinematics.arm}"
             )
-        for part in (*given, *second, kinematics):
-            ParameterSpace.of(part)  # refuses what is beyond the bounds
+        for part in (*devices, *second, kinematics):
+            ParameterSpace.of(part)  # raises outside the bounds
         limits = (jnp.asarray(float(v)) for v in (amplifier.low, amplifier.high))
-        return cls(_stack(given), kinematics, _stack(second), *limits)
+        return cls(_stack(devices), kinematics, _stack(second), *limits)
 
     def init(self, u0: Float[Array, " 3"]) -> Float[Array, " state"]:
-        """At rest on voltages, with no history. State: actuators, modes, static pose before."""
+        """State at rest on voltages, without history: states of the actuators and modes, static pose of the previous sample."""
         u0 = jnp.clip(u0, self.low, self.high)
         states = jax.vmap(lambda model, u: model.init(u))(self.actuators, u0)
         length = jax.vmap(lambda model, s, u: model.step(s, u, u, jnp.zeros(()))[1])(self.actuators, states, u0)
@@ -93,26 +132,36 @@ class Stage(eqx.Module):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, " 3"], u1: Float[Array, " 3"], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, " 3"]]:
-        """One sample: the voltages go from u0 to u1, held at the amplifiers' limits."""
+        """One sample: the voltages go from u0 to u1, clipped at the limits of the amplifiers.
+
+        Args:
+            state: before the sample.
+            u0, u1: voltages at the previous and at this sample [V].
+            dt: time between them [s].
+
+        Returns:
+            State after the sample, and the pose.
+        """
         u0, u1 = (jnp.clip(u, self.low, self.high) for u in (u0, u1))
-        own, modal, before = state[:-9].reshape(3, -1), state[-9:-3].reshape(3, 2), state[-3:]
-        own, length = jax.vmap(lambda model, s, a, b: model.step(s, a, b, dt))(self.actuators, own, u0, u1)
+        stacks, modal, previous = state[:-9].reshape(3, -1), state[-9:-3].reshape(3, 2), state[-3:]
+        one_step = jax.vmap(lambda model, s, before, after: model.step(s, before, after, dt))
+        stacks, length = one_step(self.actuators, stacks, u0, u1)
         static = self.kinematics.pose(length)
-        modal, pose = jax.vmap(lambda mode, s, a, b: mode.step(s, a, b, dt))(self.modes, modal, before, static)
-        return jnp.concatenate([own.ravel(), modal.ravel(), static]), pose
+        modal, pose = one_step(self.modes, modal, previous, static)
+        return jnp.concatenate([stacks.ravel(), modal.ravel(), static]), pose
 
     def run(self, u: Float[Array, "T 3"], dt: Float[Array, " T"]) -> Float[Array, "T 3"]:
-        """Poses for voltages, from rest on the first; traced, so that `jax.vmap` runs populations and seeds."""
+        """Poses for voltages, from rest on the first sample; traced, so `jax.vmap` simulates populations."""
         before = jnp.concatenate([u[:1], u[:-1]])
         return jax.lax.scan(lambda s, sample: self.step(s, *sample), self.init(u[0]), (before, u, dt))[1]
 
     def simulate(self, u: Any, dt: Any = 1 / RATE, *, finer: int = 1) -> np.ndarray:
-        """Poses for voltages, shape (T, 3), at rest on the first sample before it.
+        """Poses for voltages, shape (T, 3), from rest on the first sample.
 
         Args:
             u: voltages, shape (T, 3).
             dt: time between samples, a number or shape (T,).
-            finer: integration steps a sample, the voltage linear between samples.
+            finer: integration steps per sample; the voltage is linear between samples.
 
         Raises:
             DataError: wrong shape, values that are not finite.
@@ -120,31 +169,31 @@ class Stage(eqx.Module):
         u = np.asarray(u, dtype=float)
         if u.ndim != 2 or u.shape[1] != 3 or not np.isfinite(u).all() or finer < 1:
             raise DataError(f"voltages must be finite and of shape (T, 3), finer at least 1; got {u.shape} and {finer}")
-        given = np.asarray(dt, dtype=float)
-        if given.shape not in ((), (len(u),)) or not (np.isfinite(given).all() and (given >= 0).all()):
-            raise DataError(f"dt must be a number or of shape ({len(u)},), finite and not negative; got {given}")
-        steps = np.broadcast_to(given, (len(u),)).copy()
+        dt = np.asarray(dt, dtype=float)
+        if dt.shape not in ((), (len(u),)) or not (np.isfinite(dt).all() and (dt >= 0).all()):
+            raise DataError(f"dt must be a number or of shape ({len(u)},), finite and not negative; got {dt}")
+        steps = np.broadcast_to(dt, (len(u),)).copy()
         steps[0] = 0.0
-        fine, times = refine(u, steps, finer)
-        return np.asarray(_run(self, jnp.asarray(fine), jnp.asarray(times)))[::finer]
+        fine, fine_steps = upsample(u, steps, finer)
+        return np.asarray(_run(self, jnp.asarray(fine), jnp.asarray(fine_steps)))[::finer]
 
-    def measure(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> Measured:
+    def measure(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> StageMeasurement:
         """A measurement of all channels: voltages that reached the actuators, strain gauges on them, probes on the platform.
 
         Args:
             t: times [s], shape (T,).
-            u: voltages asked for, shape (T, 3).
-            seed: of the sensors' noise.
+            u: commanded voltages [V], shape (T, 3).
+            seed: of the sensor noise.
             sensors: by axis, and "gauge"; those of `sensors()` where not given.
 
         Raises:
-            DataError: times of another length or that run back; see `simulate`.
-            ParameterError: a sensor of no such channel.
+            DataError: times of another length or decreasing; see `simulate`.
+            ParameterError: a sensor of an unknown channel.
         """
-        known = self.sensors()
-        if sensors is not None and (unknown := set(sensors) - set(known)):
-            raise ParameterError(f"no sensor {unknown.pop()!r}; there are {', '.join(known)}")
-        known |= dict(sensors or {})
+        channels = self.sensors()
+        if sensors is not None and (unknown := set(sensors) - set(channels)):
+            raise ParameterError(f"no sensor {unknown.pop()!r}; there are {', '.join(channels)}")
+        channels |= dict(sensors or {})
         t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
         if t.shape != u.shape[:1] or not (np.diff(t) >= 0).all():
             raise DataError(f"times must have shape (T,) with the T of the voltages, rising; got {t.shape}, {u.shape}")
@@ -152,45 +201,43 @@ class Stage(eqx.Module):
         poses, reached = self.simulate(u, steps), np.clip(u, float(self.low), float(self.high))
         lengths = np.asarray(_lengths(self.actuators, jnp.asarray(reached.T), jnp.asarray(steps))).T
         rng = np.random.default_rng(seed)
-        probes = np.stack([known[axis].read(poses[:, k], rng) for k, axis in enumerate(AXES)], axis=1)
+        probes = np.stack([channels[axis].read(poses[:, k], rng) for k, axis in enumerate(AXES)], axis=1)
         beyond = int(np.count_nonzero(reached != u))
-        notes = (Note(Code.PREPARED, f"{beyond} commands beyond the amplifiers' limits"),) if beyond else ()
-        return Measured(t, reached, known["gauge"].read(lengths, rng), probes, notes)
+        notes = (Note(Code.PREPARED, f"{beyond} commands beyond the limits of the amplifiers"),) if beyond else ()
+        return StageMeasurement(t, reached, channels["gauge"].read(lengths, rng), probes, notes)
 
     def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:
-        """Measured poses: one record an axis, its input the voltage of the actuator that moves it most. See `measure`."""
+        """Measured poses: one record an axis, over the voltage of the actuator that moves it most. Args as `measure`."""
         measured = self.measure(t, u, seed=seed, sensors=sensors)
         strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
         return {axis: measured.record(axis, int(strongest[k])) for k, axis in enumerate(AXES)}
 
     def sensors(self) -> dict[str, Sensor]:
-        """5 nm of noise and 1 nm of resolution at the probes and the gauges."""
+        """Default sensors: 5 nm of noise and 1 nm of resolution at the probes and the gauges."""
         arm = float(self.kinematics.arm)
         return {"x": Sensor(), "y": Sensor(), "theta": Sensor(0.005 / arm, 0.001 / arm), "gauge": Sensor()}
-
-    def scattered(self, count: int, *, spread: Mapping[str, float], seed: int) -> Stage:
-        """`count` stages whose actuators scatter about the first one's: one stage with a leading axis on every number."""
-        first = jax.tree.map(lambda leaf: leaf[0], self.actuators)
-        many = population(first, 3 * count, spread=spread, seed=seed)
-        grouped = jax.tree.map(lambda leaf: leaf.reshape(count, 3, *leaf.shape[1:]), many)
-        repeated = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), self)
-        return eqx.tree_at(lambda stage: stage.actuators, repeated, grouped)
 
 
 _run = eqx.filter_jit(lambda stage, u, dt: stage.run(u, dt))
 _lengths = eqx.filter_jit(
-    lambda actuators, u, dt: jax.vmap(lambda model, own: simulate(model, own, dt)[0])(actuators, u)
+    lambda actuators, u, dt: jax.vmap(lambda model, voltage: simulate(model, voltage, dt)[0])(actuators, u)
 )
 
 
-def refine(u: np.ndarray, dt: np.ndarray, finer: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs (T, ...) and steps (T,) on a grid `finer` times as fine, the input linear between samples; row k becomes row finer * k."""
+def upsample(u: np.ndarray, dt: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs and time steps on a finer grid, the input linear between samples; row k becomes row factor * k.
+
+    Args:
+        u: inputs, shape (T, ...).
+        dt: time steps, shape (T,).
+        factor: steps on the finer grid for each of `dt`.
+    """
     count = len(u)
-    at = np.arange(finer * (count - 1) + 1) / finer
+    at = np.arange(factor * (count - 1) + 1) / factor
     low = np.minimum(at.astype(int), count - 2)
     part = (at - low).reshape(-1, *[1] * (u.ndim - 1))
     fine = u[low] + part * (u[low + 1] - u[low])
-    steps = np.concatenate([dt[:1], np.repeat(dt[1:] / finer, finer)])
+    steps = np.concatenate([dt[:1], np.repeat(dt[1:] / factor, factor)])
     return fine, steps
 
 
@@ -200,12 +247,12 @@ def axis_plant(
     gain: float = 103.0 / 12.0,
     mode: tuple[float, float] | None = MODES["x"],
 ) -> Series:
-    """One actuator through the lever on one axis: a model of voltage to platform displacement [um], for loops of one axis.
+    """One actuator and the lever on one axis: a model of voltage [V] to platform displacement [um].
 
     Args:
         actuator: Bouc-Wen hysteresis and creep in a `Series`; `piezo()` if None.
         gain: platform over actuator displacement.
-        mode: natural frequency [Hz] and damping ratio of the axis, None for none.
+        mode: natural frequency [Hz] and damping ratio of the axis; None for a rigid axis.
 
     Raises:
         ParameterError: an actuator of another structure.
@@ -229,24 +276,42 @@ def axis_plant(
 
 
 def perturbed(actuator: Series, **factors: float) -> Series:
-    """The same actuator with parameters times factors: c, mu, tau, delta, gamma.
+    """The actuator with its parameters c, mu, tau, delta and gamma multiplied by factors.
 
     Raises:
-        ParameterError: an unknown name, or a value beyond its bounds.
+        ParameterError: an unknown name, or a value outside its bounds.
     """
     known = ("c", "mu", "tau", "delta", "gamma")
     unknown = [name for name in factors if name not in known]
     if unknown:
         raise ParameterError(f"no parameter {unknown[0]!r} to perturb; there are {', '.join(known)}")
-    get = lambda name: factors.get(name, 1.0)
+    factor = lambda name: factors.get(name, 1.0)
     hysteresis, creep, *rest = actuator.parts
     hysteresis = dataclasses.replace(
         hysteresis,
-        c=hysteresis.c * get("c"),
-        mu=hysteresis.mu * get("mu"),
-        tau=hysteresis.tau * get("tau"),
-        rho=hysteresis.rho * get("delta") / get("tau"),
+        c=hysteresis.c * factor("c"),
+        mu=hysteresis.mu * factor("mu"),
+        tau=hysteresis.tau * factor("tau"),
+        rho=hysteresis.rho * factor("delta") / factor("tau"),
     )
-    made = Series(hysteresis, dataclasses.replace(creep, gamma=creep.gamma * get("gamma")), *rest)
-    ParameterSpace.of(made)  # refuses what is beyond the bounds
-    return made
+    scaled = Series(hysteresis, dataclasses.replace(creep, gamma=creep.gamma * factor("gamma")), *rest)
+    ParameterSpace.of(scaled)  # raises outside the bounds
+    return scaled
+
+
+def drive_in_turn(t: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One signal for each actuator in turn, for `identify_jacobian`.
+
+    Args:
+        t: times of the signal [s], shape (T,).
+        u: the signal [V], shape (T,). Each actuator rests on its first value before its turn and on its last value after it.
+
+    Returns:
+        Times, shape (3 T,), and voltages, shape (3 T, 3).
+    """
+    length, step = t.size, float(np.median(np.diff(t)))
+    volts = np.concatenate([np.full((3 * length, 1), u[0])] * 3, axis=1)
+    for k in range(3):
+        volts[k * length : (k + 1) * length, k] = u
+        volts[(k + 1) * length :, k] = u[-1]
+    return np.concatenate([t + k * (t[-1] - t[0] + step) for k in range(3)]), volts

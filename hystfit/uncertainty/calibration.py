@@ -1,4 +1,4 @@
-"""Simulation-based calibration (Talts et al. 2018) and coverage of one's own set-up: do the error bars hold what they promise?
+"""Simulation-based calibration (Talts et al. 2018): whether the error bars of a setup have the coverage that they claim.
 
 Parameters are drawn from the prior, data simulated with a noise model, the posterior found, and the rank of the truth
 among its draws noted. If all is right the ranks are uniform. With another noise model assumed than the true one, the same
@@ -19,17 +19,19 @@ from scipy.stats import binom
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.inference.noise import AbstractNoise, make_noise
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
+from hystfit.outcome import Column, Status, Table
 from hystfit.uncertainty.replicate_pool import collect
-from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, valued_noise
+from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, typical_noise
 
 SCHEMA = "hystfit.calibrate/1"
-_FEWEST = 20  # replicates below which nothing can be miscalibrated
-_IDEAL = 40_000  # sets of uniform ranks against which those of a study are held
+_FEWEST = 20  # replicates below which no conclusion is possible
+_IDEAL = 40_000  # simulated sets of uniform ranks, with which those of a study are compared
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,10 +43,10 @@ class Calibration:
         ranks: shape (replicates, parameters), 0 to `of`; failed replicates left out.
         of: number of posterior draws.
         errors: posterior mean less truth, in posterior standard deviations, same shape.
-        failures: (replicate, reason) of those that failed.
+        failures: (replicate, reason) of failed replicates.
         method, truth, assumed: see `Study`.
         model: name.
-        broken: a sentence on each chunk that ended with an error.
+        broken: the error of each chunk that ended with one.
     """
 
     names: tuple[str, ...]
@@ -61,8 +63,8 @@ class Calibration:
     def p_values(self) -> np.ndarray:
         """Uniformity of the ranks by the largest distance of their ECDF from the straight line; small means miscalibrated."""
         ideal = _ideal_distances(len(self.ranks), self.of)
-        own = _distance(self.ranks.T, self.of)
-        return (1 + np.sum(ideal >= own[:, None] - 1e-12, axis=1)) / (ideal.size + 1)
+        distances = _distance(self.ranks.T, self.of)
+        return (1 + np.sum(ideal >= distances[:, None] - 1e-12, axis=1)) / (ideal.size + 1)
 
     def coverage(self, level: float = 0.95) -> np.ndarray:
         """Part of the replicates whose central interval of this level holds the truth, by parameter."""
@@ -70,35 +72,43 @@ class Calibration:
         return np.mean(np.abs(place - 0.5) < 0.5 * level, axis=0)
 
     def coverage_band(self, level: float = 0.95, confidence: float = 0.99) -> tuple[float, float]:
-        """Between which a right coverage lies by chance."""
+        """Limits within which the coverage of correct error bars lies with probability `confidence`."""
         n = len(self.ranks)
         exact = np.sum(np.abs((np.arange(self.of + 1) + 0.5) / (self.of + 1) - 0.5) < 0.5 * level) / (self.of + 1)
         low, high = binom.ppf([0.5 - confidence / 2, 0.5 + confidence / 2], n, exact) / n
         return float(low), float(high)
 
     def passes(self, false_alarm: float = 0.01) -> bool:
-        """No parameter's ranks are less uniform than chance allows at this rate for the whole study; failures stay below 5 %."""
+        """Whether the ranks are uniform at this false-alarm rate for the whole study, with at most 5 % failed replicates."""
         enough = len(self.failures) <= 0.05 * (len(self.ranks) + len(self.failures))
         return bool(enough and len(self.ranks) > 0 and self.p_values().min() * len(self.names) > false_alarm)
 
     @property
-    def status(self) -> str:
-        """ "ok", "miscalibrated", "too-few" (replicates for any verdict) or "failed" (every replicate did)."""
+    def status(self) -> Status:
+        """`Status.OK`, MISCALIBRATED, TOO_FEW (replicates for a conclusion) or FAILED (all of them)."""
         if not len(self.ranks):
-            return "failed"
+            return Status.FAILED
         if not self.passes():
-            return "miscalibrated"
-        return "ok" if len(self.ranks) >= _FEWEST else "too-few"
+            return Status.MISCALIBRATED
+        return Status.OK if len(self.ranks) >= _FEWEST else Status.TOO_FEW
+
+    @property
+    def usable(self) -> bool:
+        """Whether the status is `Status.OK`."""
+        return self.status.usable
 
     @property
     def advice(self) -> str:
         """What to do about the status, in one sentence."""
-        return {
-            "ok": "the error bars of this set-up hold, as far as this number of replicates tells",
-            "miscalibrated": "the error bars of this set-up do not hold: another noise model, or another input (hystfit design)",
-            "too-few": f"fewer than {_FEWEST} replicates tell nothing: 200 or more are a verdict",
-            "failed": "no replicate could be fitted: the reasons are listed; hold parameters that the data do not determine",
-        }[self.status]
+        return self.status.advice("calibrate")
+
+    def table(self) -> Table:
+        """p-value and coverage of the 95 % intervals of each parameter."""
+        known = len(self.ranks) > 0
+        p = self.p_values().tolist() if known else [None] * len(self.names)
+        covered = self.coverage().tolist() if known else [None] * len(self.names)
+        columns = [Column("", key="name"), Column("p", form=".4f"), Column("coverage", key="coverage95", form=".1%")]
+        return Table(columns, list(zip(self.names, p, covered, strict=True)))
 
     def __repr__(self) -> str:
         return str(self)
@@ -110,26 +120,22 @@ class Calibration:
         ]
         if len(self.ranks):
             low, high = self.coverage_band()
-            lines += [f"95 % intervals should cover {low:.1%} to {high:.1%}", f"{'':12} {'p':>8} {'covered':>8}"]
-            rows = zip(self.names, self.p_values(), self.coverage(), strict=True)
-            lines += [f"{name:12} {p:8.4f} {c:8.1%}" for name, p, c in rows]
+            count = len(self.ranks)
+            lines.append(f"with {count} replicates, {low:.1%} to {high:.1%} coverage is consistent with 95 %")
+            lines += self.table().lines()
         lines += [f"replicate {k} failed: {why}" for k, why in self.failures[:10]]
-        if self.status != "ok":
+        if not self.usable:
             lines.append(self.advice)
         return "\n".join(lines + list(self.broken))
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
-        p = self.p_values() if len(self.ranks) else [None] * len(self.names)
-        c = self.coverage() if len(self.ranks) else [None] * len(self.names)
-        rows = {
-            n: {"p": None if a is None else float(a), "coverage95": None if b is None else float(b)}
-            for n, a, b in zip(self.names, p, c, strict=True)
-        }
-        own = {k: getattr(self, k) for k in ("model", "status", "truth", "assumed", "method", "of")}
+        rows = {row.pop("name"): row for row in self.table().to_list()}
+        fields = {k: getattr(self, k) for k in ("model", "truth", "assumed", "method", "of")}
         return {
             "schema": SCHEMA,
-            **own,
+            **fields,
+            "status": str(self.status),
             "advice": self.advice,
             "replicates": len(self.ranks),
             "failures": [list(f) for f in self.failures],
@@ -192,21 +198,21 @@ def calibrate(
     scheduler: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Calibration:
-    """Calibrate a set-up by simulation.
+    """Calibrate a setup by simulation.
 
     Args:
         model: its present values center the priors; a name starts from the data.
-        data: records that give inputs and times; their outputs only scale the noise and start a model given by name.
+        data: provide inputs and times; their outputs only scale the noise and start a model given by name.
         noise: the true noise, a model with values or a name (then of 1 % of the output's range).
         assumed: noise model of the inference; the true one by default.
         method: "laplace" (least squares), "nuts", or "emcee" (up to ten parameters).
-        replicates: how many; at least 200 for a verdict worth its name.
+        replicates: how many; at least 200 for a conclusion.
         spread: relative width of the priors about the model's values.
         priors: the user's own, by name.
         fix: parameters to hold.
         free: parameters to fit that the model holds.
         seed: of everything.
-        folder: keeps finished chunks; the same call goes on from them.
+        folder: keeps finished chunks; the same call resumes from them.
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
         progress: called with a line after each chunk.
@@ -227,11 +233,11 @@ def calibrate(
         model = make_model(model).start(list(records))
     problem = Problem(model, records, fix=fix, free=free)
     fixed_model, held = problem.space.template, tuple(name for name, _, _ in problem.space.fixed())
-    truth = valued_noise(noise, problem) if isinstance(noise, str) else noise
-    make_noise(assumed or truth.name)
-    choose_priors(problem.space, priors, problem.space.vector(fixed_model))  # says what is wrong with the user's own
-    given = dict(priors or {})
-    study = Study(fixed_model, records, truth, assumed or truth.name, method, spread, given, held, tuple(free), seed)
+    truth = typical_noise(noise, problem) if isinstance(noise, str) else noise
+    assumed = assumed or NOISES.label(truth)
+    NOISES.find(assumed)
+    choose_priors(problem.space, priors, problem.space.vector(fixed_model))  # refuses unusable priors before any work
+    study = Study(fixed_model, records, truth, assumed, method, spread, dict(priors or {}), held, tuple(free), seed)
     if method == "emcee" and len(problem.space) > 10:
         raise ParameterError(
             f"emcee is for up to 10 parameters, the model has {len(problem.space)}: use nuts or laplace"
@@ -239,10 +245,10 @@ def calibrate(
     chunks, broken = collect(study, -(-replicates // CHUNK), folder, workers, scheduler, progress)
     joined = {k: np.concatenate([chunk[k] for chunk in chunks])[:replicates] for k in ("ranks", "errors", "reason")}
     good = joined["reason"] == 0
-    failed = tuple((int(k), REASONS[int(joined["reason"][k])]) for k in np.flatnonzero(~good))
+    failures = tuple((int(k), REASONS[int(joined["reason"][k])]) for k in np.flatnonzero(~good))
     spaces = Spaces(study)
     names = tuple(spaces.names[k] for k in spaces.shared)
     ranks, errors = (joined[k][good][:, spaces.shared] for k in ("ranks", "errors"))
     return Calibration(
-        names, ranks, RANKS, errors, failed, method, truth.name, study.assumed, model_name(fixed_model), tuple(broken)
+        names, ranks, RANKS, errors, failures, method, truth.name, study.assumed, model_name(fixed_model), tuple(broken)
     )

@@ -1,19 +1,13 @@
-"""What a fit says about drift: how much of the way a loop's mean moves with time its creep explains."""
+"""How much of the drift of a loop's mean the creep of a fitted model explains."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.errors import DataError, ModelError
-from hystfit.fitting.again import problem_of
-from hystfit.models.creep import LinearCreep, LogCreep
-from hystfit.models.free_run import free_run
 from hystfit.quality.drift import cycle_means, drift
 from hystfit.quality.loops import cycles
 from hystfit.results.result import FitResult
@@ -31,7 +25,7 @@ class DriftExplained:
         modeled: the same slope in the fit's free run.
         stderr: of `modeled`, from the fit's covariance; None where that is not known.
         without_creep: the slope when the creep is taken out of the fitted model: what its hysteresis settles by.
-        left: slope of what the fit leaves of the means.
+        left: slope of the residual means.
         cycles: number of cycles compared.
         unit: of y.
     """
@@ -70,7 +64,8 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     """
     number = 0 if name is None else [record.name for record in result.data].index(result.data[name].name)
     record, model = result.data[number], result.models[number]
-    if not any(_creeps(node) for node in jax.tree.leaves(model, is_leaf=_creeps)):
+    still = model.without_creep()
+    if still is None:
         raise ModelError(f"{result.name} has no creep: fit a model with creep or log-creep in it")
     y = np.where(record.used, record.y, np.nan)
     loops = cycles(record.u, _TURN * float(np.ptp(record.u)))
@@ -87,31 +82,17 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
         return float(np.polyfit(np.log10(moment[found.skipped :]), means[found.skipped :], 1)[0])
 
     run = result.predict(record)
-    still = free_run(jax.tree.map(_quiet, model, is_leaf=_creeps), record.u, record.dt)
-    problem, x = problem_of(result)
+    problem, x = result.problem, result.x
     return DriftExplained(
         measured=found.per_decade,
         r2=found.r2_log,
         modeled=slope(run),
-        stderr=_error(lambda at: slope(problem.predict_at(at)[number]), x, result.covariance),
-        without_creep=slope(still),
+        stderr=_error(lambda at: slope(problem.predict(at)[number]), x, result.covariance),
+        without_creep=slope(still.free_run(record.u, record.dt)),
         left=slope(y - run),
         cycles=found.cycles,
         unit=record.y_unit,
     )
-
-
-def _creeps(node: Any) -> bool:
-    return isinstance(node, (LogCreep, LinearCreep))
-
-
-def _quiet(node: Any) -> Any:
-    """The same without creep."""
-    if isinstance(node, LogCreep):
-        return eqx.tree_at(lambda creep: creep.gamma, node, jnp.zeros_like(node.gamma))
-    if isinstance(node, LinearCreep):
-        return eqx.tree_at(lambda creep: creep.a, node, jnp.zeros_like(node.a))
-    return node
 
 
 def _error(function: Any, x: np.ndarray, covariance: np.ndarray) -> float | None:

@@ -1,4 +1,4 @@
-"""The next excitation: which input within the actuator's limits shrinks the errors most (locally D- or A-optimal design)."""
+"""The next excitation: the input within the actuator's limits that reduces the standard errors most (locally D- or A-optimal design)."""
 
 from __future__ import annotations
 
@@ -10,34 +10,36 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
-from hystfit.fitting.again import problem_of
 from hystfit.fitting.covariance import describe
 from hystfit.models.base import run, simulate
+from hystfit.outcome import Code, Column, Note, Severity, Status, Table
+from hystfit.outcome.note import warn
 from hystfit.params.coordinates import REAL, Coordinates
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.design/1"
 _TURNS = 14  # turning levels of the optimized input
-_LOOSE = 0.5  # relative error above which a combination counts as open
+_LOOSE = 0.5  # relative error above which a combination counts as undetermined
 _PRIOR = 3.0  # standard deviation in relative size that each parameter has before any measurement
-_UNKNOWN = 0.5  # part of that prior above which an error is the prior's, not the data's
+_UNKNOWN = 0.5  # fraction of that prior above which a standard error comes from the prior, not from the data
 
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """An input and the errors it promises.
+    """An input and the standard errors predicted for it.
 
     Attributes:
         name: of its family.
         u: input, shape (T,).
-        stderr: predicted standard errors, physical units, by parameter, together with the present data; None where that leaves a
-            parameter open.
-        score: what was minimized (mean log error of the parameters aimed at).
+        stderr: predicted standard errors, physical units, by parameter, together with the present data; None for
+            parameters that remain undetermined.
+        score: what was minimized (mean log error of the parameters in `aim`).
     """
 
     name: str
@@ -48,16 +50,16 @@ class Candidate:
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """Inputs ranked by what they promise.
+    """Inputs ranked by their predicted standard errors.
 
     Attributes:
         result: the fit.
         candidates: best first.
-        present: predicted errors with the present data alone; None for parameters that these leave open.
+        present: predicted errors with the present data alone; None for parameters that they do not determine.
         aim: parameters whose errors count.
-        closes: undetermined combinations, in words, that the best input determines.
+        closes: undetermined combinations of parameters, as text, that the best input determines.
         dt: sampling interval; None where the records have no time.
-        notes: one sentence each.
+        notes: on the fit and on what the input determines.
     """
 
     result: FitResult
@@ -66,17 +68,17 @@ class Design:
     aim: tuple[str, ...]
     closes: tuple[str, ...]
     dt: float | None
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     @property
-    def status(self) -> str:
-        """ "ok", or "no-loop" where the fit saw none: what such a model promises means nothing."""
-        return "no-loop" if self.result.status == "no-loop" else "ok"
+    def status(self) -> Status:
+        """`Status.NO_LOOP` where the fit had no loop: its predictions are meaningless; else `Status.OK`."""
+        return Status.NO_LOOP if self.result.status is Status.NO_LOOP else Status.OK
 
     @property
     def usable(self) -> bool:
         """Whether the status is "ok"."""
-        return self.status == "ok"
+        return self.status.usable
 
     @property
     def best(self) -> Candidate:
@@ -84,35 +86,37 @@ class Design:
         return self.candidates[0]
 
     def record(self, seed: int = 0, sigma: float | None = None) -> Record:
-        """What measuring the best input would give if the fitted model were true, with white noise (the fit's by default)."""
+        """A simulated measurement of the best input, with white noise.
+
+        Args:
+            seed: of the noise.
+            sigma: its standard deviation [y]; that of the residuals by default.
+        """
         u = self.best.u
         t = None if self.dt is None else np.arange(u.size) * self.dt
         y = np.asarray(simulate(self.result.model, u, self.dt)[0])
         sd = self.result.sigma if sigma is None else sigma
         return Record(u=u, y=y + sd * np.random.default_rng(seed).normal(size=u.size), t=t, name="designed")
 
-    def __repr__(self) -> str:
-        return str(self)
+    def table(self) -> Table:
+        """Predicted standard errors with the present data alone, and together with each candidate."""
+        columns = [Column("")]
+        for name in self.present:
+            unit = self.result[name].unit
+            columns.append(Column(f"{name} [{unit}]" if unit else name, key=name, form=".3g"))
+        rows = [("present", self.present)] + [(c.name, c.stderr) for c in self.candidates]
+        return Table(columns, [[label, *(errors[name] for name in self.present)] for label, errors in rows])
 
     def __str__(self) -> str:
-        names = list(self.present)
-        width = max(len("present"), *(len(c.name) for c in self.candidates))
         lines = [
             f"{self.result.name}: next input for {', '.join(self.aim)}",
             "predicted standard errors, present data and the new input:",
+            *self.table().lines(),
         ]
-        units = [self.result[name].unit for name in names]
-        columns = [max(10, len(name), len(unit) + 2) for name, unit in zip(names, units, strict=True)]
-        line = lambda first, cells: (
-            f"{first:{width}}  " + "  ".join(f"{cell:>{column}}" for cell, column in zip(cells, columns, strict=True))
-        )
-        lines.append(line("", names).rstrip())
-        if any(units):
-            lines.append(line("", [f"[{unit}]" if unit else "" for unit in units]).rstrip())
-        rows = [("present", self.present)] + [(c.name, c.stderr) for c in self.candidates]
-        number = lambda error: "-" if error is None else f"{error:.3g}"
-        lines += [line(name, [number(errors[n]) for n in names]) for name, errors in rows]
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
@@ -120,9 +124,9 @@ class Design:
         return {
             "schema": SCHEMA,
             "model": self.result.name,
-            "status": self.status,
+            "status": str(self.status),
             "aim": list(self.aim),
-            "notes": list(self.notes),
+            "notes": [note.to_dict() for note in self.notes],
             "present": self.present,
             "candidates": rows,
             "input": self.best.u.tolist(),
@@ -145,11 +149,11 @@ def design(
     """Propose the next excitation.
 
     Families of signals (one and two amplitudes, decaying, growing, random reversals) and, with "gradient", turning levels
-    moved by the derivative of the simulation are compared by the errors that the linearized model predicts, with the present data's
-    information added and a wide prior. The design is right near the fitted values only: measure, fit again, design again.
+    optimized through the simulation are compared by the standard errors that the linearized model predicts from the present data, the
+    new input and a wide prior. The design is local: measure, fit again, design again.
 
     Args:
-        result: the fit that knows the present uncertainty.
+        result: the fit, with its present standard errors.
         low, high: limits of the actuator; the input range of the fit by default.
         samples: length of the proposed input, at the records' sampling interval.
         aim: parameters whose errors count; all free ones by default.
@@ -162,7 +166,7 @@ def design(
     """
     require_x64()
     require_seed(seed)
-    problem, x = problem_of(result)
+    problem, x = result.problem, result.x
     names = problem.space.names
     chosen = tuple(aim) if aim else names
     unknown = [name for name in chosen if name not in names]
@@ -174,12 +178,12 @@ def design(
         raise ParameterError(f"design needs low < high and at least 100 samples, got {low}, {high} and {samples}")
     c = problem.space.coordinates
     size = _sizes(c, x)
-    sigma = result.sigma * result.honest_ratio
+    sigma = result.sigma * result.error_ratio
     typical = float(np.median(np.concatenate([r.dt for r in result.data])))
     prior = jnp.eye(x.size) / _PRIOR**2
-    own = jnp.asarray([info.per_record for info in problem.space.infos])
-    setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical), own)
-    now = prior + sum(_known(*setting[:3], record, jnp.asarray(k)) for k, record in enumerate(problem.data))
+    per_record = jnp.asarray([info.per_record for info in problem.space.infos])
+    setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical), per_record)
+    now = prior + sum(_present(*setting[:3], record, jnp.asarray(k)) for k, record in enumerate(problem.data))
     counted = jnp.asarray([name in chosen for name in names])
     inputs = _families(low, high, samples, seed)
     if method == "gradient":
@@ -187,8 +191,8 @@ def design(
 
     def errors(matrix: Array) -> dict[str, float | None]:
         relative = np.sqrt(np.diag(np.linalg.inv(np.asarray(matrix))))
-        found = np.where(relative < _UNKNOWN * _PRIOR, relative * size, np.nan)
-        return {name: float(e) if np.isfinite(e) else None for name, e in zip(names, found, strict=True)}
+        known = np.where(relative < _UNKNOWN * _PRIOR, relative * size, np.nan)
+        return {name: float(e) if np.isfinite(e) else None for name, e in zip(names, known, strict=True)}
 
     candidates = []
     for name, u in inputs.items():
@@ -199,27 +203,27 @@ def design(
     present = {name: None if result[name].stderr is None else error for name, error in errors(now).items()}
     notes = []
     if not result.usable:
-        notes.append(f"the fit is not usable ({result.status}): {result.advice}")
-    notes += [
-        f"the input {candidates[0].name!r} determines {words}, which the present data leave open" for words in closes
-    ]
+        text = f"the fit is not usable ({result.status}): {result.advice}"
+        notes.append(Note(Code.FIT_STATUS, text, Severity.ERROR))
+    for combination in closes:
+        text = f"the input {candidates[0].name!r} determines {combination}, which the present data do not"
+        notes.append(Note(Code.CLOSES, text))
     if None in present.values():
-        notes.append(
-            f"each parameter is taken to be known to {_PRIOR:.0%} of its size beforehand; - where the data add nothing to that"
-        )
-    notes.append("the design is local: it holds near the fitted values")
+        text = f"each parameter has a prior of {_PRIOR:.0%} of its size; '-' where the data add no information to that"
+        notes.append(warn(Code.NOT_DETERMINED, text))
+    notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
     dt = None if all(record.t is None for record in result.data) else typical
     return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, tuple(notes))
 
 
 def _sizes(c: Coordinates, x: np.ndarray) -> np.ndarray:
-    """Relative size of each parameter: its own, or its scale where it may be zero."""
+    """Relative size of each parameter: its value, or its scale where it may be zero."""
     scale, kind = np.asarray(c.scale), np.asarray(c.kinds)
     return np.where(kind == REAL, np.maximum(np.abs(x), scale), np.maximum(np.abs(x), 1e-3 * scale))
 
 
-def _known(c: Coordinates, x: Array, scale: Array, record: Record, number: Array) -> Float[Array, "p p"]:
-    """Information about x / size from a record as it was fitted: its own parameters, and the samples that counted."""
+def _present(c: Coordinates, x: Array, scale: Array, record: Record, number: Array) -> Float[Array, "p p"]:
+    """Information about x / size from a record as it was fitted: with its own parameters, and the samples that counted."""
     weight = np.where(record.used, record.weight, 0.0)
     return _information(c, x, scale, *(jnp.asarray(v) for v in (record.u, record.dt, weight)), number)
 
@@ -240,18 +244,20 @@ def _information(
 
 
 @eqx.filter_jit
-def _added(c: Coordinates, x: Array, scale: Array, dt: Array, own: Array, u: Float[Array, " T"]) -> Float[Array, "p p"]:
-    """Information from another record with this input, whose own parameters (`own`, such as its offset) are to be found from it too."""
+def _added(
+    c: Coordinates, x: Array, scale: Array, dt: Array, per_record: Array, u: Float[Array, " T"]
+) -> Float[Array, "p p"]:
+    """Information from a further record with this input, whose own parameters (such as its offset) are unknown."""
     F = _information(c, x, scale, u, jnp.full_like(u, dt), jnp.ones_like(u), jnp.asarray(0))
-    nuisance = jnp.where(own, 1.0, 0.0)
+    nuisance = jnp.where(per_record, 1.0, 0.0)
     A = F * nuisance
-    inner = A * nuisance[:, None] + jnp.diag(jnp.where(own, _PRIOR**-2, 1.0))
-    left = F - A @ jnp.linalg.solve(inner, A.T)
-    return left * (1 - nuisance) * (1 - nuisance)[:, None]
+    inner = A * nuisance[:, None] + jnp.diag(jnp.where(per_record, _PRIOR**-2, 1.0))
+    rest = F - A @ jnp.linalg.solve(inner, A.T)
+    return rest * (1 - nuisance) * (1 - nuisance)[:, None]
 
 
 def _score(matrix: Array, counted: Array) -> Array:
-    """Mean log error of the parameters that count: invariant to their units, and no one of them hides behind the others."""
+    """Mean log standard error of the parameters in `aim`, which does not depend on their units."""
     variance = jnp.diag(jnp.linalg.inv(matrix))
     return 0.5 * jnp.sum(jnp.where(counted, jnp.log(variance), 0.0)) / jnp.sum(counted)
 
@@ -275,7 +281,7 @@ def _families(low: float, high: float, samples: int, seed: int) -> dict[str, np.
 
 
 def _through(levels: Float[Array, " k"], samples: int, start: float) -> Float[Array, " T"]:
-    """Straight ways between turning levels, of equal duration."""
+    """Ramps of equal duration between turning levels."""
     at = jnp.linspace(0.0, levels.shape[0], samples)
     return jnp.interp(at, jnp.arange(levels.shape[0] + 1.0), jnp.concatenate([jnp.full(1, start), levels]))
 
@@ -292,30 +298,29 @@ def _optimize(
         u = _through(middle + half * jnp.tanh(w), samples, middle)
         return _score(now + _added(*setting, u), counted)
 
+    adam = optax.adam(0.1, b2=0.99, eps=1e-9)
+
     @eqx.filter_jit
     def descend(w: Array, setting: tuple[Any, ...], now: Array) -> tuple[Array, Array]:
-        def once(carry: tuple[Array, ...], k: Array) -> tuple[tuple[Array, ...], None]:
-            w, mean, square, best, least = carry
+        def once(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
+            w, state, best, least = carry
             value, g = jax.value_and_grad(score)(w, setting, now)
             better = value < least
             best, least = jnp.where(better, w, best), jnp.where(better, value, least)
-            g = jnp.where(jnp.isfinite(g), g, 0.0)
-            mean, square = 0.9 * mean + 0.1 * g, 0.99 * square + 0.01 * g**2
-            step = mean / (1 - 0.9**k) / (jnp.sqrt(square / (1 - 0.99**k)) + 1e-9)
-            return (w - 0.1 * step, mean, square, best, least), None
+            update, state = adam.update(jnp.where(jnp.isfinite(g), g, 0.0), state)
+            return (w + update, state, best, least), None
 
-        zero = jnp.zeros_like(w)
-        begin = (w, zero, zero, w, jnp.asarray(jnp.inf))
-        _, _, _, best, least = jax.lax.scan(once, begin, jnp.arange(1.0, steps + 1))[0]
+        begin = (w, adam.init(w), w, jnp.asarray(jnp.inf))
+        _, _, best, least = jax.lax.scan(once, begin, length=steps)[0]
         return best, least
 
-    found = [descend(jnp.asarray(w), setting, now) for w in starts]
-    best = min(found, key=lambda one: float(one[1]))[0]
+    ends = [descend(jnp.asarray(w), setting, now) for w in starts]
+    best = min(ends, key=lambda end: float(end[1]))[0]
     return np.asarray(_through(middle + half * jnp.tanh(best), samples, middle))
 
 
 def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str]:
-    """Combinations that the data left open (a relative error above one half) and the new input determines."""
+    """Combinations that the present data do not determine (a relative error above one half) and the new input does."""
     values, vectors = np.linalg.eigh(before)
     return [
         describe(v, names)

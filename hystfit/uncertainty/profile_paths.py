@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.fitting.generalized import Whitened
 from hystfit.inference.newton import descend
+from hystfit.inference.whitened import Whitened
 
 _STEPS = 24  # points on each side at most
-_STRIDE = 0.6  # aimed rise of the root statistic from point to point
-_FAR = 12.0  # way in z beyond which a side is called open: a factor of 160 000, or within 6e-6 of a bound
+_STRIDE = 0.6  # target rise of the root statistic from point to point
+_FAR = 12.0  # distance in z beyond which a side counts as open: a factor of 160 000, or within 6e-6 of a bound
 _FITS = 12  # Levenberg-Marquardt steps at each point
 
 
@@ -21,16 +21,23 @@ _FITS = 12  # Levenberg-Marquardt steps at each point
 def follow_all(
     whitened: Whitened, x: Array, moving: Array, at: Array, wider: Array, limit: float
 ) -> tuple[Float[Array, "sides n"], Float[Array, "sides n"], Array, Float[Array, "sides p"]]:
-    """Paths to both sides of each parameter: (z, statistic, whether each point counts, the optimum), sides first down then up."""
+    """Paths to both sides of each parameter.
+
+    Args:
+        whitened: the whitened problem.
+        x: where the fit ended, physical, shape (p,).
+        moving: parameters that are refitted, shape (p,), bool.
+        at: positions of the parameters to profile.
+        wider: reported over i.i.d. standard error of each of them.
+        limit: of the statistic, where a path ends.
+
+    Returns:
+        z along each path, the statistic, whether each point counts, and the optimum; for each parameter first down, then up.
+    """
     c = whitened.objective.coordinates
     start = c.unconstrained(x)
 
-    def normal(z: Array) -> tuple[Array, Array, Array]:
-        slope = c.slope(z)
-        value, g, matrix = whitened.normal(c.physical(z))
-        return value, g * slope, matrix * slope[:, None] * slope[None, :]
-
-    cost = lambda z: whitened.cost(c.physical(z))
+    cost, normal = whitened.cost_at, whitened.normal_at
     start, _, _ = descend(cost, normal, start, moving, 50, 1e-10)  # a fit's tolerance is wide beside a profile's
     least, _, matrix = normal(start)
     floor = jnp.where(moving, 0.0, 1.0)
@@ -46,7 +53,7 @@ def follow_all(
         def walk(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
             z, step, before, done = carry
             ahead = z.at[k].add(sign * step)
-            found, value, _ = jax.lax.cond(
+            refit, value, _ = jax.lax.cond(
                 done,
                 lambda a: (a, least, jnp.ones((), bool)),
                 lambda a: descend(cost, normal, a, others, _FITS, 1e-4),
@@ -55,9 +62,9 @@ def follow_all(
             root = jnp.sqrt(jnp.maximum(2 * (value - least), 0.0)) / wider
             rise = jnp.maximum(root - before, 1e-3)
             change = jnp.clip(_STRIDE / rise, 0.4, 3.0)
-            kept = jnp.where(done, z, found)
-            over = (root**2 > 1.3 * limit) | (jnp.abs(found[k] - start[k]) > _FAR)
-            out = (found[k], root**2, ~done)
+            kept = jnp.where(done, z, refit)
+            over = (root**2 > 1.3 * limit) | (jnp.abs(refit[k] - start[k]) > _FAR)
+            out = (refit[k], root**2, ~done)
             return (kept, jnp.minimum(step * change, 2.0), jnp.where(done, before, root), done | over), out
 
         begin = (start, first, jnp.zeros(()), jnp.zeros((), bool))

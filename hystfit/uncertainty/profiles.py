@@ -1,33 +1,33 @@
-"""Profile likelihoods: each parameter held along a path, all others refitted; limits, or on which side there are none.
+"""Profile likelihoods: each parameter held along a path, all others refitted; confidence limits, or open sides.
 
-Curvature at the optimum sees no further than the optimum; a profile says where the data stop objecting (Raue et al. 2009;
-Wieland et al. 2021).
+The curvature at the optimum is local; a profile follows the likelihood as far as it matters (Raue et al. 2009; Wieland et al. 2021).
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from scipy.stats import chi2
 
 from hystfit.config import require_x64
 from hystfit.errors import ParameterError
-from hystfit.fitting.again import problem_of
-from hystfit.fitting.covariance import error_ratios, near_bound
-from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.generalized import Whitened, linearize, refine
-from hystfit.inference.noise import Setting, White
-from hystfit.inference.problem import Objective
+from hystfit.fitting.covariance import error_ratios
+from hystfit.fitting.noise_refinement import refine_moving
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.noise.white import White
+from hystfit.inference.problem import Problem
+from hystfit.inference.whitened import Whitened
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
+from hystfit.params.space import ParameterSpace
 from hystfit.params.units import axis_label
 from hystfit.results.result import FitResult
-from hystfit.sampling.setup import trimmed
 from hystfit.uncertainty.profile_paths import crossing, follow_all
 
 SCHEMA = "hystfit.profile/1"
@@ -41,9 +41,9 @@ class Profile:
         name, unit: of the parameter.
         value: at the optimum.
         x: values along the path, rising, shape (n,).
-        statistic: twice the loss of log likelihood there, shape (n,).
+        statistic: -2 delta log likelihood there, shape (n,).
         lower, upper: confidence limits; None where that side is open.
-        open_lower, open_upper: where an open side leads, in words; None where there is a limit.
+        open_lower, open_upper: the bound or infinity towards which a side is open, as text; None where there is a limit.
     """
 
     name: str
@@ -65,9 +65,12 @@ class Profile:
         return str(self)
 
     def __str__(self) -> str:
-        side = lambda limit, words: words if limit is None else f"{limit:.5g}"
-        ends = f"{side(self.lower, self.open_lower)} to {side(self.upper, self.open_upper)}"
-        return f"{self.name} = {self.value:.5g} {self.unit}: {ends}".replace(" :", ":")
+        if not self.closed and self.lower is None and self.upper is None:
+            limits = "not bounded by the data on either side"
+        else:
+            side = lambda limit, bound: f"not bounded (open to {bound})" if limit is None else f"{limit:.5g}"
+            limits = f"{side(self.lower, self.open_lower)} to {side(self.upper, self.open_upper)}"
+        return f"{self.name} = {self.value:.5g} {self.unit}: {limits}".replace(" :", ":")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,20 +81,25 @@ class Profiles:
         result: the fit.
         profiles: by parameter.
         level: of the limits.
-        noise: how misfit was counted.
-        notes: parameters left out and open sides, one sentence each.
+        noise: noise model of the likelihood, as text.
+        notes: open sides, parameters on a bound, and other optima.
     """
 
     result: FitResult
     profiles: dict[str, Profile]
     level: float
     noise: str
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
+
+    @property
+    def status(self) -> Status:
+        """`Status.OK` where every profile has both limits, else `Status.OPEN`."""
+        return Status.OK if all(profile.closed for profile in self.profiles.values()) else Status.OPEN
 
     @property
     def usable(self) -> bool:
-        """Every profile has both limits."""
-        return all(profile.closed for profile in self.profiles.values())
+        """Whether every profile has both limits."""
+        return self.status.usable
 
     def __getitem__(self, name: str) -> Profile:
         return self.profiles[name]
@@ -112,8 +120,8 @@ class Profiles:
         return {
             "schema": SCHEMA,
             "model": self.result.name,
-            "status": "ok" if self.usable else "open",
-            "notes": list(self.notes),
+            "status": str(self.status),
+            "notes": [note.to_dict() for note in self.notes],
             "level": self.level,
             "noise": self.noise,
             "profiles": rows,
@@ -137,7 +145,7 @@ class Profiles:
             ax.locator_params(axis="x", nbins=4)
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:
-            row[0].set_ylabel("twice the loss of log likelihood", fontsize=8)
+            row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
         axes[0, 0].legend(fontsize=8, frameon=False)
         return figure
 
@@ -146,7 +154,7 @@ def profile(
     result: FitResult,
     names: Sequence[str] | None = None,
     *,
-    noise: Literal["auto", "iid", "ou", "ar1", "discrepancy"] = "auto",
+    noise: str | type[AbstractNoise] = "auto",
     level: float = 0.95,
 ) -> Profiles:
     """Profile likelihoods of a fit's parameters.
@@ -154,9 +162,9 @@ def profile(
     Args:
         result: the fit.
         names: parameters; all free ones by default.
-        noise: "auto" counts misfit as the fit's errors do: with its noise model if it had one, else by the sum of squares, which for
-            correlated residuals counts less by the square of each parameter's honest over its plain error (Kent 1982); or a noise
-            model by name, whose values are taken at the optimum.
+        noise: "auto" uses the noise of the fit: its noise model if it had one, else the sum of squares, which for autocorrelated
+            residuals is divided by the square of each parameter's reported over its i.i.d. standard error (Kent 1982); or a noise
+            model, whose values are those at the optimum.
         level: of the limits, by chi squared with one degree of freedom.
 
     Raises:
@@ -165,12 +173,12 @@ def profile(
     require_x64()
     if not 0 < level < 1:
         raise ParameterError(f"level must lie between 0 and 1, got {level}")
-    problem, x = problem_of(result)
+    problem, x = result.problem.with_loss("linear"), result.x
     chosen = list(names) if names else list(problem.space.names)
     unknown = [name for name in chosen if name not in problem.space.names]
     if unknown:
         raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(problem.space.names)}")
-    sides = near_bound(problem, x)
+    sides = problem.at_bound(x)
     moving = np.array([side is None for side in sides])
     described, x, whitened, wider = _whitened(result, problem, x, moving, noise)
     at = np.array([problem.space.names.index(name) for name in chosen], dtype=int)
@@ -184,67 +192,60 @@ def profile(
     profiles: dict[str, Profile] = {}
     notes = []
     for k, name in enumerate(chosen):
-        made = _collect(problem.space, int(at[k]), [v[2 * k : 2 * k + 2] for v in traced], limit)
-        profiles[name] = made
-        for words in (made.open_lower, made.open_upper):
-            if words:
-                notes.append(
-                    f"{name} is {words}: the data do not bound it on that side, and no error bar for it means anything"
-                )
+        curve = _collect(problem.space, int(at[k]), [v[2 * k : 2 * k + 2] for v in traced], limit)
+        profiles[name] = curve
+        for bound in (curve.open_lower, curve.open_upper):
+            if bound:
+                text = f"the data do not bound {name} towards {bound}: a symmetric error bar is meaningless"
+                notes.append(warn(Code.OPEN_SIDE, text))
     notes += [
-        f"{name} lies on its {side} bound in the fit"
+        warn(Code.AT_BOUND, f"{name} lies on its {side} bound in the fit")
         for name, side in zip(problem.space.names, sides, strict=True)
         if side
     ]
-    notes += _elsewhere(result, profiles)
+    notes += _other_optimum(result, profiles)
     return Profiles(result, profiles, level, described, tuple(notes))
 
 
-def _elsewhere(result: FitResult, profiles: dict[str, Profile]) -> list[str]:
-    """Where the likelihood is best more than an error away from what was fitted: a ridge held the fit back, or it lies in a valley."""
+def _other_optimum(result: FitResult, profiles: dict[str, Profile]) -> list[Note]:
+    """A note where the likelihood is largest more than a standard error away from the fit: by a ridge penalty, or in a flat valley."""
     moved = []
     for name, p in profiles.items():
         fitted = result[name]
-        apart = abs(p.value - fitted.value)
-        if apart > (0.01 * abs(fitted.value) if fitted.stderr is None else fitted.stderr):
+        distance = abs(p.value - fitted.value)
+        if distance > (0.01 * abs(fitted.value) if fitted.stderr is None else fitted.stderr):
             moved.append(f"{name} {p.value:.4g} (fitted {fitted.value:.4g})")
     if not moved:
         return []
     shown = ", ".join(moved[:6]) + (f" and {len(moved) - 6} more" if len(moved) > 6 else "")
-    return [f"the likelihood, which knows of no ridge, is best elsewhere than the fit: {shown}"]
+    text = f"without the regularization of the fit, the likelihood has its maximum elsewhere: {shown}"
+    return [warn(Code.OTHER_OPTIMUM, text)]
 
 
 def _whitened(
-    result: FitResult, problem: Any, x: np.ndarray, moving: np.ndarray, noise: str
+    result: FitResult, problem: Problem, x: np.ndarray, moving: np.ndarray, noise: str | type[AbstractNoise]
 ) -> tuple[str, np.ndarray, Whitened, np.ndarray]:
-    """How misfit is counted, where the optimum is, the whitened problem, and by how much each parameter's error is wider than there."""
-    batch = trimmed(problem.objective.batch)
-    objective: Objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
-    whole = np.asarray(problem.objective.batch.u)
-    setting = Setting.of(
-        batch, (float(whole.min()), float(whole.max()))
-    )  # lengths of a kernel are in parts of that range
-    if noise == "auto":
-        noise = str((result.provenance.get("noise") or {}).get("name", "auto"))
-    if noise == "student-t":
-        raise ParameterError("profiles need Gaussian noise: use noise='ou', or sample the posterior")
-    if noise not in ("auto", "iid"):
-        refined = refine(problem, Estimate(x, 0.0, True, "", 0, np.zeros(1)), noise, moving)
-        return noise, refined.x, Whitened(objective, refined.noise, setting), np.ones(x.size)
-    r = np.asarray(_residuals(objective, jnp.asarray(x))) * np.sqrt(np.asarray(batch.weight))
-    used = np.asarray(batch.weight) > 0
-    wider = error_ratios(problem, x) if noise == "auto" else np.ones(x.size)
+    """(noise as text, optimum, the whitened problem, reported over i.i.d. standard errors), by which profiles are drawn."""
+    trimmed = problem.trimmed()
+    choice = result.noise.name if noise == "auto" else noise
+    if choice not in ("auto", "iid"):
+        if not NOISES.find(choice).gaussian:  # type: ignore[attr-defined]
+            raise ParameterError("profiles need Gaussian noise: use noise='ou', or sample the posterior")
+        refined = refine_moving(problem, x, choice, moving)
+        return NOISES.label(choice), refined.x, trimmed.whitened(refined.noise), np.ones(x.size)
+    r = problem.residuals(x) * np.sqrt(np.asarray(problem.objective.batch.weight))
+    used = problem.used
+    wider = error_ratios(problem, x) if choice == "auto" else np.ones(x.size)
     sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))
-    words = f"independent, errors times {wider.min():.3g} to {wider.max():.3g}" if np.any(wider != 1) else "independent"
-    return words, x, Whitened(objective, White(noise_white=jnp.asarray(sd)), setting), wider
+    text = "independent"
+    if np.any(wider != 1):
+        text = (
+            f"independent, intervals widened {wider.min():.3g} to {wider.max():.3g} times for autocorrelated residuals"
+        )
+    return text, x, trimmed.whitened(White(noise_white=sd)), wider
 
 
-@eqx.filter_jit
-def _residuals(objective: Objective, x: Array) -> Array:
-    return linearize(objective, x)[0]
-
-
-def _collect(space: Any, k: int, traced: list[np.ndarray], limit: float) -> Profile:
+def _collect(space: ParameterSpace, k: int, traced: list[np.ndarray], limit: float) -> Profile:
     """A profile from the paths down and up in z."""
     c = space.coordinates
     z0 = traced[3][0]
@@ -262,13 +263,13 @@ def _collect(space: Any, k: int, traced: list[np.ndarray], limit: float) -> Prof
     z = np.concatenate([paths[0][0][::-1], [z0[k]], paths[1][0]])
     s = np.concatenate([paths[0][1][::-1], [0.0], paths[1][1]])
     values = physical(z)
-    words = [
-        f"open to {lower:g}, its bound" if kind in (LOWER, BOTH) else "open to -infinity",
-        f"open to {upper:g}, its bound" if kind in (UPPER, BOTH) else "open to +infinity",
+    bounds = [
+        f"its bound {lower:g}" if kind in (LOWER, BOTH) else "-infinity",
+        f"its bound {upper:g}" if kind in (UPPER, BOTH) else "+infinity",
     ]
     if down_is_up:
         ends, values, s = ends[::-1], values[::-1], s[::-1]
-    told = [None if end is not None else word for end, word in zip(ends, words, strict=True)]
+    open_to = [None if end is not None else bound for end, bound in zip(ends, bounds, strict=True)]
     return Profile(
         space.names[k],
         space.units[k],
@@ -277,6 +278,6 @@ def _collect(space: Any, k: int, traced: list[np.ndarray], limit: float) -> Prof
         s,
         ends[0],
         ends[1],
-        told[0],
-        told[1],
+        open_to[0],
+        open_to[1],
     )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Chunk = dict[str, np.ndarray]
 Outcome = tuple[int, Chunk | Exception]
-# Seconds that a scheduler is waited for, and a worker that runs: one that was killed is started anew in less.
+# Seconds to wait for a scheduler and for a running worker; a killed worker is restarted sooner.
 _PATIENCE = 30.0
 _PAUSE = 0.2  # seconds between two looks at tasks on their way
 _GO_ON = "the same call goes on from the chunks that its folder holds, where it was given one"
@@ -40,20 +40,20 @@ def collect(
 
     Raises:
         DataError: the folder holds another study.
-        HystfitError: what a chunk says of settings that cannot be used, or of a missing extra.
+        HystfitError: settings that cannot be used, or a missing extra.
     """
     place = None if folder is None else _claim(Path(folder), study)
     done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
     missing = [k for k in range(count) if k not in done]
     broken = []
-    for k, found in _computed(study, missing, workers, scheduler):
-        if isinstance(found, Exception):
-            broken.append(f"chunk {k} broke: {type(found).__name__}: {found}")
+    for k, outcome in _computed(study, missing, workers, scheduler):
+        if isinstance(outcome, Exception):
+            broken.append(f"chunk {k} broke: {type(outcome).__name__}: {outcome}")
             done[k] = broken_chunk(study)
         else:
-            done[k] = found
+            done[k] = outcome
             if place is not None:
-                keep(_file(place, k), found)
+                keep(_file(place, k), outcome)
         if progress:
             progress(f"{len(done)} of {count} chunks of {CHUNK} replicates")
     return [done[k] for k in sorted(done)], broken
@@ -65,8 +65,8 @@ def _file(place: Path, k: int) -> Path:
 
 def _load(file: Path) -> Chunk | None:
     """A stored chunk; None where there is none, or a damaged one."""
-    found = load(file)
-    return found if found is not None and set(found) == {"ranks", "errors", "reason"} else None
+    outcome = load(file)
+    return outcome if outcome is not None and set(outcome) == {"ranks", "errors", "reason"} else None
 
 
 def _computed(study: Study, numbers: Sequence[int], workers: int, scheduler: str | None) -> Iterator[Outcome]:
@@ -119,7 +119,7 @@ def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Fu
 
 
 def _running(client: Client) -> bool:
-    """Whether any worker takes tasks; not where a scheduler that is going says nothing of them."""
+    """Whether any worker takes tasks; false while a scheduler that shuts down does not answer."""
     try:
         workers = client.scheduler_info(n_workers=-1).get("workers", {})
     except OSError:
@@ -133,7 +133,7 @@ def _knock(scheduler: str) -> None:
     from distributed.comm.registry import get_backend
 
     scheme, _ = parse_address(scheduler)
-    get_backend(scheme)  # ValueError where it knows none
+    get_backend(scheme)  # raises ValueError for an unknown scheme
     if scheme in ("tcp", "tls"):
         socket.create_connection(get_address_host_port(scheduler), timeout=_PATIENCE).close()
 
@@ -153,7 +153,7 @@ def _claim(folder: Path, study: Study) -> Path:
     from hystfit.models.storage import to_json
 
     values = {k: np.asarray(v).tolist() for k, v in vars(study.truth).items() if hasattr(v, "shape")}
-    own = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "free", "seed")}
+    described = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "free", "seed")}
     priors = {k: v.exact() for k, v in study.priors.items()}
-    described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **own}
+    described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **described}
     return claim(folder, "study.json", described | {"inputs": [record.digest() for record in study.data]})

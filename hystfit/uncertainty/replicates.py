@@ -15,14 +15,14 @@ from jaxtyping import Array, Float
 from hystfit.config import enable_x64
 from hystfit.data.record import Dataset
 from hystfit.inference.newton import maximize
-from hystfit.inference.noise import AbstractNoise, Setting, make_noise
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior, priors_around
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.space import ParameterSpace
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Tuning, advance
-from hystfit.sampling.setup import trimmed
 from hystfit.sampling.target import Target
 
 Method = Literal["laplace", "nuts", "emcee"]
@@ -62,47 +62,39 @@ class Study:
     seed: int
 
 
-def valued_noise(name: str, problem: Problem) -> AbstractNoise:
+def typical_noise(name: str, problem: Problem) -> AbstractNoise:
     """A noise model of about 1 % of the output's half range."""
-    noise, size = make_noise(name), 0.01 * problem.scales.y
-    values = {"noise_white": size, "noise_slow": size, "noise_time": 20.0}
-    values |= {"noise_loop": 2 * size, "noise_length": 0.3, "noise_dof": 5.0}
-    own = [k for k in values if hasattr(noise, k)]
-    return eqx.tree_at(lambda n: [getattr(n, k) for k in own], noise, [jnp.asarray(values[k]) for k in own])
+    return NOISES.find(name).of_size(0.01 * problem.scales.y)  # type: ignore[attr-defined]
 
 
 class Spaces:
     """Parameter spaces, priors and the traced posterior of a study.
 
     Attributes:
-        target: the posterior, about the center of the priors; its data are replaced.
-        truth: space of the noise that simulates.
+        target: the posterior, centered on the priors; its data are replaced.
+        truth: space of the noise of the simulation.
         true_priors: of the model's parameters, then of that noise.
         names: of all parameters of the inference.
-        shared: which of them have a truth and a posterior.
+        shared: which of them have a true value and a posterior.
     """
 
     def __init__(self, study: Study):
         problem = Problem(study.model, study.data, fix=study.fix, free=study.free)
-        same = study.assumed == study.truth.name
-        noise = study.truth if same else valued_noise(study.assumed, problem)
+        same = NOISES.find(study.assumed) is type(study.truth)
+        noise = study.truth if same else typical_noise(study.assumed, problem)
         model = problem.space
         assumed, self.truth = (ParameterSpace.of(n, scales=problem.scales) for n in (noise, study.truth))
         around = priors_around(model, model.vector(study.model), study.spread) | dict(study.priors)
         true_priors = priors_around(self.truth, self.truth.vector(study.truth), study.spread)
-        # A noise model that is wrong has no true values: its priors are wide.
+        # A wrong noise model has no true values: its priors are wide.
         noise_priors = true_priors if same else priors_around(assumed, assumed.vector(noise), 2.0)
-        take = lambda table, space: tuple(table[name] for name in space.names)
         self.names = (*model.names, *assumed.names)
-        # Least squares has no posterior of the noise's parameters, and a wrong noise model no truth for them.
+        # Least squares has no posterior of the noise's parameters, and a wrong noise model no true values for them.
         self.shared = np.arange(len(self.names) if same and study.method != "laplace" else len(model))
-        batch = trimmed(problem.objective.batch)
-        objective = eqx.tree_at(lambda o: o.batch, problem.objective, batch)
-        z = np.concatenate(
-            [model.unconstrained(model.vector(study.model)), assumed.unconstrained(assumed.vector(noise))]
-        )
-        priors = take(around, model) + take(noise_priors, assumed)
-        self.target = Target(objective, assumed.coordinates, Setting.of(batch), priors, jnp.asarray(z), jnp.eye(z.size))
+        problem = problem.with_noise(noise, around | noise_priors).trimmed()
+        z = problem.unconstrained(np.concatenate([model.vector(study.model), assumed.vector(noise)]))
+        self.target = Target(problem.density, jnp.asarray(z), jnp.eye(z.size))
+        take = lambda table, space: tuple(table[name] for name in space.names)
         self.true_priors = take(around, model) + take(true_priors, self.truth)
 
 
@@ -122,7 +114,7 @@ def run_chunk(study: Study, number: int) -> dict[str, np.ndarray]:
 
 
 def broken_chunk(study: Study) -> dict[str, np.ndarray]:
-    """What stands for a chunk that ended with an error: every replicate failed."""
+    """The result of a chunk that ended with an error: every replicate failed."""
     shape = (CHUNK, len(Spaces(study).names))
     return {"ranks": np.zeros(shape, int), "errors": np.full(shape, np.nan), "reason": np.full(CHUNK, 3)}
 
@@ -133,14 +125,16 @@ def _simulated(
     """True parameters of model and noise, and the target with the data that they give."""
     first, second = jax.random.split(key)
     x = jnp.stack([p.sample(k) for p, k in zip(priors, jax.random.split(first, len(priors)), strict=True)])
-    noise = truth.assemble(x[target.p :])
-    y = target.objective.predict_physical(x[: target.p]) + noise.draw(target.setting, second)
-    return x, eqx.tree_at(lambda t: t.objective.batch.y, target, jnp.where(target.setting.weight > 0, y, 0.0))
+    density = target.density
+    noise = truth.assemble(x[density.p :])
+    y = density.objective.predict(x[: density.p]) + noise.draw(density.setting, second)
+    y = jnp.where(density.setting.weight > 0, y, 0.0)
+    return x, eqx.tree_at(lambda t: t.density.objective.batch.y, target, y)
 
 
 def _whitened(target: Target) -> tuple[Target, Array]:
     """The target centered on its mode, in the coordinates of the curvature there, and a reason for failure (0 for none)."""
-    mode = maximize(target.log_density, target.center, target.slope, steps=40)
+    mode = maximize(target.density.log_density, target.center, target.density.slope, steps=40)
     size, axes = jnp.linalg.eigh(-mode.hessian)
     factor = axes / jnp.sqrt(jnp.maximum(size, 1e-4))
     return eqx.tree_at(lambda t: (t.center, t.factor), target, (mode.z, factor)), jnp.where(mode.converged, 0, 1)
@@ -148,7 +142,7 @@ def _whitened(target: Target) -> tuple[Target, Array]:
 
 def _ranked(x: Array, target: Target, q: Array) -> tuple[Array, Array]:
     """Ranks of the truth among draws, and errors in standard deviations; only the first columns of both mean the same."""
-    draws = jax.vmap(lambda row: target.physical(target.unwhitened(row)))(q)
+    draws = jax.vmap(target.physical)(q)
     d = min(x.shape[0], draws.shape[1])
     wide = jnp.zeros(draws.shape[1]).at[:d].set(x[:d])
     return jnp.sum(draws < wide, axis=0), (jnp.mean(draws, axis=0) - wide) / jnp.std(draws, axis=0)
@@ -160,11 +154,11 @@ def _replicates(
 ) -> tuple[Array, Array, Array]:
     def one(key: Array) -> tuple[Array, ...]:
         first, second = jax.random.split(key)
-        x, own = _simulated(target, truth, priors, first)
-        own, reason = _whitened(own)
+        x, whitened = _simulated(target, truth, priors, first)
+        whitened, reason = _whitened(whitened)
         normal = method == "laplace"
-        q = jax.random.normal(second, (RANKS, own.center.shape[0])) if normal else _short_chain(own, second)
-        return *_ranked(x, own, q), reason
+        q = jax.random.normal(second, (RANKS, whitened.center.shape[0])) if normal else _short_chain(whitened, second)
+        return *_ranked(x, whitened, q), reason
 
     return jax.lax.map(one, keys)
 
@@ -173,14 +167,14 @@ def _short_chain(target: Target, key: Array) -> Float[Array, "draws d"]:
     """Thinned draws of a whitened NUTS chain from a draw of the Gaussian that whitening assumes."""
     first, second = jax.random.split(key)
     q, count = jax.random.normal(first, target.center.shape), _WARM + RANKS * _THIN
-    found, _ = advance(target, q, Tuning.about(0.6), second, jnp.arange(count) < _WARM, jnp.asarray(0.8), _DEPTH, count)
-    return found[0][_WARM + _THIN - 1 :: _THIN]
+    out, _ = advance(target, q, Tuning.about(0.6), second, jnp.arange(count) < _WARM, jnp.asarray(0.8), _DEPTH, count)
+    return out[0][_WARM + _THIN - 1 :: _THIN]
 
 
 @eqx.filter_jit
 def _prepared(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Target, Array]:
-    x, own = _simulated(target, truth, priors, key)
-    return x, *_whitened(own)
+    x, whitened = _simulated(target, truth, priors, key)
+    return x, *_whitened(whitened)
 
 
 _rank = eqx.filter_jit(_ranked)
@@ -188,10 +182,10 @@ _rank = eqx.filter_jit(_ranked)
 
 def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key: Array) -> tuple[Array, Array, Array]:
     """One replicate; a draw is the last place of a walker, so that no draw follows from another."""
-    x, own, reason = _prepared(target, truth, priors, key)
-    d, seed = own.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
-    begun = start(own, RANKS + 1, seed)
-    if not np.isfinite(begun.log_prob).all():
+    x, whitened, reason = _prepared(target, truth, priors, key)
+    d, seed = whitened.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
+    first_state = start(whitened, RANKS + 1, seed)
+    if not np.isfinite(first_state.log_prob).all():
         return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
-    last: Any = walk(own, RANKS + 1).run_mcmc(begun, _STEPS, skip_initial_state_check=True)
-    return *_rank(x, own, jnp.asarray(last.coords[:RANKS])), reason
+    last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, _STEPS, skip_initial_state_check=True)
+    return *_rank(x, whitened, jnp.asarray(last.coords[:RANKS])), reason

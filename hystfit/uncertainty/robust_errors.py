@@ -1,22 +1,18 @@
-"""Other answers to "how large is the error": sandwich and block bootstrap beside the plain covariance."""
+"""Standard errors by other rules: sandwich and block bootstrap beside the plain covariance."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any, Literal
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from hystfit.config import require_seed, require_x64
+from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
-from hystfit.fitting.again import problem_of
-from hystfit.fitting.covariance import near_bound
-from hystfit.fitting.generalized import linearize
-from hystfit.inference.problem import Objective
-from hystfit.results.metrics import autocorrelation_time
+from hystfit.inference.autocorrelation import autocorrelation_time
+from hystfit.outcome import Code, Column, Note, Table
+from hystfit.outcome.note import warn
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.errors/1"
@@ -60,61 +56,57 @@ class StandardErrors:
         errors: of each free parameter by rule, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
             where the data do not determine the parameter, whatever the rule.
         block: samples a lag window or a block spans; None where the records are too short for either.
-        notes: what is missing and why, one sentence each.
+        notes: what is missing and why.
     """
 
     result: FitResult
     errors: dict[str, np.ndarray]
     block: int | None
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     @property
     def ratios(self) -> dict[str, np.ndarray]:
         """Errors by rule over those for independent residuals."""
         return {rule: error / self.errors["iid"] for rule, error in self.errors.items() if rule != "iid"}
 
-    def __repr__(self) -> str:
-        show = lambda value: f"{value:.2g}" if np.isfinite(value) else "-"
-        head = [
-            "parameter",
-            "value",
-            "fit",
-            "independent",
-            *(rule for rule in self.errors if rule not in ("fit", "iid")),
-        ]
-        rows = [head]
+    def table(self) -> Table:
+        """Errors by rule, and at the end their typical ratio to those for independent residuals."""
+        heads = {"fit": "fit", "iid": "independent"}
+        rules = [Column(heads.get(rule, rule), key=rule, form=".3g") for rule in self.errors]
+        rows: list[list[Any]] = []
         for k, name in enumerate(self.result.free_names):
-            found = self.result[name]
-            cells = [f"{error[k]:.3g}" if np.isfinite(error[k]) else "-" for error in self.errors.values()]
-            rows.append([name, f"{found.value:.5g} {found.unit}".strip(), *cells])
-        rows.append(["times independent", "", show(_typical(self.ratios["fit"])), "1"])
-        rows[-1] += [show(_typical(self.ratios[rule])) for rule in ("sandwich", "bootstrap") if rule in self.errors]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-        lines = [f"Standard errors of {self.result.name}, by rule"]
-        lines += [
-            "  ".join(c.ljust(w) if k < 1 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
-            for row in rows
-        ]
+            parameter = self.result[name]
+            value = f"{parameter.value:.5g} {parameter.unit}".strip()
+            rows.append([name, value, *(float(error[k]) for error in self.errors.values())])
+        typical = [1.0 if rule == "iid" else _typical(self.ratios[rule]) for rule in self.errors]
+        rows.append(["times independent", "", *typical])
+        return Table(["parameter", "value", *rules], rows)
+
+    def __str__(self) -> str:
+        lines = [f"Standard errors of {self.result.name}, by rule", *self.table().lines()]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown is null."""
         number = lambda value: float(value) if np.isfinite(value) else None
         rows = {}
         for k, name in enumerate(self.result.free_names):
-            own = {rule: number(error[k]) for rule, error in self.errors.items()}
+            errors_of = {rule: number(error[k]) for rule, error in self.errors.items()}
             over = {rule: number(ratio[k]) for rule, ratio in self.ratios.items()}
             rows[name] = {
                 "value": self.result[name].value,
                 "unit": self.result[name].unit,
-                "stderr": own,
+                "stderr": errors_of,
                 "ratio": over,
             }
         return {
             "schema": SCHEMA,
             "model": self.result.name,
-            "status": self.result.status,
-            "notes": list(self.notes),
+            "status": str(self.result.status),
+            "notes": [note.to_dict() for note in self.notes],
             "block": self.block,
             "parameters": rows,
             "provenance": self.result.provenance,
@@ -138,28 +130,25 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
     Raises:
         ParameterError: a fit under a noise model; its own likelihood gives its errors.
     """
-    own = np.array([np.nan if (e := result[name].stderr) is None else e for name in result.free_names], dtype=float)
-    errors, notes, span = {"fit": own}, [], None
-    found = covariance(result, "iid", block=block)
-    errors["iid"] = np.where(np.isfinite(own), found.stderr, np.nan)
+    reported = [np.nan if (e := result[name].stderr) is None else e for name in result.free_names]
+    fit = np.array(reported, dtype=float)
+    errors, notes, span = {"fit": fit}, [], None
+    errors["iid"] = np.where(np.isfinite(fit), covariance(result, "iid", block=block).stderr, np.nan)
     for kind in ("sandwich", "bootstrap"):
         try:
             other = covariance(result, kind, block=block, seed=seed)
         except ParameterError as error:
-            notes.append(f"no {kind}: {error}")
+            notes.append(warn(Code.BLOCKS, f"no {kind}: {error}"))
             continue
         span = other.block
-        errors[kind] = np.where(np.isfinite(own), other.stderr, np.nan)
-        notes.append(f"the {kind} takes blocks of {span} samples, and sees no error that repeats every loop")
-    open_ = [name for name, error in zip(result.free_names, own, strict=True) if not np.isfinite(error)]
-    if open_:
-        notes.append(f"no rule gives an error to what the data do not determine: {', '.join(open_)}")
+        errors[kind] = np.where(np.isfinite(fit), other.stderr, np.nan)
+        text = f"the {kind} uses blocks of {span} samples; it does not include errors that repeat every loop"
+        notes.append(Note(Code.BLOCKS, text))
+    unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
+    if unknown:
+        text = f"no rule has a standard error for parameters that the data do not determine: {', '.join(unknown)}"
+        notes.append(warn(Code.NOT_DETERMINED, text))
     return StandardErrors(result, errors, span, tuple(notes))
-
-
-@eqx.filter_jit
-def _linear(objective: Objective, x: Array) -> tuple[Array, Array]:
-    return linearize(objective, x)
 
 
 def covariance(
@@ -173,7 +162,7 @@ def covariance(
     """Covariance of a least-squares fit from its linearized scores J_t r_t.
 
     "sandwich" sums their autocovariances under a Bartlett window (Newey and West 1987); "bootstrap" redraws blocks of them (Kuensch
-    1989). Both need many blocks to be right, and neither sees an error that repeats every loop.
+    1989). Both are right for many blocks only, and neither includes an error that repeats every loop.
 
     Args:
         result: a least-squares fit.
@@ -188,21 +177,19 @@ def covariance(
     """
     require_x64()
     require_seed(seed)
-    noise = result.provenance.get("noise", {}).get("name", "auto")
-    if noise not in ("auto", "iid"):
+    if result.noise.refines:
         raise ParameterError(
-            f"this fit is under noise {noise!r}, whose likelihood gives its errors: fit with noise='auto'"
+            f"this fit is under noise {result.noise.name!r}, whose likelihood gives its errors: fit with noise='auto'"
         )
     if kind not in ("iid", "sandwich", "bootstrap"):
         raise ParameterError(f"kind must be iid, sandwich or bootstrap, got {kind!r}")
     if block is not None and block < 1:
         raise ParameterError(f"a block holds at least one sample, got {block}")
-    problem, x = problem_of(result)
-    weight = np.asarray(problem.objective.batch.weight)
-    used, root = weight > 0, np.sqrt(weight)
-    r, J = (np.asarray(v) for v in _linear(problem.objective, jnp.asarray(x)))
+    problem, x = result.problem.with_loss("linear"), result.x
+    used, root = problem.used, np.sqrt(np.asarray(problem.objective.batch.weight))
+    r, J = problem.linearize(x)
     r, J = r * root, J * root[..., None]
-    live = np.array([side is None for side in near_bound(problem, x)])
+    live = np.array([side is None for side in problem.at_bound(x)])
     rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, used, strict=True) if on.any()]
     total = sum(len(row) for row, _ in rows)
     span = _block(problem.data, rows) if block is None else block
@@ -212,7 +199,7 @@ def covariance(
         )
     if kind == "bootstrap" and any(len(row) < 2 * span for row, _ in rows):
         raise ParameterError(
-            f"a record holds fewer than two blocks of {span} samples, so that there is nothing to redraw in it: choose a smaller block"
+            f"a record holds fewer than two blocks of {span} samples, so there is nothing to redraw: choose a smaller block"
         )
     size = np.sqrt(sum(np.sum(slope**2, axis=0) for _, slope in rows))
     size[size == 0] = 1.0
@@ -221,21 +208,21 @@ def covariance(
     plain = inverse * squares
     scores = [(slope / size) * row[:, None] for row, slope in rows]
     if kind == "sandwich":
-        own = inverse @ sum(_bartlett(score, span) for score in scores) @ inverse
+        robust = inverse @ sum(_bartlett(score, span) for score in scores) @ inverse
     elif kind == "bootstrap":
-        own = _bootstrap(scores, inverse, span, draws, seed)
+        robust = _bootstrap(scores, inverse, span, draws, seed)
     else:
-        own = plain
+        robust = plain
     matrix = np.full((x.size, x.size), np.nan)
-    matrix[np.ix_(live, live)] = own / size[:, None] / size
+    matrix[np.ix_(live, live)] = robust / size[:, None] / size
     ratio = np.full(x.size, np.nan)
-    ratio[live] = np.sqrt(np.diag(own) / np.diag(plain))
+    ratio[live] = np.sqrt(np.diag(robust) / np.diag(plain))
     return Covariance(problem.space.names, matrix, kind, span, ratio)
 
 
-def _block(data: object, rows: list[tuple[np.ndarray, np.ndarray]]) -> int:
+def _block(data: Dataset, rows: list[tuple[np.ndarray, np.ndarray]]) -> int:
     cycles = []
-    for record in data:  # type: ignore[attr-defined]
+    for record in data:
         u = record.u[record.used]
         crossings = np.count_nonzero(np.diff(u > 0.5 * (u.max() + u.min())))
         cycles.append(2 * u.size / max(crossings, 1))

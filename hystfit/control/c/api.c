@@ -14,6 +14,7 @@ double @name@_step(@name@ *h, double u, double dt)
     return h->y;
 }
 
+#if @NAME@_INVERTIBLE
 static double @name@_miss(const @name@ *h, double u, double dt, double y)
 {
     return @NAME@_SIGN * (@root@_step(h->state, h->u, u, dt, 0) - y);
@@ -102,3 +103,4 @@ int @name@_inverse(@name@ *h, double y, double dt, double *u)
         status = @NAME@_SATURATED;
     return status;
 }
+#endif

@@ -6,13 +6,14 @@
  *     @name@_init(&h, 0.0);                  at rest on an input
  *     y = @name@_step(&h, u, dt);            forward: output for the next input, dt after the last
  *     status = @name@_inverse(&h, y, dt, &u);  inverse: input for the next wanted output
- *
+ *@obstacle@
  * Input in @u_unit@, output in @y_unit@, dt in s. A struct serves the forward model or the inverse, not both.
  */
 #ifndef @NAME@_H
 #define @NAME@_H
 
 #define @NAME@_STATES @states@
+#define @NAME@_INVERTIBLE @invertible@
 #define @NAME@_LOW @low@ /* the inverse holds its input between these */
 #define @NAME@_HIGH @high@
 
@@ -25,6 +26,8 @@ typedef struct @name@ {
 
 void @name@_init(@name@ *h, double u0);
 double @name@_step(@name@ *h, double u, double dt);
+#if @NAME@_INVERTIBLE
 int @name@_inverse(@name@ *h, double y, double dt, double *u);
+#endif
 
 #endif

@@ -1,32 +1,87 @@
-"""What every noise model can do.
+"""What every noise model provides.
 
-Each noise model is a filter over the samples of a record, so that a likelihood costs O(T) and may share the model's scan:
-`step` takes a residual and gives its innovation, scaled to variance one, and the logarithm of the variance by which it was scaled.
+A noise model is a filter over the samples of a record: `step` takes a residual and returns its innovation scaled to unit variance
+and the log of the variance. A likelihood therefore costs O(T) and can share the scan of the hysteresis model.
 """
 
 from __future__ import annotations
 
 import abc
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.noise.setting import Setting
+from hystfit.inference.priors import AbstractPrior
+from hystfit.outcome import Code
 
 LOG_2PI = 1.8378770664093453
+_LEAST = 1e-12  # standard deviation of residuals that are all zero
+
+
+@dataclasses.dataclass(frozen=True)
+class ResidualScales:
+    """Scales of the residuals of a fit, from which noise models take their starting values.
+
+    Attributes:
+        total: standard deviation [y].
+        white, slow: its split into independent and slow noise, from the differences of neighboring samples [y].
+        time: integrated autocorrelation time, samples.
+        count: number of residuals.
+        center, spread: median, and median absolute deviation from it [y].
+    """
+
+    total: float
+    white: float
+    slow: float
+    time: float
+    count: int
+    center: float
+    spread: float
+
+    @property
+    def start_time(self) -> float:
+        """Correlation time from which a search starts, samples."""
+        return float(np.clip(self.time / 2, 2.0, self.count / 4))
+
+    @classmethod
+    def of(cls, rows: list[np.ndarray], time: float) -> ResidualScales:
+        """Scales of residuals.
+
+        Args:
+            rows: residuals of each record, samples that count only [y].
+            time: their integrated autocorrelation time, samples.
+        """
+        together, differences = np.concatenate(rows), np.concatenate([np.diff(row) for row in rows])
+        total = max(float(np.std(together)), _LEAST)
+        rough = float(np.std(differences)) / np.sqrt(2) if differences.size else 0.5 * total
+        white = float(np.clip(rough, 0.05 * total, 0.95 * total)) if differences.size else rough
+        center = float(np.median(together))
+        spread = float(np.median(np.abs(together - center)))
+        return cls(total, white, float(np.sqrt(total**2 - white**2)), time, together.size, center, spread)
 
 
 class AbstractNoise(eqx.Module):
-    """A noise model; its parameters are declared like those of a hysteresis model."""
+    """A noise model; its parameters are declared like those of a hysteresis model.
+
+    Class attributes:
+        name: by which users choose it.
+        gaussian: whether the innovations are Gaussian.
+        by_squares: the density follows from the weighted sum of squares alone; such a model has `of_squares`.
+        has_shapes: the noise includes `columns`.
+        covers: findings about residuals that its likelihood allows for.
+    """
 
     name: ClassVar[str]
-    gaussian: ClassVar[bool]
-    by_squares: ClassVar[bool] = (
-        False  # the weighted sum of squares is all that the density needs: see `White.of_squares`
-    )
+    gaussian: ClassVar[bool] = True
+    by_squares: ClassVar[bool] = False
+    has_shapes: ClassVar[bool] = False
+    covers: ClassVar[frozenset[Code]] = frozenset()
 
     @abc.abstractmethod
     def init(self) -> Float[Array, " state"]:
@@ -36,36 +91,86 @@ class AbstractNoise(eqx.Module):
     def step(
         self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
-        """One sample: (state, innovation scaled to variance one, log of its variance). Nothing is learned where weight = 0."""
-
-    def density(self, e: Float[Array, "..."], log_variance: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Log density of a residual from its scaled innovation and the log of the variance."""
-        return -0.5 * (e**2 + log_variance + LOG_2PI)
-
-    def columns(self, setting: Setting) -> Float[Array, "R T k"] | None:
-        """Shapes that the noise adds with independent weights of variance one, the same in every record; None for no such part."""
-        return None
+        """One sample: (state, innovation scaled to unit variance, log variance). The state ignores samples of weight 0."""
 
     @abc.abstractmethod
     def whiten(
         self, setting: Setting, rows: Float[Array, "R T k"]
     ) -> tuple[Float[Array, "R T k"], Float[Array, "R T"]]:
-        """Apply the filter to k signals at once: (innovations scaled to variance one, logs of the variances); 0 where weight = 0."""
+        """Filter k signals at once: (innovations scaled to unit variance, log variances), 0 where the weight is 0."""
 
     @abc.abstractmethod
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
         """A realization."""
 
+    @classmethod
+    @abc.abstractmethod
+    def start(cls, scales: ResidualScales) -> AbstractNoise:
+        """Starting values from the residuals of a fit."""
+
+    @classmethod
+    @abc.abstractmethod
+    def of_size(cls, size: float) -> AbstractNoise:
+        """Typical values for noise of standard deviation `size` [y], with which calibrations simulate."""
+
+    @classmethod
+    def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
+        """Priors that the data decide, by parameter; the others are those of the declarations.
+
+        Args:
+            longest: samples of the longest record.
+            curve_size: standard deviation of curves over the input that the residuals suggest [y]; None where they suggest none.
+        """
+        return {}
+
+    def density(self, e: Float[Array, "..."], log_variance: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Log density of a residual from its scaled innovation and the log variance."""
+        return -0.5 * (e**2 + log_variance + LOG_2PI)
+
+    def columns(self, setting: Setting) -> Float[Array, "R T k"]:
+        """Shapes that the noise adds with independent weights of unit variance, the same in every record; none by default."""
+        return jnp.zeros((*setting.weight.shape, 0))
+
+    def of_squares(self, setting: Setting, total: Float[Array, ""]) -> Float[Array, ""]:
+        """Log density from the weighted sum of squared residuals, where `by_squares` is set."""
+        raise TypeError(f"{type(self).__name__} needs each residual")
+
+    def gaussian_scale(self) -> Float[Array, ""]:
+        """Standard deviation of the Gaussian white noise with the same Fisher information about the mean [y].
+
+        Only for noise that is not Gaussian; by numerical integration unless a closed form overrides it.
+        """
+        one, unit = jnp.ones(()), jnp.zeros(())
+        log_variance = self.step(self.init(), unit, one, one)[2]
+        e = jnp.linspace(-60.0, 60.0, 24_001)
+        log_p = lambda value: self.density(value, log_variance)
+        slope, p = jax.vmap(jax.grad(log_p))(e), jnp.exp(jax.vmap(log_p)(e))
+        information = jnp.trapezoid(slope**2 * p, e) / jnp.trapezoid(p, e)
+        return jnp.exp(0.5 * log_variance) / jnp.sqrt(information)
+
+    def predictive(
+        self, new: Setting, key: Array, seen: Setting, residual: Float[Array, "R T"]
+    ) -> Float[Array, "Q T2"]:
+        """Noise of a further measurement given the residuals of the fitted ones; by default independent of them.
+
+        Args:
+            new: the records to predict.
+            key: of the random numbers.
+            seen: the fitted records.
+            residual: measurement less prediction over them [y].
+        """
+        return self.draw(new, key)
+
     def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Float[Array, ""]:
         """Log density of the residuals that count."""
-        columns = self.columns(setting)
         on = setting.weight > 0
-        if columns is None:
+        columns = self.columns(setting)
+        if not columns.shape[-1]:
             e, logs = self.whiten(setting, r[..., None])
             return jnp.sum(jnp.where(on, self.density(e[..., 0], logs), 0.0))
         e, logs = self.whiten(setting, jnp.concatenate([r[..., None], columns], axis=-1))
         plain = jnp.sum(jnp.where(on, self.density(e[..., 0], logs), 0.0))
-        shapes, own = e[..., 1:].reshape(-1, columns.shape[-1]), e[..., 0].reshape(-1)
+        shapes, residual = e[..., 1:].reshape(-1, columns.shape[-1]), e[..., 0].reshape(-1)
         factor = jnp.linalg.cholesky(jnp.eye(shapes.shape[1]) + shapes.T @ shapes)
-        half = jax.scipy.linalg.solve_triangular(factor, shapes.T @ own, lower=True)
+        half = jax.scipy.linalg.solve_triangular(factor, shapes.T @ residual, lower=True)
         return plain + 0.5 * jnp.sum(half**2) - jnp.sum(jnp.log(jnp.diag(factor)))

@@ -1,4 +1,4 @@
-"""The data as a noise model sees them."""
+"""The data in the form that noise models need."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _UNEVEN = 0.02  # deviation from even sampling, relative, below which the filter
 
 
 class Setting(eqx.Module):
-    """The data as a noise model sees them.
+    """The data in the form that noise models need.
 
     Attributes:
         gap: time since the sample before, in typical sampling intervals, shape (R, T), or () where sampling is even.

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hystfit.models.preisach.everett import Place, accumulate, grid
-from hystfit.models.preisach.memory import CellMemory
-from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.plane import AbstractPlane
 from hystfit.models.preisach.staircase import Staircase, compile_input
 
 
@@ -56,7 +55,7 @@ class Compiled(eqx.Module):
     index: Int[Array, " T"]
 
 
-def compile_for(model: Preisach, u: np.ndarray) -> Compiled:
+def compile_for(model: AbstractPlane, u: np.ndarray) -> Compiled:
     """Compile an input for the levels, center and initial state of a model; its weights may change afterwards.
 
     Args:
@@ -116,7 +115,7 @@ class Code:
         return at_most, before[code // 2]
 
 
-def stairs_of(model: Preisach, u: np.ndarray) -> tuple[Code | None, Staircase]:
+def stairs_of(model: AbstractPlane, u: np.ndarray) -> tuple[Code | None, Staircase]:
     """The states that an input visits: of the input itself for cells, of its codes for relays."""
     center = float(model.center)
     if model.elements == "cells":
@@ -125,7 +124,7 @@ def stairs_of(model: Preisach, u: np.ndarray) -> tuple[Code | None, Staircase]:
     return code, compile_input(code.of(u), model.initial, 0.5 * code.top)
 
 
-def _cell_terms(model: Preisach, value: np.ndarray, parent: np.ndarray, nodes: np.ndarray) -> Terms:
+def _cell_terms(model: AbstractPlane, value: np.ndarray, parent: np.ndarray, nodes: np.ndarray) -> Terms:
     count = int(np.count_nonzero(parent < 0))
     before, now = nodes[parent[count:]], value[count:]
     levels = np.asarray(model.levels)
@@ -133,7 +132,9 @@ def _cell_terms(model: Preisach, value: np.ndarray, parent: np.ndarray, nodes: n
     return Terms(_real(value[:count]), high, low, _real(np.where(now > before, 2.0, -2.0)))
 
 
-def _relay_terms(model: Preisach, value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, *, code: Code) -> Terms:
+def _relay_terms(
+    model: AbstractPlane, value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, *, code: Code
+) -> Terms:
     count = int(np.count_nonzero(parent < 0))
     at_most, below = code.passed()
     before, now, first = nodes[parent[count:]], value[count:], value[:count]
@@ -145,14 +146,14 @@ def _relay_terms(model: Preisach, value: np.ndarray, parent: np.ndarray, nodes: 
     )
 
 
-def rises_first(model: Preisach, code: Code, first: np.ndarray) -> np.ndarray:
+def rises_first(model: AbstractPlane, code: Code, first: np.ndarray) -> np.ndarray:
     """Whether a first excursion, given by its code, switches relays up."""
     if model.initial == "demagnetized":
         return 2 * first >= code.top
     return np.full(first.shape, model.initial == "negative")
 
 
-def ties(model: Preisach, code: Code, stairs: Staircase) -> np.ndarray:
+def ties(model: AbstractPlane, code: Code, stairs: Staircase) -> np.ndarray:
     """States in which the input fell just onto a level, and the number of that level, shape (2, ties)."""
     at_most, below = code.passed()
     value, parent = stairs.state_value, stairs.state_parent
@@ -173,7 +174,7 @@ def locate(levels: np.ndarray, u: np.ndarray) -> Place:
 
 
 @eqx.filter_jit
-def respond(model: Preisach, compiled: Compiled) -> Float[Array, " T"]:
+def respond(model: AbstractPlane, compiled: Compiled) -> Float[Array, " T"]:
     """Output of a model on an input compiled for it, shape (T,): what `hystfit.simulate` returns, by look-ups.
 
     Differentiable, forward and backward, in the weights and in whatever they depend on.
@@ -183,10 +184,10 @@ def respond(model: Preisach, compiled: Compiled) -> Float[Array, " T"]:
     return respond_states(model, compiled)[compiled.index]
 
 
-def respond_states(model: Preisach, compiled: Compiled) -> Float[Array, " S"]:
+def respond_states(model: AbstractPlane, compiled: Compiled) -> Float[Array, " S"]:
     """Output of each distinct state, shape (S,); of relays, without the single-valued part, which states do not determine."""
     if model.elements == "cells":
-        memory = CellMemory.of(model)
+        memory = model.memory()
         first, pair, rest = memory.first, memory.everett, memory.rest + model.single_valued(jnp.asarray(compiled.u))
     else:
         first, pair, rest = _relay_tables(model)
@@ -204,7 +205,7 @@ def _values(terms: Terms, first: Callable[[Array], Array], pair: Callable[[Place
     return jnp.concatenate([first(jnp.asarray(terms.first)), terms.sign * pair(terms.high, terms.low)])
 
 
-def _relay_tables(model: Preisach) -> tuple[Callable[[Array], Array], Callable[[Place, Place], Array], Array]:
+def _relay_tables(model: AbstractPlane) -> tuple[Callable[[Array], Array], Callable[[Place, Place], Array], Array]:
     n = model.n
     w = model.masses()
     table = accumulate(grid(w, n)).reshape(-1)

@@ -6,15 +6,15 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from hystfit.models.preisach.compiled import Code, rises_first, stairs_of, ties
 from hystfit.models.preisach.everett import cells, fold, swept
-from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.reversible import single_valued_columns
+from hystfit.models.preisach.plane import AbstractPlane, ramps
 from hystfit.models.preisach.staircase import Staircase
 
 
-def features(model: Preisach, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row a state.
 
     Args:
@@ -34,10 +34,19 @@ def features(model: Preisach, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, number = np.unique(u, return_inverse=True)
         keys, index = np.unique(index * values.size + number, return_inverse=True)
         columns, inputs = columns[keys // values.size], values[keys % values.size]
-    return np.column_stack([columns, *single_valued_columns(model, inputs)]), index
+    return np.column_stack([columns, *_single_valued_columns(model, inputs)]), index
 
 
-def weight_columns(model: Preisach, code: Code | None, stairs: Staircase) -> np.ndarray:
+def _single_valued_columns(model: AbstractPlane, u: np.ndarray) -> list[np.ndarray]:
+    """Columns of slopes and b at inputs u, shapes (len(u), intervals) and (len(u), degree)."""
+    levels, center = np.asarray(model.levels), float(model.center)
+    out = [np.asarray(ramps(levels, np.asarray(center), u, model.symmetric, np))] if model.slopes.size else []
+    if model.b.size:
+        out.append(legvander((u - center) / float(model.half), model.b.size)[:, 1:])
+    return out
+
+
+def weight_columns(model: AbstractPlane, code: Code | None, stairs: Staircase) -> np.ndarray:
     """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights)."""
     rest, first, pair = _host_tables(model, code)
     own = _own_columns(stairs.node_value, stairs.node_parent, stairs.node_value, first, pair)
@@ -62,11 +71,11 @@ def _own_columns(value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first
     return np.concatenate([first(value[:count]), sign * pair(np.maximum(now, before), np.minimum(now, before))])
 
 
-def _fold(model: Preisach, columns: np.ndarray) -> np.ndarray:
+def _fold(model: AbstractPlane, columns: np.ndarray) -> np.ndarray:
     return fold(columns, model.n) if model.symmetric else columns
 
 
-def _host_tables(model: Preisach, code: Code | None) -> tuple[np.ndarray, Columns, Pairs]:
+def _host_tables(model: AbstractPlane, code: Code | None) -> tuple[np.ndarray, Columns, Pairs]:
     """Columns of the rest state, of first excursions and of moves between extrema."""
     levels = np.asarray(model.levels)
     if code is None:
@@ -100,7 +109,7 @@ def triangle_parts(levels: np.ndarray, high: np.ndarray, low: np.ndarray) -> np.
     return parts
 
 
-def _first_cells(model: Preisach, u: np.ndarray) -> np.ndarray:
+def _first_cells(model: AbstractPlane, u: np.ndarray) -> np.ndarray:
     levels, center, n = np.asarray(model.levels), np.asarray(model.center), model.n
     i, j = cells(n)
     rows = np.arange(n)
@@ -113,7 +122,7 @@ def _first_cells(model: Preisach, u: np.ndarray) -> np.ndarray:
     return 2 * (up[:, i, j] - down[:, n - 1 - j, n - 1 - i])
 
 
-def _first_relays(model: Preisach, x: np.ndarray, *, code: Code) -> np.ndarray:
+def _first_relays(model: AbstractPlane, x: np.ndarray, *, code: Code) -> np.ndarray:
     i, j = cells(model.n)
     alpha, beta = (np.asarray(t) for t in model.thresholds())
     above = alpha + beta > 2.0 * float(model.center)

@@ -1,4 +1,4 @@
-"""Everett functions: the mass E(a, b) of the relays whose thresholds lie in the triangle a >= alpha >= beta >= b.
+"""Everett functions: the mass E(a, b) of the relays whose thresholds lie in the triangle a >= alpha >= beta >= b; outputs from them.
 
 Masses are given cell by cell between n + 1 levels, uniform within a cell; cell (i, j), j <= i, is alpha in (L_i, L_{i+1}), beta in
 (L_j, L_{j+1}), a triangle where j = i. E is then bilinear but for the diagonal cells, which add squares. Rows run over i, j
@@ -13,7 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 AnyArray = Array | np.ndarray  # for functions that serve host and device
 
@@ -186,3 +186,71 @@ class FirstRise(eqx.Module):
         """Mass that a rise to u switches."""
         row = place(self.levels, u).cell
         return self.sums[row] + jnp.sum(self.square[row] * swept(self.levels, self.center, row, u), axis=-1)
+
+
+class CellMemory(eqx.Module):
+    """Tables of a model with cells; output = rest + first(e_0) + sum over k of pair(e_{k+1}, e_k).
+
+    Attributes:
+        everett: mass in triangles.
+        up, down: mass switched by a first excursion from an asymmetric demagnetized state; None where it is not needed.
+        rest: output of the initial state.
+        levels, center: as given.
+        initial: the state before the record.
+    """
+
+    everett: Everett
+    up: FirstRise | None
+    down: FirstRise | None
+    rest: Float[Array, ""]
+    levels: Float[Array, " m"]
+    center: Float[Array, ""]
+    initial: str = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        w: Float[Array, " cells"],
+        levels: Float[Array, " m"],
+        center: Float[Array, ""],
+        initial: str,
+        symmetric: bool,
+    ) -> CellMemory:
+        """Tables of the masses of cells.
+
+        Args:
+            w: mass of every cell, shape (n (n + 1) / 2,).
+            levels: edges of the cells, shape (n + 1,).
+            center: input of the demagnetized state.
+            initial: state before the record.
+            symmetric: masses and levels are symmetric about the center.
+        """
+        everett = Everett.of(w, levels.shape[0] - 1)
+        up = down = None
+        if initial == "demagnetized" and not symmetric:
+            up, down = FirstRise.of(w, levels, center), FirstRise.falling(w, levels, center)
+            rest = everett.total - 2 * up.sums[-1]
+        else:
+            rest = {"demagnetized": 0.0, "negative": -1.0, "positive": 1.0}[initial] * everett.total
+        return cls(everett, up, down, rest, levels, center, initial)
+
+    def place(self, u: Float[Array, "..."]) -> Place:
+        """Locate inputs."""
+        return place(self.levels, u)
+
+    def first(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
+        """What the first excursion, to u, adds to the output."""
+        if self.initial == "negative":
+            return 2 * self.everett(self.place(u), self.place(self.levels[0]))
+        if self.initial == "positive":
+            return -2 * self.everett(self.place(self.levels[-1]), self.place(u))
+        if self.up is not None and self.down is not None:
+            return jnp.where(u >= self.center, 2 * self.up(u), -2 * self.down(2 * self.center - u))
+        image = 2 * self.center - u
+        mass = self.everett(self.place(jnp.maximum(u, image)), self.place(jnp.minimum(u, image)))
+        return jnp.where(u >= self.center, mass, -mass)
+
+    def pair(self, now: Place, before: Place, rising: Bool[Array, "..."]) -> Float[Array, "..."]:
+        """What a move from one extremum to the next adds to the output."""
+        pick = lambda a, b: Place(jnp.where(rising, a.cell, b.cell), jnp.where(rising, a.part, b.part))
+        return jnp.where(rising, 2.0, -2.0) * self.everett(pick(now, before), pick(before, now))

@@ -90,7 +90,13 @@ class EverettTable:
 
     @classmethod
     def from_masses(cls, levels: np.ndarray, masses: np.ndarray, base: float = 0.0) -> EverettTable:
-        """From cell masses of +-1 relays, row by row: X is twice the mass of the triangle."""
+        """From cell masses of +-1 relays: X is twice the mass of the triangle.
+
+        Args:
+            levels: edges of the cells, shape (n + 1,).
+            masses: row by row, shape (n (n + 1) / 2,).
+            base: output at levels[0].
+        """
         n = len(levels) - 1
         square = np.zeros((n, n))
         square[cells(n)] = masses

@@ -9,7 +9,6 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
-from hystfit.models.free_run import free_run
 from hystfit.models.preisach.model import Elements, Preisach
 from hystfit.models.preisach.smooth import SMOOTHNESS
 from hystfit.models.preisach.solve import PreisachFit, fit_preisach
@@ -43,11 +42,6 @@ def fit_forc(
     model = Preisach.of(n, elements=elements, spacing="reversal-curves")
     fit = fit_preisach(family.curves, model, nonnegative=nonnegative, smoothness=smoothness, left_out="records")
     return dataclasses.replace(fit, notes=(*family.notes, *fit.notes))
-
-
-def predict_curves(model: Preisach, curves: Sequence[Record]) -> list[np.ndarray]:
-    """Outputs of a fitted model on reversal curves, each from saturation to its first sample and on."""
-    return [free_run(model, r.u) for r in curves]
 
 
 @dataclasses.dataclass(frozen=True)

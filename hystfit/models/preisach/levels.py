@@ -123,7 +123,7 @@ def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> N
     """Refuse levels that do not rise, or that are not symmetric where they should be.
 
     Raises:
-        ModelError: as said.
+        ModelError: levels that do not rise strictly, or are not symmetric.
     """
     if not np.isfinite(levels).all() or (np.diff(levels) <= 0).any():
         raise ModelError(f"levels must be finite and rise strictly, got {np.array2string(levels, threshold=8)}")

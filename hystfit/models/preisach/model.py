@@ -3,32 +3,42 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.polynomial import legendre_series
-from hystfit.models.preisach.everett import cells, mirror, second_differences
+from hystfit.models.base import AbstractStepInverse, SearchStep, drive
+from hystfit.models.c_code import CPart, template
+from hystfit.models.design import Block, DesignMatrix, Penalty
+from hystfit.models.preisach.compiled import compile_for, respond
+from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.everett import mirror, second_differences
 from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family
-from hystfit.models.preisach.memory import CellMemory
-from hystfit.models.preisach.reversible import ramp_count, ramps
+from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count
+from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
 from hystfit.models.starting import input_range, output_range
-from hystfit.params.param import param
+from hystfit.params.param import leaves_of, param
+from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves
 
-Elements = Literal["cells", "relays"]
+_SMALL = (
+    4_000_000  # samples times weights up to which columns on the host beat compiling look-ups for yet another shape
+)
+_RIDGE = 1e-3  # penalty on the weights themselves, relative to that on their second differences
+_OTHER_LEVELS = (16, 24)  # cells along an axis that a comparison tries besides the model's own
 
 
-class Preisach(AbstractHysteresis):
+class Preisach(AbstractPlane):
     """Weighted relays gamma = +-1 that switch up at alpha and down at beta <= alpha, and a single-valued part:
 
         y = offset + sum of w_ij g_ij[u] + sum of s_k r_k(u) + sum over i >= 1 of b_i P_i((u - center) / half)
@@ -50,6 +60,12 @@ class Preisach(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    short_cut: ClassVar[bool] = True
+    estimator: ClassVar[str] = "preisach"
+    needs: ClassVar[Needs] = Needs(
+        turning_pairs=(3, 10),
+        too_few="relays that they do not switch stay undetermined; regularize, or measure first-order reversal curves",
+    )
 
     w: Float[Array, " cells"] = param(
         bounds=(0.0, np.inf),
@@ -116,7 +132,7 @@ class Preisach(AbstractHysteresis):
         spacing: Spacing | None = None,
         depth: int = 64,
     ) -> Preisach:
-        """A model with n (n + 1) / 2 cells or relays, whose levels `start` spreads over the records as `spacing` says.
+        """A model with n (n + 1) / 2 cells or relays, whose levels `start` spreads over the records by `spacing`.
 
         Args:
             n: cells, or relay levels, along each axis.
@@ -127,7 +143,7 @@ class Preisach(AbstractHysteresis):
             initial: state before the record.
             spacing: "quantile" (equal shares of the samples), "square" (distances from the center that grow as squares),
                 "uniform", "reversal-curves" (denser where such curves are steep; the model then starts from the saturation
-                that they came from, whatever `initial` says), or "given" (leave the levels alone); None takes "square" where
+                that they came from, regardless of `initial`), or "given" (leave the levels alone); None takes "square" where
                 symmetric, "quantile" elsewhere.
             depth: extrema that the sample-by-sample form remembers; the compiled form has no limit.
 
@@ -161,6 +177,12 @@ class Preisach(AbstractHysteresis):
     ) -> Preisach:
         """Equally spaced levels and a polynomial reversible part.
 
+        Args:
+            n: cells, or relay levels, along each axis.
+            degree: of the polynomial.
+            initial: state before the record.
+            elements: "cells" or "relays".
+
         Raises:
             ModelError: fewer than one cell or degree one.
         """
@@ -168,84 +190,11 @@ class Preisach(AbstractHysteresis):
             raise ModelError(f"at least degree one is needed, got {degree}")
         return cls.of(n, degree=degree, reversible=False, elements=elements, initial=initial, spacing="uniform")
 
-    # -- structure -------------------------------------------------------------------------------------------------------
-
-    @property
-    def n(self) -> int:
-        """Cells, or relays, along each axis."""
-        return self.levels.shape[0] - (self.elements == "cells")
-
-    @property
-    def weights(self) -> int:
-        """Number of independent weights."""
-        return mirror(self.n)[1].shape[1] if self.symmetric else self.n * (self.n + 1) // 2
-
-    @property
-    def intervals(self) -> int:
-        """Number of slopes, where there are any."""
-        return ramp_count(self.levels.shape[0], self.symmetric)
-
-    def masses(self) -> Float[Array, " all"]:
-        """Weights of all cells or relays, mirror images written out, shape (n (n + 1) / 2,)."""
-        return self.w[mirror(self.n)[0]] if self.symmetric else self.w
-
-    def thresholds(self) -> tuple[Float[Array, " all"], Float[Array, " all"]]:
-        """Up and down threshold of every relay, or of the middle of every cell."""
-        i, j = cells(self.n)
-        at = self.levels if self.elements == "relays" else 0.5 * (self.levels[1:] + self.levels[:-1])
-        return at[i], at[j]
-
-    def single_valued(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The part of the output without memory, the offset included."""
-        y = self.offset + legendre_series(
-            jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), (u - self.center) / self.half
-        )
-        if self.slopes.size:
-            y = y + ramps(self.levels, self.center, u, self.symmetric, jnp) @ self.slopes
-        return y
-
-    # -- dynamics --------------------------------------------------------------------------------------------------------
-
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
-        """State after the input went from the initial state to u0: the dominant extrema, the last one repeated to fill the
-        array; or the relays, +1 or -1.
-        """
-        if self.elements == "cells":
-            return jnp.full((self.depth,), u0)
-        up, down = self.thresholds()
-        if self.initial == "demagnetized":
-            rest = jnp.where(up + down > 2.0 * self.center, -1.0, 1.0)
-        else:
-            rest = jnp.full(up.shape, 1.0 if self.initial == "positive" else -1.0)
-        return _switch(rest, up, down, u0)
-
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Wipe out the extrema that u1 passed; or switch the relays whose threshold it passed."""
-        if self.elements == "relays":
-            state = _switch(state, *self.thresholds(), u1)
-            return state, self.single_valued(u1) + jnp.dot(self.masses(), state)
-        state = self._remember(state, u1)
-        memory = CellMemory.of(self)
-        pairs = memory.pair(memory.place(state[1:]), memory.place(state[:-1]), state[1:] > state[:-1])
-        return state, self.single_valued(u1) + memory.rest + memory.first(state[0]) + jnp.sum(pairs)
-
-    def _remember(self, extrema: Array, u: Array) -> Array:
-        # Nested intervals: those that contain u come first. A full memory forgets its smallest loop.
-        before = {"demagnetized": 2 * self.center - extrema[0], "negative": -jnp.inf, "positive": jnp.inf}[self.initial]
-        other = jnp.concatenate([jnp.reshape(before, (1,)), extrema[:-1]])
-        inside = (jnp.minimum(other, extrema) < u) & (u < jnp.maximum(other, extrema))
-        kept = jnp.minimum(jnp.sum(inside), self.depth - 1)
-        return jnp.where(jnp.arange(self.depth) < kept, extrema, u)
-
-    # -- host ------------------------------------------------------------------------------------------------------------
-
     def start(self, records: Sequence[Record]) -> Preisach:
-        """Levels spread over the input as `spacing` says; the weights follow from a linear solve.
+        """Levels spread over the input by `spacing`; the weights follow from a linear solve.
 
         Raises:
-            DataError: a constant input; records that are no reversal curves, where the spacing asks for them.
+            DataError: a constant input; records that are no reversal curves, where the spacing needs them.
         """
         out, place = output_range(records), input_range(records)
         if self.spacing == "reversal-curves":
@@ -284,17 +233,101 @@ class Preisach(AbstractHysteresis):
             f"(it reaches {u.min():g} to {u.max():g}): the prediction there is extrapolation",
         )
 
-    def roughness(self) -> dict[str, np.ndarray]:
-        """Second differences of the weights along both thresholds, counted in cells, and of the slopes."""
-        rough = {"w": second_differences(self.n, self.symmetric)}
+    # -- optional methods ------------------------------------------------------------------------------------------------
+
+    @property
+    def from_saturation(self) -> bool:
+        """Whether its levels come from reversal curves."""
+        return self.spacing == "reversal-curves"
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """By columns of distinct states, or by look-ups where these would be many."""
+        u = np.asarray(drive(self, u, dt)[0])
+        if u.size * self.w.size > _SMALL:
+            return np.asarray(respond(self, compile_for(self, u)))
+        columns, index = features(self, u)
+        return (columns @ np.concatenate([self.w, self.slopes, self.b]) + float(self.offset))[index]
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """Columns on the distinct states that the input visits."""
+        columns, index = features(self, np.asarray(drive(self, u, dt)[0]))
+        count = np.bincount(mirror(self.n)[0]) if self.symmetric else np.ones(self.w.size, dtype=int)
+        penalties = {"w": Penalty(_smoothing(self.n, self.symmetric), count, self.elements)}
         if self.slopes.size:
-            rough["slopes"] = np.diff(np.eye(self.slopes.size), 2, axis=0)
-        return {name: matrix for name, matrix in rough.items() if matrix.size}
+            penalties["slopes"] = Penalty(_smoothing(self.slopes.size))
+        parts = np.split(columns, np.cumsum([self.w.size, self.slopes.size]), axis=1)
+        columns_of = dict(zip(("w", "slopes", "b"), parts, strict=True)) | {"offset": np.ones((len(columns), 1))}
+        leaves = {leaf.path[-1]: leaf for leaf in leaves_of(self)}
+        blocks = (
+            # Reversal curves start from one state: an offset for each would absorb the differences between them.
+            Block(
+                leaves[name].index,
+                leaves[name].info,
+                part,
+                penalties.get(name),
+                name == "offset" and self.from_saturation,
+            )
+            for name, part in columns_of.items()
+            if part.shape[1]
+        )
+        return DesignMatrix(tuple(blocks), np.zeros(len(columns)), index)
+
+    def sizes(self) -> dict[str, Preisach]:
+        """This model and two of other numbers of levels; none to choose from where reversal curves give the levels."""
+        if self.from_saturation:
+            return {}
+        others = (Preisach.of(n, symmetric=self.symmetric, elements=self.elements) for n in _OTHER_LEVELS)
+        return {f"{model.levels.size} levels": model for model in (self, *others)}
+
+    def reach(self) -> tuple[float, float]:
+        """From the lowest to the highest level."""
+        return float(self.levels[0]), float(self.levels[-1])
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """See `PreisachStep`; a search for point relays."""
+        return PreisachStep.of(self) if self.elements == "cells" else SearchStep(self, sign)
+
+    def c_part(self) -> CPart:
+        """Stack of extrema with the tables of the inverse.
+
+        Raises:
+            ModelError: point relays.
+        """
+        if self.elements != "cells":
+            raise ModelError(
+                "point relays have no continuous inverse and no C code: fit Preisach with cells (--model preisach, or "
+                "elements='cells')"
+            )
+        solver = PreisachStep.of(self)
+        knots, everett = np.asarray(solver.knots), solver.memory.everett
+        numbers = {
+            "LEVELS": int(self.levels.shape[0]),
+            "KNOTS": knots.size,
+            "DEPTH": self.depth,
+            "REST": solver.memory.rest,
+        }
+        numbers |= {"OFFSET": self.offset, "CENTER": self.center, "HALF": self.half, "B": int(self.b.shape[0]) + 1}
+        numbers["INITIAL"] = {"negative": -1, "demagnetized": 0, "positive": 1}[self.initial]
+        arrays = {"levels": self.levels, "off": everett.off, "diagonal": everett.diagonal, "sums": everett.sums}
+        arrays |= {"knots": knots, "first": solver.excursion, "b": np.append(0.0, np.asarray(self.b))}
+        arrays["straight"] = solver.straight if self.slopes.size else np.zeros(knots.size)
+        return CPart(template("preisach.c"), 1 + 2 * self.depth, numbers, arrays)
+
+
+@functools.lru_cache(maxsize=16)
+def _smoothing(count: int, symmetric: bool | None = None) -> np.ndarray:
+    """Penalty on second differences, with a small one on the weights themselves.
+
+    Args:
+        count: cells along each axis; number of slopes where `symmetric` is None.
+        symmetric: whether mirror images share a weight; None for slopes.
+    """
+    rough = np.diff(np.eye(count), 2, axis=0) if symmetric is None else second_differences(count, symmetric)
+    D = scipy.sparse.csr_array(rough)
+    matrix = (D.T @ D).toarray() + _RIDGE * np.eye(rough.shape[1])
+    matrix.flags.writeable = False
+    return matrix
 
 
 def _traced(value: object) -> bool:
     return isinstance(value, Tracer)
-
-
-def _switch(state: Array, up: Array, down: Array, u: Array) -> Array:
-    return jnp.where(u >= up, 1.0, jnp.where(u <= down, -1.0, state))

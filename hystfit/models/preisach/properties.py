@@ -10,7 +10,6 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.models.free_run import free_run
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.staircase import compile_input, turning_points
 
@@ -18,7 +17,7 @@ from hystfit.models.preisach.staircase import compile_input, turning_points
 WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
 CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
 HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
-NOISE = 0.02  # reversals smaller than this part of the input's range are taken for noise
+NOISE = 0.02  # reversals smaller than this part of the input's range count as noise
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
@@ -179,7 +178,7 @@ def error_by_order(model: Preisach, record: Record, noise: float = 0.0) -> dict[
     Returns:
         For each order (number of samples, root mean square error, largest error), the errors in percent of the record's range.
     """
-    error = free_run(model, record.u) - record.y
+    error = model.free_run(record.u) - record.y
     order = orders(model, record, noise)
     span = float(np.ptp(record.y[record.used])) or 1.0
     out = {}
@@ -210,7 +209,7 @@ def orders(model: Preisach, record: Record, noise: float = 0.0) -> np.ndarray:
     Args:
         model: gives center and initial state.
         record: its input counts.
-        noise: inputs closer than this part of the input's range are taken for one.
+        noise: inputs closer than this part of the input's range count as equal.
     """
     center, step = float(model.center), noise * float(np.ptp(record.u))
     stairs = compile_input(np.round((record.u - center) / step) if step > 0 else record.u - center, model.initial)

@@ -1,40 +1,184 @@
-"""Smooth weights from normal equations: convex, bounded, the smoothness chosen on data left out."""
+"""Smooth weights from design matrices: convex, bounded, the smoothness chosen by the error on data left out."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.nonnegative import solve_nonnegative
-from hystfit.models.preisach.equations import PreisachSystem
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
+LeftOut = Literal["auto", "blocks", "records"]
+Offsets = Literal["each", "shared", "none"]
+_BLOCKS = 5
 _MANY = 1200  # parameters from which the choice of smoothness ignores bounds and leaves out two folds only: seconds, not minutes
 
 
 @dataclasses.dataclass(frozen=True)
-class SmoothFit:
-    """Solution of a `PreisachSystem`.
+class SmoothSystem:
+    """Normal equations of all linear weights of a model, block after block, the outputs in units of `size`.
 
     Attributes:
-        weights: all p parameters, in output units; held ones as given.
+        blocks: of the design matrix of the first record; blocks that each record has for itself hold values for all records in turn.
+        starts: position of each block's first weight among all p.
+        grams: one matrix a block of samples, shape (blocks, p + 1, p + 1); the output comes last.
+        counts: sum of weights of each block of samples, shape (blocks,).
+        judged: blocks of samples that are left out in turn to choose the smoothness, shape (blocks,), bool.
+        roughness: matrix of the smoothness penalty, shape (p, p).
+        bounded: which weights are >= 0, shape (p,).
+        reach: part of each cell that the samples that count switched both ways, shape (p,), 0 for cells never touched; NaN for
+            weights that belong to no cells.
+        size: of the output, by which it was divided.
+    """
+
+    blocks: tuple[Block, ...]
+    starts: tuple[int, ...]
+    grams: np.ndarray
+    counts: np.ndarray
+    judged: np.ndarray
+    roughness: np.ndarray
+    bounded: np.ndarray
+    reach: np.ndarray
+    size: float
+
+    @classmethod
+    def of(
+        cls,
+        designs: Sequence[DesignMatrix],
+        records: Sequence[Record],
+        *,
+        left_out: LeftOut = "auto",
+        nonnegative: bool = True,
+        offsets: Offsets = "each",
+    ) -> SmoothSystem:
+        """Collect the equations of records.
+
+        Args:
+            designs: one for each record, with the same blocks.
+            records: measured; a sample counts with its weight.
+            left_out: what is left out in turn: "blocks", a contiguous fifth of each record; "records", in up to five
+                groups, the records that lie inside the range of the others, which tests how well loops between those measured
+                are predicted; "auto" takes records where there are such.
+            nonnegative: bound weights from below as their parameters are bounded.
+            offsets: weights declared for each record have a value for each, one for all, or none.
+
+        Raises:
+            ModelError: no record lies inside the range of the others, and records were to be left out.
+        """
+        inner = _inner(records)
+        left_out = ("records" if inner.any() else "blocks") if left_out == "auto" else left_out
+        if left_out == "records" and not inner.any():
+            raise ModelError('left_out="records" needs a record inside the range of the others; use "blocks"')
+        size = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or 1.0
+        kept = [k for k, block in enumerate(designs[0].blocks) if offsets != "none" or not block.info.per_record]
+        blocks = tuple(designs[0].blocks[k] for k in kept)
+        each = [block.info.per_record and offsets == "each" and not block.shared for block in blocks]
+        widths = [b.columns.shape[1] * (len(records) if own else 1) for b, own in zip(blocks, each, strict=True)]
+        starts = tuple(np.cumsum([0, *widths]).tolist())
+        p = starts[-1]
+        folds = _folds(records, inner) if left_out == "records" else [r.blocks(_BLOCKS) for r in records]
+        rows: list[list[np.ndarray]] = [[] for _ in folds[0]]
+        counts = np.zeros(len(folds[0]))
+        low, high = np.full(p, np.inf), np.full(p, -np.inf)
+        for number, (record, design, masks) in enumerate(zip(records, designs, folds, strict=True)):
+            A = np.zeros((design.rest.size, p))
+            for k, own, start in zip(kept, each, starts, strict=False):
+                columns = design.blocks[k].columns
+                first = start + number * columns.shape[1] * own
+                A[:, first : first + columns.shape[1]] = columns
+            for fold, mask in enumerate(masks):
+                if mask.any():
+                    y = (record.y[mask] - design.rest[design.index[mask]]) / size
+                    rows[fold].append(_rows(A, design.index[mask], y, record.weight[mask]))
+                    counts[fold] += record.weight[mask].sum()
+            seen = A[np.unique(design.index[record.used])]
+            low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
+        joint = (np.concatenate(part) if part else np.zeros((0, p + 1)) for part in rows)
+        grams = np.stack([part.T @ part for part in joint])
+        roughness, bounded, reach = np.zeros((p, p)), np.zeros(p, dtype=bool), np.full(p, np.nan)
+        for block, start, width in zip(blocks, starts, widths, strict=False):
+            at = slice(start, start + width)
+            bounded[at] = nonnegative and block.info.bounds[0] == 0.0
+            if block.penalty is not None:
+                roughness[at, at] = block.penalty.matrix
+                if block.penalty.cells is not None:
+                    reach[at] = np.clip((high - low)[at] / (2 * block.penalty.cells), 0.0, 1.0)
+        judged = np.arange(counts.size) < (counts.size if left_out == "blocks" else counts.size - 1)
+        return cls(blocks, starts, grams, counts, judged, roughness, bounded, reach, size)
+
+    def notes(self) -> tuple[str, ...]:
+        """Cells that the data never switched, one sentence for each array of their weights."""
+        lines = []
+        for block, start in zip(self.blocks, self.starts, strict=False):
+            penalty = block.penalty
+            if penalty is None or penalty.cells is None:
+                continue
+            total = int(penalty.cells.sum())
+            missing = int(penalty.cells[self.reach[start : start + penalty.cells.size] < 1e-9].sum())
+            if missing:
+                lines.append(
+                    f"{missing} of {total} {penalty.label} were never switched by the data ({missing / total:.0%}): their weights "
+                    "follow from smoothness alone, and a prediction that reaches them is extrapolation"
+                )
+        return tuple(lines)
+
+
+def _inner(records: Sequence[Record]) -> np.ndarray:
+    """Records whose input lies inside the range of all the others together, shape (R,), bool."""
+    low = np.array([r.u[r.used].min() for r in records])
+    high = np.array([r.u[r.used].max() for r in records])
+    slack = 1e-9 * (high.max() - low.min())
+    others = [np.arange(low.size) != k for k in range(low.size)] if low.size > 1 else []
+    inside = [low[k] >= low[o].min() - slack and high[k] <= high[o].max() + slack for k, o in enumerate(others)]
+    return np.array(inside or [False])
+
+
+def _folds(records: Sequence[Record], inner: np.ndarray) -> list[list[np.ndarray]]:
+    """Inner records dealt out to at most five folds, the others in one more: for every record one mask a fold."""
+    count = min(int(inner.sum()), _BLOCKS)
+    folds = np.where(inner, (np.cumsum(inner) - 1) % count, count)
+    return [[r.used & (fold == k) for k in range(count + 1)] for r, fold in zip(records, folds, strict=True)]
+
+
+def _rows(A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Rows (A, y), one a state that the samples visit, and a last one: their sums of squares are those of the samples."""
+    states, place = np.unique(index, return_inverse=True)
+    mass = np.bincount(place, weight)
+    mean = np.bincount(place, weight * y) / mass
+    spread = np.zeros((1, A.shape[1] + 1))
+    spread[0, -1] = np.sqrt(max(float(weight @ (y - mean[place]) ** 2), 0.0))
+    return np.concatenate([np.column_stack([A[states], mean]) * np.sqrt(mass)[:, None], spread])
+
+
+@dataclasses.dataclass(frozen=True)
+class SmoothFit:
+    """Solution of a `SmoothSystem`.
+
+    Attributes:
+        weights: all p weights, in output units; held ones as given.
         smoothness: strength of the penalty, relative to the number of samples.
         left_out: root mean square error on blocks left out, in parts of the output's range, for each strength tried.
         rss: sum of squared residuals, output units.
-        penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / parameters, shape (p,).
+        cost: the same with the penalty added.
+        penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,).
     """
 
     weights: np.ndarray
     smoothness: float
     left_out: np.ndarray
     rss: float
+    cost: float
     penalty: np.ndarray
 
 
 def fit_smooth(
-    system: PreisachSystem,
+    system: SmoothSystem,
     strengths: Sequence[float] = SMOOTHNESS,
     *,
     held: np.ndarray | None = None,
@@ -43,8 +187,8 @@ def fit_smooth(
 
     Args:
         system: the equations.
-        strengths: of the penalty to choose among; one value is taken as it is.
-        held: values of parameters that are not fitted, NaN for the others, output units, shape (p,).
+        strengths: of the penalty to choose among; a single one is used without a choice.
+        held: values of weights that are not fitted, NaN for the others, output units, shape (p,).
     """
     p = system.roughness.shape[0]
     held = np.full(p, np.nan) if held is None else held
@@ -64,20 +208,21 @@ def fit_smooth(
             r = np.append(-v, 1.0)
             error += max(float(r @ gram @ r), 0.0)
         left_out.append(np.sqrt(error / system.counts[judged].sum()))
-        # Stiffer still only bends more: once the error has tripled, the choice is made.
+        # Once the error has tripled, stiffer weights only make it larger.
         if left_out[-1] > 3 * min(left_out):
             break
     best = strengths[int(np.argmin(left_out))] if left_out else strengths[0]
     v, _ = _solve(total, best * n * rough, bounded, starts[judged[0]] if free.size <= _MANY else None)
     r = np.append(-v, 1.0)
     rss = max(float(r @ total @ r), 0.0) * system.size**2
+    cost = rss + best * n * float(v @ rough @ v) * system.size**2
     weights = held.copy()
     weights[free] = v * system.size
-    return SmoothFit(weights, best, np.array(left_out), rss, best * n * np.diag(system.roughness))
+    return SmoothFit(weights, best, np.array(left_out), rss, cost, best * n * np.diag(system.roughness))
 
 
-def _reduced(system: PreisachSystem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrices without the held parameters, whose part moves to the side of the output, and the free ones' positions."""
+def _reduced(system: SmoothSystem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices without the held weights, whose part moves to the side of the output, and the free ones' positions."""
     free, fixed = np.flatnonzero(np.isnan(held)), np.flatnonzero(~np.isnan(held))
     if not fixed.size:
         return system.grams, free

@@ -11,28 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import ModelError
-from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.problem import Problem
-from hystfit.models.free_run import free_run
-from hystfit.models.preisach.design_matrix import features
-from hystfit.models.preisach.equations import LeftOut, Offsets, PreisachSystem, tied_to
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothFit, fit_smooth
-from hystfit.quality.reversal_curves import reversal_curves
-from hystfit.results.metrics import Metrics
-
-_TERMS = ("w", "slopes", "b")
+from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOut, Offsets, SmoothSystem, fit_smooth
 
 
 @dataclasses.dataclass(frozen=True)
 class PreisachFit:
-    """A fitted Preisach model and what the data say about it.
+    """A fitted Preisach model and what the data determine of it.
 
     Attributes:
         model: as seen by the first record.
         offsets: of every record, shape (R,).
-        train: error on the samples that counted.
+        nrmse_percent: error on the samples that counted, percent of the output's range.
         smoothness: strength that blocks left out chose.
         left_out_percent: error on those blocks, percent of the output's range; None where one strength was given.
         reach: part of each weight's cells that the data switched, shape (weights,).
@@ -41,7 +31,7 @@ class PreisachFit:
 
     model: Preisach
     offsets: np.ndarray
-    train: Metrics
+    nrmse_percent: float
     smoothness: float
     left_out_percent: float | None
     reach: np.ndarray
@@ -54,7 +44,7 @@ class PreisachFit:
 
     def predict(self, u: np.ndarray) -> np.ndarray:
         """Output of the fitted model on an input, shape (T,)."""
-        return free_run(self.model, u)
+        return self.model.free_run(u)
 
 
 def fit_preisach(
@@ -71,9 +61,9 @@ def fit_preisach(
 
     Args:
         data: records.
-        model: a model (its levels are chosen anew unless its spacing is "given"), or the number of cells along an axis of a new one.
+        model: a model (its levels are chosen again unless its spacing is "given"), or the number of cells along an axis of a new one.
         smoothness: strengths of the penalty on second differences, to choose among.
-        left_out: what chooses the smoothness, see `PreisachSystem.of`.
+        left_out: what chooses the smoothness, see `SmoothSystem.of`.
         nonnegative: bound the masses from below.
         offsets: each record its own constant, one for all, or none.
         **structure: of a new model, as in `Preisach.of` (symmetric, reversible, initial, ...).
@@ -85,116 +75,27 @@ def fit_preisach(
         HystfitError: data or settings that cannot be used.
     """
     records = list(Dataset.of(data))
-    model = Preisach.of(model, **structure) if isinstance(model, int) else model
-    model = model.start(records)
-    system = PreisachSystem.of(model, records, left_out=left_out, nonnegative=nonnegative, offsets=offsets)
+    model = (Preisach.of(model, **structure) if isinstance(model, int) else model).start(records)
+    designs = [model.design_matrix(r.u) for r in records]
+    system = SmoothSystem.of(designs, records, left_out=left_out, nonnegative=nonnegative, offsets=offsets)
     fit = fit_smooth(system, smoothness)
-    return _conclude(model, records, system, fit)
-
-
-def _conclude(model: Preisach, records: list[Record], system: PreisachSystem, fit: SmoothFit) -> PreisachFit:
     split = np.cumsum([model.w.size, model.slopes.size, model.b.size])
-    w, slopes, b, own = np.split(fit.weights, split)
-    own = np.resize(own, len(records)) if own.size else np.zeros(len(records))
-    models = [with_weights(model, w, slopes, b, offset) for offset in own]
-    fitted = [free_run(m, r.u) for m, r in zip(models, records, strict=True)]
-    train = Metrics.of([r.y[r.used] for r in records], [y[r.used] for y, r in zip(fitted, records, strict=True)])
+    *weights, constants = np.split(fit.weights, split)
+    constants = np.resize(constants, len(records)) if constants.size else np.zeros(len(records))
+    arrays = (jnp.asarray(value, dtype=model.levels.dtype) for value in (*weights, constants[0]))
+    fitted = eqx.tree_at(lambda m: (m.w, m.slopes, m.b, m.offset), model, tuple(arrays))
+    residuals = [
+        (fitted.free_run(r.u) - constants[0] + constant - r.y)[r.used]
+        for r, constant in zip(records, constants, strict=True)
+    ]
+    span = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or np.nan
     error = float(100 * fit.left_out.min()) if fit.left_out.size else None
-    notes = reach_notes(model, system.reach)
-    return PreisachFit(models[0], own, train, fit.smoothness, error, system.reach, notes)
-
-
-def with_weights(model: Preisach, w: np.ndarray, slopes: np.ndarray, b: np.ndarray, offset: float) -> Preisach:
-    """The model with other weights."""
-    arrays = tuple(jnp.asarray(value, dtype=model.levels.dtype) for value in (w, slopes, b, offset))
-    return eqx.tree_at(lambda m: (m.w, m.slopes, m.b, m.offset), model, arrays)
-
-
-def reach_notes(model: Preisach, reach: np.ndarray) -> tuple[str, ...]:
-    """What to say of cells that the data never switched."""
-    tied = tied_to(model)
-    missing = int((reach[tied] < 1e-9).sum())
-    if not missing:
-        return ()
-    return (
-        f"{missing} of {tied.size} {model.elements} were never switched by the data ({missing / tied.size:.0%}): their weights "
-        "follow from smoothness alone, and a prediction that reaches them is extrapolation",
+    return PreisachFit(
+        fitted,
+        constants,
+        100 * float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))) / span,
+        fit.smoothness,
+        error,
+        system.reach[: model.w.size],
+        system.notes(),
     )
-
-
-class PreisachWeights(AbstractEstimator):
-    """Weights of a `Preisach` model, levels given: smooth, >= 0 as the parameters' bounds say, solved on distinct states.
-
-    Attributes:
-        smoothness: strengths of the penalty among which blocks left out choose.
-        left_out: what chooses it, see `PreisachSystem.of`.
-    """
-
-    smoothness: tuple[float, ...] = eqx.field(static=True, default=SMOOTHNESS)
-    left_out: LeftOut = eqx.field(static=True, default="auto")
-
-    def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`; starts do not matter.
-
-        Raises:
-            ModelError: the model is no `Preisach`, or something other than weights, slopes, b and offset is free.
-        """
-        model = problem.model
-        if not isinstance(model, Preisach):
-            raise ModelError(f"this method fits Preisach models, got {type(model).__name__}; use method='convex'")
-        records = list(problem.data)
-        # Reversal curves start from one state: an offset for each would blur what tells them apart.
-        family = reversal_curves(records) if model.spacing == "reversal-curves" else None
-        own = len(records) if family is None else 1
-        system = PreisachSystem.of(model, records, left_out=self.left_out, offsets="shared" if family else "each")
-        place = _positions(problem, len(records))
-        fixed = [np.asarray(getattr(model, name), float).reshape(-1) for name in _TERMS]
-        held = np.concatenate([*fixed, np.full(own, float(model.offset))])
-        place = np.minimum(place, held.size - 1) if family is not None else place
-        held[place[place >= 0]] = np.nan
-        fit = fit_smooth(system, self.smoothness, held=held)
-        size = problem.scales.y
-        x, penalty = fit.weights[place], fit.penalty[place] / size**2
-        cost = 0.5 * fit.rss / size**2
-        notes = [] if family is None else [family.words(), *family.notes]
-        notes += reach_notes(model, system.reach)
-        if fit.left_out.size:
-            notes.append(
-                f"smoothness {fit.smoothness:.0e} chosen on {int(system.judged.sum())} blocks left out "
-                f"(error there {fit.left_out.min():.2%} of the range)",
-            )
-        return Estimate(x, cost, True, "solved", 1, np.array([cost]), penalty, tuple(notes))
-
-
-def _positions(problem: Problem, records: int) -> np.ndarray:
-    """Where each free parameter of a problem stands among (w, slopes, b, offsets), shape (p,)."""
-    model = problem.model
-    start = dict(zip(_TERMS, np.cumsum([0, model.w.size, model.slopes.size]), strict=True))
-    end = model.w.size + model.slopes.size + model.b.size
-    leaves = {leaf.index: leaf.path[-1] for leaf in problem.space.leaves}
-    out = []
-    for index, positions, own in problem.space.coordinates.layout:
-        name = leaves[index]
-        if name == "offset" and own:
-            out += [end + k for k in range(records)]
-        elif name in start:
-            out += [start[name] + k for k in positions]
-        else:
-            raise ModelError(
-                f"the weights of a Preisach model are fitted with {name} fixed: fix it, or use method='trf'"
-            )
-    return np.array(out, dtype=int)
-
-
-def responses(problem: Problem) -> np.ndarray:
-    """Response of every sample to every free parameter of a Preisach problem, shape (R T, p): exact, from distinct states."""
-    model, batch = problem.model, problem.objective.batch
-    place = _positions(problem, len(problem.data))
-    count = sum(getattr(model, name).size for name in _TERMS)
-    rows = np.zeros((*batch.u.shape, place.size))
-    for number, record in enumerate(problem.data):
-        A, index = features(model, record.u)
-        inner, own = place < count, place == count + number
-        rows[number, : len(record), inner] = A[:, place[inner]][index].T
-        rows[number, : len(record), own] = 1.0
-    return rows.reshape(-1, place.size)

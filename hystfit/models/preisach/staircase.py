@@ -3,19 +3,24 @@
 A Preisach state is the sequence of its dominant extrema e_0, e_1, ..., ending at the present input, in which every interval
 (e_{k-1}, e_k) lies inside the one before it. A new input keeps those extrema whose interval contains it and replaces the rest
 (wiping-out). States with the same last extremum share their history, so that they form a tree, and a record visits few of its nodes.
+
+A turning point's parent is the extremum that remained before it: the last one whose interval contains it. Going through the reversals one
+by one finds it with a stack. Many at a time: a pair of reversals B, C between A and D closes a loop when C lies within A to B and
+B within C to D. D wipes both out, so that later states do not depend on them. Pairs are taken out in passes until few are left
+(noise leaves a third after each), a stack serves those, and the pairs come back in reverse order, each on the way from A to D.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from hystfit.models.preisach.nesting import distinct, grow, levels, settle
-
 Rest = Literal["demagnetized", "negative", "positive"]
+_WORTH = 1 / 16  # part of the reversals that a pass must take out to be worth another
+_FEW = 64  # reversals left to the stack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,3 +99,165 @@ def _codes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if np.issubdtype(v.dtype, np.integer):
         return np.arange(v.max() + 1), v
     return np.unique(v, return_inverse=True)
+
+
+# -- the tree of dominant extrema ------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Tree:
+    """Extrema, those that remember least first.
+
+    Attributes:
+        value: shape (K,).
+        parent: the extremum before it, shape (K,); -1 where there is none.
+        low, high: interval of the inputs that leave it in the memory, open, shapes (K,).
+        of_turn: extremum at every turning point, shape (m,).
+        depth: most extrema on a way to the root.
+    """
+
+    value: np.ndarray
+    parent: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    of_turn: np.ndarray
+    depth: int
+
+
+def grow(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) -> Tree:
+    """The tree of a sequence of turning points.
+
+    Args:
+        v: turning points, neighbors different, shape (m,).
+        code: whole numbers that tell their values apart, below `codes`, shape (m,).
+        codes: how many there are.
+        rest: state before the first, see `compile_input`.
+        center: of the demagnetized state.
+    """
+    given, v = v, np.asarray(v, dtype=float)
+    parent, level = np.full(v.size, -1), np.ones(v.size, dtype=np.int32)
+    low, high = np.empty(v.size), np.empty(v.size)
+    kept, passes = closed_pairs(v)
+    parent[kept], level[kept], low[kept], high[kept] = _stack(v[kept], rest, center, kept)
+    for a, b, c in reversed(passes):
+        for start, now in ((a, b), (b, c)):
+            x = v[now]
+            parent[now] = above = settle(x, start, parent, low, high)
+            other = np.where(above < 0, opposite(x, rest, center), v[above])
+            low[now], high[now] = np.minimum(x, other), np.maximum(x, other)
+            level[now] = np.where(above < 0, 1, level[above] + 1)
+    return _merge(given, code, codes, parent, level, low, high)
+
+
+def closed_pairs(v: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Take pairs that close a loop out of a sequence of turning points, pass after pass.
+
+    Returns:
+        Positions that are left, and for each pass positions (A, B, C): the pairs B, C, and the last that is left before each.
+    """
+    kept, passes = np.arange(v.size), []
+    while kept.size > _FEW:
+        x = v[kept]
+        a, b, c, d = x[:-3], x[1:-2], x[2:-1], x[3:]
+        closes = np.where(b > a, (c >= a) & (d >= b), (c <= a) & (d <= b))
+        # Pairs that share a point are taken out in turn: every other one of a run now.
+        at = np.arange(closes.size)
+        run = np.maximum.accumulate(np.where(closes, -1, at))
+        first = np.flatnonzero(closes & ((at - run) % 2 == 1)) + 1
+        if first.size < _WORTH * kept.size:
+            break
+        left = np.ones(kept.size, dtype=bool)
+        left[first] = left[first + 1] = False
+        before = np.maximum.accumulate(np.where(left, np.arange(kept.size), 0))[first]
+        passes.append((kept[before], kept[first], kept[first + 1]))
+        kept = kept[left]
+    return kept, passes
+
+
+def _stack(v: np.ndarray, rest: str, center: float, names: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Parents (by name), levels and intervals of a few turning points, one after the other."""
+    values = v.tolist()
+    above: list[int] = []
+    level: list[int] = []
+    low: list[float] = []
+    high: list[float] = []
+    top = -1
+    for number, x in enumerate(values):
+        while top >= 0 and not low[top] < x < high[top]:
+            top = above[top]
+        other = opposite(x, rest, center) if top < 0 else values[top]
+        above.append(top)
+        level.append(1 if top < 0 else level[top] + 1)
+        low.append(x if x < other else other)
+        high.append(other if x < other else x)
+        top = number
+    return np.append(names, -1)[above], np.array(level), np.array(low), np.array(high)
+
+
+def opposite(v: Any, rest: str, center: float) -> Any:
+    """The other end of the interval that a first extremum v spans; numbers or arrays."""
+    return 2 * center - v if rest == "demagnetized" else -np.inf if rest == "negative" else np.inf
+
+
+def settle(v: np.ndarray, node: np.ndarray, parent: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Walk up the tree from given extrema to those whose interval contains inputs v; -1 where none does."""
+    node = node.copy()
+    active = np.flatnonzero(node >= 0)
+    while active.size:
+        at, x = node[active], v[active]
+        active = active[~((low[at] < x) & (x < high[at]))]
+        node[active] = parent[node[active]]
+        active = active[node[active] >= 0]
+    return node
+
+
+def _merge(
+    v: np.ndarray,
+    code: np.ndarray,
+    codes: int,
+    parent: np.ndarray,
+    level: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> Tree:
+    """One node for all turning points with the same value and history, layer by layer from the root."""
+    depth = int(level.max())
+    order = np.argsort(level.astype(np.uint16) if depth < 2**16 else level, kind="stable")
+    edges = np.append(0, np.cumsum(np.bincount(level)[1:]))
+    of_turn = np.full(v.size + 1, -1)  # the last stands for parent -1
+    chosen, count, root = [], 0, -1
+    for start, stop in itertools.pairwise(edges.tolist()):
+        mine = order[start:stop]
+        keys = (of_turn[parent[mine]] - root) * codes + code[mine]
+        found, place = distinct(keys, max(count - root, 1) * codes)
+        one = np.empty(found.size, dtype=int)
+        one[place] = mine
+        chosen.append(one)
+        of_turn[mine] = count + place
+        root, count = count, count + found.size
+    at = np.concatenate(chosen)
+    return Tree(v[at], of_turn[parent[at]], low[at], high[at], of_turn[:-1], depth)
+
+
+def levels(parent: np.ndarray) -> np.ndarray:
+    """How many extrema lie on the way from each to the root, itself included: by jumps that double."""
+    level, up = np.ones(parent.size, dtype=int), parent
+    while (up >= 0).any():
+        level += np.where(up >= 0, level[up], 0)
+        up = np.where(up >= 0, up[up], -1)
+    return level
+
+
+_TABLE = 4_000_000  # largest range of keys for which counting replaces sorting
+
+
+def distinct(keys: np.ndarray, bound: int) -> tuple[np.ndarray, np.ndarray]:
+    """As np.unique with inverse, for whole numbers below a bound: by counting where the range is small and well filled."""
+    if bound > min(_TABLE, 256 * keys.size):
+        return np.unique(keys, return_inverse=True)
+    seen = np.zeros(bound, dtype=bool)
+    seen[keys] = True
+    found = np.flatnonzero(seen)
+    place = np.empty(bound, dtype=np.int32)
+    place[found] = np.arange(found.size)
+    return found, place[keys]

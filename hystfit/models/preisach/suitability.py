@@ -24,7 +24,7 @@ from hystfit.models.preisach.staircase import Rest
 
 Outcome = Literal["holds", "fails", "untested"]
 _MAJOR = 0.95  # part of the input's range from which a loop is the major one
-_KNOWN = 0.9  # part of the higher orders' states from which the first-order ones are said to determine them
+_KNOWN = 0.9  # part of the higher orders' states from which the first-order ones determine them
 _FIRST = 1  # reversals that the memory holds on a first-order curve
 
 
@@ -154,7 +154,7 @@ def check_preisach(record: Record, limit: float = 2.0, *, model: bool = False) -
 
     Args:
         record: measured.
-        limit: percent of the output's range up to which a property is said to hold.
+        limit: percent of the output's range up to which a property holds.
         model: also identify a Preisach model and see how its errors grow with the order of reversal.
     """
     closures, loops = wiping_out(record), tuple(congruency(record))

@@ -1,11 +1,10 @@
 """The report on a fit: as text, and as one HTML page with its pictures."""
 
-from hystfit.results.report.numbers import lines as lines
-from hystfit.results.report.numbers import metrics_words as metrics_words
-from hystfit.results.report.numbers import rounded as rounded
 from hystfit.results.report.page import html_report as html_report
 from hystfit.results.report.page import write as write
 from hystfit.results.report.page import write_into as write_into
-from hystfit.results.report.text import headline as headline
-from hystfit.results.report.text import metric_rows as metric_rows
-from hystfit.results.report.text import text_report as text_report
+from hystfit.results.report.tables import metrics_table as metrics_table
+from hystfit.results.report.tables import metrics_words as metrics_words
+from hystfit.results.report.tables import parameter_table as parameter_table
+from hystfit.results.report.text_report import headline as headline
+from hystfit.results.report.text_report import text_report as text_report

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from hystfit.data.record import Dataset, Record
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped
-from hystfit.results.report.numbers import held, lines
-from hystfit.results.report.text import facts, headline, metric_rows, text_report
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
+from hystfit.results.report.text_report import ERRORS, facts, headline, text_report
 from hystfit.results.result import FitResult
 
 if TYPE_CHECKING:
@@ -24,37 +24,37 @@ _DPI = 150
 
 
 def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> dict[str, Figure]:
-    """Figures by file name, made without any global state of matplotlib."""
+    """Figures by file name, made without global state of matplotlib."""
     from matplotlib.figure import Figure
 
     def sheet(width: float, height: float, count: int = 1) -> tuple[Figure, Any]:
         figure = Figure(figsize=(width, height), layout="constrained")
         return figure, figure.subplots(1, count)
 
-    found: dict[str, Figure] = {}
-    found["loop"], ax = sheet(6.4, 4.8)
+    figures: dict[str, Figure] = {}
+    figures["loop"], ax = sheet(6.4, 4.8)
     draw(result, "loop", ax)
-    found["series"], ax = sheet(9.6, 3.4)
+    figures["series"], ax = sheet(9.6, 3.4)
     draw(result, "series", ax)
-    found["residuals"], axes = sheet(9.6, 3.4, 2)
+    figures["residuals"], axes = sheet(9.6, 3.4, 2)
     draw(result, "residuals", axes[0])
     draw(result, "residuals-input", axes[1])
-    found["autocorrelation"], ax = sheet(6.4, 3.2)
+    figures["autocorrelation"], ax = sheet(6.4, 3.2)
     draw(result, "autocorrelation", ax)
     count = sum(not family[0].fixed for _, family in grouped(result.parameters))
-    found["parameters"], ax = sheet(6.4, min(12.0, 1.2 + 0.3 * count))
+    figures["parameters"], ax = sheet(6.4, min(12.0, 1.2 + 0.3 * count))
     draw(result, "parameters", ax)
     if test is not None:
-        found["test"], axes = sheet(9.6, 3.8, 2)
+        figures["test"], axes = sheet(9.6, 3.8, 2)
         draw(result, "loop", axes[0], data=test, refit_offset=refit_offset)
         draw(result, "series", axes[1], data=test, refit_offset=refit_offset)
-    return found
+    return figures
 
 
 _CAPTIONS = {
     "loop": "Measured loop and model",
-    "test": "Test data, which were not fitted",
-    "series": "Output",
+    "test": "Test data (not fitted)",
+    "series": "Measured and simulated output",
     "residuals": "Residuals",
     "autocorrelation": "Autocorrelation of the residuals",
     "parameters": "Relative standard errors",
@@ -62,7 +62,7 @@ _CAPTIONS = {
 
 
 def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> str:
-    """One HTML page with its pictures inside, which needs nothing else."""
+    """One self-contained HTML page with its pictures."""
     figures = pictures(result, test=test, refit_offset=refit_offset)
     return _page(result, {name: _png(figure) for name, figure in figures.items()})
 
@@ -82,10 +82,11 @@ def _page(result: FitResult, images: dict[str, bytes]) -> str:
         title=headline(result),
         usable=result.usable,
         advice=result.advice,
-        metrics=metric_rows(result),
-        table=lines(result),
-        held=held(result),
-        notes=result.notes,
+        errors=ERRORS,
+        metrics=metrics_table(result).html(),
+        parameters=parameter_table(result, meaning=True).html(),
+        fixed=fixed_words(result),
+        notes=[str(note) for note in result.notes],
         facts=facts(result),
         pictures=shown,
     )
@@ -105,10 +106,16 @@ def _png(figure: Figure) -> bytes:
 def write(result: FitResult, folder: str | Path, *, test: Data | None = None, refit_offset: bool = False) -> Path:
     """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
 
+    Args:
+        result: the fit.
+        folder: made if it does not exist.
+        test: records that were not fitted, for a picture of their own.
+        refit_offset: shift the prediction of each test record to its mean.
+
     Raises:
         HystfitError: the folder cannot be made or written.
     """
-    from hystfit.results.saved import writing
+    from hystfit.results.folders import writing
 
     with writing(folder) as scratch:
         write_into(result, scratch, test=test, refit_offset=refit_offset)
@@ -116,7 +123,7 @@ def write(result: FitResult, folder: str | Path, *, test: Data | None = None, re
 
 
 def write_into(result: FitResult, folder: Path, *, test: Data | None = None, refit_offset: bool = False) -> None:
-    """The files of `write` into a folder that is there."""
+    """Write the files of `write` into an existing folder."""
     figures = pictures(result, test=test, refit_offset=refit_offset)
     images = {name: _png(figure) for name, figure in figures.items()}
     (folder / "report.html").write_text(_page(result, images), encoding="utf-8")

@@ -1,0 +1,126 @@
+"""`hystfit models` and `hystfit datasets`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hystfit.cli.options import STDOUT, Output
+from hystfit.cli.write import finish, record_columns, show, write_csv
+from hystfit.errors import DataError
+from hystfit.outcome import Column, Table
+
+_PLACES = {
+    "core": "Hysteresis",
+    "beside": "Added to the output (join by +)",
+    "before": "Before the hysteresis (join by +)",
+    "after": "After it (join by +)",
+}
+_EXAMPLE = """Example: hystfit fit LOOP --model lag+prandtl-ishlinskii-generalized:plays=8+creep; or my_model.py:MyModel
+Settings follow a name (preisach:n=60:reversible=no); hystfit models NAME lists them"""
+
+
+def models(name: str | None = None, /, *, json: bool = False) -> int:
+    """List the models, or the parameters of one.
+
+    Args:
+        name: a model, or several joined by +, or my_model.py:MyModel.
+        json: print JSON.
+    """
+    from hystfit.models.registry import MODELS, make_model
+
+    entry = MODELS.get(name or "")
+    if name is None:
+        width = max(map(len, MODELS))
+        places = {place: [item for item in MODELS.items() if item[1].place == place] for place in _PLACES}
+        groups = {
+            place: Table(["", Column("", left=True)], [[f"{key:<{width}}", item.doc] for key, item in listed])
+            for place, listed in places.items()
+        }
+        blocks = ["\n".join([heading, *groups[place].lines("  ")]) for place, heading in _PLACES.items()]
+        text = "\n\n".join([*blocks, _EXAMPLE])
+        listed = {
+            key: {"place": entry.place, "about": entry.doc, "settings": entry.settings()}
+            for key, entry in MODELS.items()
+        }
+        content: dict[str, Any] = {"models": listed}
+    else:
+        table = _parameters(entry.make() if entry else make_model(name))
+        settings = entry.settings() if entry else {}
+        count = len(table.rows)
+        text = f"{name}: {count} parameter{'s' * (count != 1)}\n{table.text('  ')}"
+        if entry and settings:
+            text += f"\nsettings and their defaults: {name}:{entry.shown()}"
+        content = {"model": name, "parameters": table.to_list(), "settings": settings}
+    show(text, {"schema": "hystfit.models/1", **content}, json)
+    return 0
+
+
+def _parameters(model: Any) -> Table:
+    """Each field with parameters in one row: name, number of elements, unit, bounds, whether it is held, meaning."""
+    from hystfit.params.space import ParameterSpace
+    from hystfit.params.units import Scales
+
+    space = ParameterSpace.of(model)
+    label = Scales(u_unit="[u]", y_unit="[y]").label
+    elements = [(name, info, False) for name, info in zip(space.names, space.infos, strict=True)]
+    elements += [(name, info, True) for name, _, info in space.fixed()]
+    rows: dict[str, list[Any]] = {}
+    for name, info, fixed in elements:
+        base = name.partition("[")[0]
+        rows.setdefault(base, [base, 0, label(info.unit), *map(float, info.bounds), fixed, info.doc])[1] += 1
+    columns = ["name", "count", Column("unit", left=True), "lower", "upper", "fixed", Column("about", left=True)]
+    return Table(columns, list(rows.values()))
+
+
+def datasets(name: str | None = None, /, *, output: Output = STDOUT) -> int:
+    """List the data sets known by name, describe one, or write one as CSV (downloading it where necessary).
+
+    --out is the CSV file to write, or a folder for it.
+
+    Args:
+        name: a data set.
+    """
+    from hystfit.reading import datasets as known
+
+    content: dict[str, Any] = {"schema": "hystfit.datasets/1"}
+    if name is None:
+        if output.out is not None:
+            raise DataError("name the data set to write: hystfit datasets NAME --out FILE")
+        about = {key: known.describe(key).splitlines()[0].partition(": ")[2] for key in known.names()}
+        show(Table(["", Column("", left=True)], [*about.items()]).text(), content | {"datasets": about}, output.json)
+        return 0
+    text = known.describe(name)
+    content |= {"name": name, "about": text}
+    if output.out is None:
+        return finish(text, content, output)
+    from hystfit.data.record import Dataset
+
+    table = record_columns(Dataset.of(known.load(name)))
+    return finish_table(text, content, output, f"{name.replace('/', '_')}.csv", table)
+
+
+def finish_table(text: str, content: dict[str, Any], output: Output, name: str, columns: Mapping[str, Any]) -> int:
+    """Write columns as CSV with ten significant digits, print the text or JSON, and return exit status 0.
+
+    Args:
+        text: the result for people.
+        content: of result.json, which is written where `out` is a folder.
+        output: `out` is the CSV file itself where it ends in a suffix, else a folder.
+        name: of the CSV file in a folder.
+        columns: equally long columns by heading.
+
+    Raises:
+        HystfitError: it cannot be written.
+    """
+    out = output.out
+    if out is None or out.is_dir() or not out.suffix:
+        save = lambda folder: write_csv(folder / name, columns, ".10g")
+        return finish(text, content, output, save)
+    from hystfit.results.folders import writing
+
+    if not out.parent.is_dir():
+        raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
+    with writing(out.parent) as scratch:
+        write_csv(scratch / out.name, columns, ".10g")
+    return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))

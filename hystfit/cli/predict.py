@@ -1,0 +1,128 @@
+"""`hystfit predict` and `hystfit report`: a saved fit on another record, and its report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, bounds_of
+from hystfit.cli.records import load, load_one_sided, open_fit
+from hystfit.cli.write import finish, items, named, progress, record_columns, show, write_csv, written
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note, Severity, Status
+from hystfit.outcome.note import warn
+
+if TYPE_CHECKING:
+    from hystfit.data.record import Dataset
+    from hystfit.results.result import FitResult
+
+
+def report(folder: FitFolder, /, *, output: Output = STDOUT) -> int:
+    """Print the report of a saved fit and draw its pictures and HTML page again.
+
+    They are written into --out, or into the folder of the fit.
+    """
+    from hystfit.results.report import write
+    from hystfit.results.saved import load_fit
+
+    result = load_fit(folder)
+    target = output.out or folder
+    Output(out=target).check(fit=True)
+    with progress("drawing"):
+        write(result, target)
+    show(str(result) + written(target, ["report.html", "report.txt", "pictures"]), result.to_dict(), output.json)
+    return 0 if result.usable else 1
+
+
+def predict(
+    fitdir: FitFolder,
+    loop: Loop,
+    /,
+    *,
+    input_only: Annotated[bool, Parameter(group=SPLIT)] = False,
+    window: Part = None,
+    refit_offset: Annotated[bool, Parameter(group=SPLIT)] = False,
+    reading: Reading = DEFAULT_READING,
+    output: Output = STDOUT,
+) -> int:
+    """Simulate a fitted model on the input of a record, and compare it with the measured output where there is one.
+
+    With --out, the folder holds prediction.csv and a picture.
+
+    Args:
+        input_only: the file has no output: predict it (give --input, and --time).
+        window: compare only the samples in start:stop.
+        refit_offset: shift the prediction to the mean of the measurement (another zero of the sensor).
+    """
+    result = open_fit(fitdir, output)
+    if input_only and reading.output is not None:
+        raise DataError("--output and --input-only exclude each other")
+    data = load_one_sided(loop, reading, "output") if input_only else load(loop, reading)
+    part = bounds_of(window)
+    if part is not None:
+        data = data.map(lambda record: record.window(*part))
+    runs = [result.predict(record, refit_offset=refit_offset) for record in data]
+    content, text = _compared(result, data, runs, fitdir, refit_offset)
+
+    def save(folder: Path) -> None:
+        unit = result.data.units["y"]
+        predicted = {named("predicted", unit): [value for run in runs for value in run]}
+        write_csv(folder / "prediction.csv", record_columns(data, "measured", unit) | predicted)
+        _draw(folder / "prediction.png", result, data, refit_offset)
+
+    return finish(text, content, output, save)
+
+
+def _compared(
+    result: FitResult, data: Dataset, runs: list[Any], fitdir: Path, refit_offset: bool
+) -> tuple[dict[str, Any], str]:
+    """Content of result.json for a prediction, and its text."""
+    import numpy as np
+
+    from hystfit.results.metrics import Metrics
+    from hystfit.results.report import metrics_words
+    from hystfit.results.result import provenance
+
+    finite = all(np.isfinite(run).all() for run in runs)
+    measured = [(record, run) for record, run in zip(data, runs, strict=True) if record.used.any()]
+    metrics = None
+    if measured and finite:
+        metrics = Metrics.of([r.y[r.used] for r, _ in measured], [run[r.used] for r, run in measured])
+    weighted = [r if r.used.any() else r.replace(weight=np.ones(len(r))) for r in data]
+    warnings = [result.extrapolates(record) for record in weighted]
+    notes = [warn(Code.EXTRAPOLATION, str(warning)) for warning in warnings if warning]
+    if not finite:
+        text = "the prediction is not finite: the model is unstable on this input"
+        notes.append(Note(Code.NOT_FINITE, text, Severity.ERROR))
+    if not result.usable:
+        notes.append(warn(Code.FIT_STATUS, f"the fit itself is not usable: its status is {result.status}"))
+    if refit_offset:
+        notes.append(Note(Code.OFFSET_REFITTED, "the offset of each record was refitted to its mean"))
+    status = Status.NOT_FINITE if not finite else Status.OK if result.usable else Status.FIT_NOT_USABLE
+    names = [record.name for record in data]
+    shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    lines = [f"{result.name} on {shown}: {sum(len(record) for record in data)} samples"]
+    lines += [f"  error against the measured output: {metrics_words(metrics)}", *items(notes)]
+    content = {
+        "schema": "hystfit.predict/1",
+        "model": result.name,
+        "status": str(status),
+        "notes": [note.to_dict() for note in notes],
+        "metrics": {"test": metrics.to_dict() if metrics else None},
+        "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
+        "provenance": provenance(data, None),
+    }
+    return content, "\n".join(lines)
+
+
+def _draw(path: Path, result: FitResult, data: Dataset, refit_offset: bool) -> None:
+    from matplotlib.figure import Figure
+
+    from hystfit.results.plots import fit as draw
+
+    figure = Figure(figsize=(9.6, 3.8), layout="constrained")
+    for kind, axes in zip(("loop", "series"), figure.subplots(1, 2), strict=True):
+        draw(result, kind, axes, data=data, refit_offset=refit_offset)
+    figure.savefig(path, dpi=150)

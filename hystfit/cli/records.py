@@ -1,0 +1,165 @@
+"""From arguments to records and fits: files and data sets by name, windows, and what is kept for the test."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from hystfit.cli.options import Output, Reading, Split, bounds_of
+from hystfit.errors import DataError
+
+if TYPE_CHECKING:
+    from hystfit.data.record import Dataset, Record
+    from hystfit.results.result import FitResult
+
+
+def open_fit(folder: Path, output: Output) -> FitResult:
+    """The saved fit of a folder, after a check that the result can be written.
+
+    Raises:
+        HystfitError: no fit, or see `Output.check`.
+    """
+    from hystfit.results.saved import load_fit
+
+    result = load_fit(folder)
+    output.check()
+    return result
+
+
+def load(loop: str, reading: Reading) -> Dataset:
+    """The records of a LOOP argument.
+
+    Raises:
+        DataError: neither a file nor a data set, or it cannot be read with these options.
+    """
+    from hystfit.data.record import Dataset
+    from hystfit.reading import datasets
+    from hystfit.reading.read import read
+
+    if Path(loop).is_dir():
+        raise DataError(f"{loop!r} is a folder; name a file in it")
+    if Path(loop).exists():
+        return Dataset.of(read(loop, **dataclasses.asdict(reading)))
+    if loop in datasets.names():
+        return _by_name(loop, reading)
+    close = difflib.get_close_matches(loop, datasets.names(), n=3)
+    hint = f"did you mean {' or '.join(close)}?" if close else "hystfit datasets lists the data sets known by name"
+    raise DataError(f"no file {loop!r}, and no data set of that name; {hint}")
+
+
+def _by_name(name: str, reading: Reading) -> Dataset:
+    from hystfit.data.record import Dataset
+    from hystfit.reading import datasets
+    from hystfit.reading.read import select_curves
+
+    default = Reading(only=reading.only)
+    changed = [field for field, value in vars(reading).items() if value != getattr(default, field)]
+    if changed:
+        raise DataError(f"{name!r} is a data set whose columns are known: leave out --{' --'.join(changed)}")
+    data = Dataset.of(datasets.load(name))
+    if reading.only is None:
+        return data
+    if len(data) == 1:
+        raise DataError(f"{name!r} holds one curve, so that --only {reading.only} has nothing to choose from")
+    chosen = select_curves([(record.name, record) for record in data], reading.only, name)
+    return Dataset(tuple(record for _, record in chosen), name=data.name)
+
+
+def load_one_sided(path: str, reading: Reading, missing: Literal["input", "output"]) -> Dataset:
+    """Records of a file that has no input (a reference) or no output (an excitation).
+
+    The missing input is the number of the sample; the missing output is 0 with weight 0.
+
+    Args:
+        path: of the file.
+        reading: how it is read; names no column for what is missing.
+        missing: the quantity that the file does not have.
+
+    Raises:
+        DataError: no such file, or it cannot be read with these options.
+    """
+    import numpy as np
+
+    from hystfit.data.record import Dataset
+    from hystfit.reading.read import assemble, table_of
+
+    if not Path(path).is_file():
+        raise DataError(f"no file {path!r} with the {'reference' if missing == 'input' else 'input'}")
+    options = dataclasses.asdict(reading)
+    table = table_of(path, **{key: options.pop(key) for key in ("sheet", "delimiter", "decimal", "encoding")})
+    name = f"no {missing}"
+    column = np.arange(float(table.rows)) * (missing == "input")
+    table = dataclasses.replace(
+        table, names=(*table.names, name), units=(*table.units, ""), columns=(*table.columns, column)
+    )
+    data = Dataset.of(assemble(table, **{**options, missing: name}))
+    return data if missing == "input" else data.map(lambda record: record.replace(weight=np.zeros(len(record))))
+
+
+def train_and_test(loop: str, reading: Reading, split: Split) -> tuple[Dataset, Dataset | None]:
+    """Records to fit and records to test on; without a window or curves to fit, all that are not tested are fitted.
+
+    Raises:
+        DataError: as `load`, an empty window, or a test that shares samples with the fit.
+    """
+    train_window, test_window = bounds_of(split.window), bounds_of(split.test_window)
+    train = load(loop, reading)
+    test = None
+    if split.test is not None:
+        test = _renamed(load(split.test, dataclasses.replace(reading, only=split.test_only)), train)
+    elif split.test_only is not None:
+        test = load(loop, dataclasses.replace(reading, only=split.test_only))
+        names = {record.name for record in test}
+        if reading.only is None:
+            rest = tuple(record for record in train if record.name not in names)
+            if not rest:
+                raise DataError(f"--test-only {split.test_only} leaves no curve to fit")
+            train = dataclasses.replace(train, records=rest)
+    elif test_window is not None:
+        test = train
+        if train_window is None:
+            train = train.map(lambda record: _without(record, *test_window))
+    elif split.refit_offset:
+        raise DataError(
+            "--refit-offset shifts the prediction of test records: give --test, --test-only or --test-window"
+        )
+    if train_window is not None:
+        train = train.map(lambda record: record.window(*train_window))
+    if test is not None and test_window is not None:
+        test = test.map(lambda record: record.window(*test_window))
+    if (level := split.rest) is not None:
+        train = train.map(lambda record: record.resting_on(level))
+        test = test and test.map(lambda record: record.resting_on(level))
+    _refuse_overlap(train, test)
+    return train, test
+
+
+def _without(record: Record, start: float | None, stop: float | None) -> Record:
+    """The record in which the samples of a window have no weight."""
+    import numpy as np
+
+    inside = record.window(start, stop).weight > 0
+    outside = record.replace(weight=np.where(inside, 0.0, record.weight))
+    if not outside.used.any():
+        raise DataError(f"record {record.name!r}: the test window leaves no sample to fit")
+    return outside
+
+
+def _renamed(test: Dataset, train: Dataset) -> Dataset:
+    """Test records of another file under names that no fitted record has, whose offset they would take."""
+    names = {record.name for record in train}
+    return test.map(lambda r: r.replace(name=f"{r.name} (test)") if r.name in names else r)
+
+
+def _refuse_overlap(train: Dataset, test: Dataset | None) -> None:
+    for one in train:
+        for other in test or ():
+            same = one.u.shape == other.u.shape and (one.u == other.u).all() and (one.y == other.y)[one.used].all()
+            shared = int((one.used & other.used).sum()) if same else 0
+            if shared:
+                raise DataError(
+                    f"training and test data share {shared} samples of {other.name!r}: make --window and --test-window (or "
+                    "the curves) disjoint"
+                )

@@ -1,0 +1,62 @@
+"""The verbs of the command line, and messages of the library in their words."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import inspect
+import re
+
+VERBS = {
+    "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
+    "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
+    "check": ("check:check", "Check the quality of a record and which models it can determine."),
+    "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
+    "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),
+    "export": ("control:export", "Write a fitted model and its inverse as C code."),
+    "sample": ("uncertainty:sample", "Sample the posterior of a fit, with convergence diagnostics."),
+    "profile": ("uncertainty:profile", "Confidence limits of the parameters of a fit by profile likelihood."),
+    "errors": (
+        "uncertainty:errors",
+        "Standard errors by several methods: i.i.d. residuals, sandwich, block bootstrap.",
+    ),
+    "calibrate": ("uncertainty:calibrate", "Check by simulation whether the error bars of a fit hold."),
+    "design": ("uncertainty:design", "Propose the next input, which reduces the errors most."),
+    "report": ("predict:report", "Print the report of a saved fit and draw its pictures again."),
+    "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
+    "models": ("catalog:models", "List the models, or the parameters of one."),
+    "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
+}
+# A value that is not quoted is left alone: records are called by column=value, too.
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|(?![\w'\"({\[.+-]))")
+
+
+def place(verb: str) -> str:
+    """Where the function of a verb is, as "module:function"."""
+    return f"hystfit.cli.{VERBS[verb][0]}"
+
+
+@functools.cache
+def option_names() -> frozenset[str]:
+    """Names of the options of all verbs, as in Python."""
+    names: set[str] = set()
+    for verb in VERBS:
+        module, _, function = place(verb).partition(":")
+        parameters = inspect.signature(getattr(importlib.import_module(module), function)).parameters
+        names |= set(parameters)
+        shared = [p.default for p in parameters.values() if dataclasses.is_dataclass(p.default)]
+        names |= {field.name for options in shared for field in dataclasses.fields(options)}
+    return frozenset(names)
+
+
+def as_options(message: str) -> str:
+    """A message of the library in the words of the shell: gaps='split' is --gaps split, and time=False --time none."""
+
+    def option(match: re.Match[str]) -> str:
+        if match[1] not in option_names():
+            return match[0]
+        value = "none" if match[3] else match[2]
+        return f"--{match[1].replace('_', '-')}" + (f" {value}" if value else "")
+
+    return _ARGUMENT.sub(option, message)

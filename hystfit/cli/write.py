@@ -1,0 +1,153 @@
+"""What a verb writes: its folder, its text or JSON on stdout, progress on a terminal, and its exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hystfit.cli.options import Output
+from hystfit.cli.verbs import as_options
+from hystfit.outcome import Status
+
+if TYPE_CHECKING:
+    from hystfit.data.record import Dataset
+
+
+def finish(
+    text: str,
+    content: dict[str, Any],
+    output: Output,
+    save: Callable[[Path], object] | None = None,
+    *,
+    status: str = "",
+) -> int:
+    """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
+
+    Args:
+        text: the result for people.
+        content: of result.json.
+        output: folder and form of the output.
+        save: writes the other files into the folder that it is called with.
+        status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
+    """
+    if output.out is not None:
+        from hystfit.results.folders import dump_json, writing
+
+        with progress("writing"), writing(output.out) as scratch:
+            dump_json(scratch / "result.json", content)
+            if save is not None:
+                save(scratch)
+            names = sorted(path.name for path in scratch.iterdir())
+        text += written(output.out, names)
+    show(text, content, output.json)
+    return 0 if Status(status or content.get("status", "ok")).usable else 1
+
+
+def written(folder: Path, names: Sequence[str]) -> str:
+    """A line that names the files written; more than six pictures are counted."""
+    pictures = [name for name in names if name.endswith((".png", ".svg"))]
+    if len(pictures) > 6:
+        names = [*(name for name in names if name not in pictures), f"{len(pictures)} pictures"]
+    return f"\nWritten to {folder}: {', '.join(names)}"
+
+
+def show(text: str, content: dict[str, Any], as_json: bool) -> None:
+    """Print the text, or the content of result.json alone; a reader that stops early (head, less) changes no status."""
+    try:
+        print(json.dumps(content, indent=1, allow_nan=False) if as_json else as_options(text), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def items(notes: Iterable[object]) -> list[str]:
+    """Notes as lines of a text."""
+    return [f"  - {note}" for note in notes]
+
+
+def named(name: str, unit: str) -> str:
+    """Heading of a column of a CSV file: u_V."""
+    return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
+
+
+def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") -> None:
+    """Columns of text and numbers by heading as a CSV file; a missing value is an empty cell.
+
+    Args:
+        path: of the file.
+        columns: equally long.
+        form: format of the numbers, such as ".10g"; all digits by default.
+    """
+
+    def cell(value: Any) -> str:
+        if isinstance(value, str):
+            return value
+        return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
+
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+
+
+def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[str, Any]:
+    """Columns of records for a CSV file, one record after another: record (where there are several), time, input, output.
+
+    Args:
+        data: the records.
+        output: heading of the output; samples without weight are missing under any other heading than "y".
+        y_unit: unit of the output where the records have none.
+    """
+    import numpy as np
+
+    units = data.units
+    columns: dict[str, Any] = {}
+    if len(data) > 1:
+        columns["record"] = [record.name for record in data for _ in range(len(record))]
+    if all(record.t is not None for record in data):
+        columns[named("t", units["t"])] = np.concatenate([record.t for record in data])
+    columns[named("u", units["u"])] = np.concatenate([record.u for record in data])
+    y = [record.y if output == "y" else np.where(record.used, record.y, np.nan) for record in data]
+    return columns | {named(output, units["y"] or y_unit): np.concatenate(y)}
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a matplotlib figure and close it."""
+    import matplotlib.pyplot as plt
+
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+@contextlib.contextmanager
+def progress(task: str) -> Iterator[Callable[..., None]]:
+    """A line on stderr that shows the task, where stderr is a terminal; yields a function that updates it.
+
+    The function takes a text, and the fraction that is done (0 to 1) where it is known, which is shown as a bar.
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda *_: None
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    bar = (SpinnerColumn(), BarColumn(30), TaskProgressColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as display:
+        line = display.add_task(escape(task), total=None)
+
+        def update(text: str, fraction: float | None = None) -> None:
+            if fraction is not None:
+                display.columns = bar
+            total = None if fraction is None else 1.0
+            display.update(line, description=escape(f"{task}: {text}"), total=total, completed=fraction or 0.0)
+
+        yield update

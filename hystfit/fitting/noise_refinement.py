@@ -1,0 +1,214 @@
+"""Refinement of a fit by the likelihood of a noise model, whose parameters come from the residuals.
+
+For Gaussian noise the noise parameters maximize the restricted likelihood of the linearized model (with their weak default priors), and
+the model's parameters the likelihood given them, in turns. For other noise both maximize their joint likelihood.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array
+
+from hystfit.inference.autocorrelation import autocorrelation_time
+from hystfit.inference.density import Density
+from hystfit.inference.newton import Optimum, descend, maximize
+from hystfit.inference.noise.base import AbstractNoise, ResidualScales
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.noise.white import White
+from hystfit.inference.problem import Problem
+from hystfit.inference.whitened import Whitened, restricted
+from hystfit.params.coordinates import BOTH
+from hystfit.params.space import ParameterSpace
+
+_ROUNDS = 4
+_STARTS = (0.2, 1.0, 5.0)  # correlation times tried, relative to that of the residuals
+_INSIDE = 0.05  # how far inside a released bound, in the parameter's scale or the width between two bounds
+
+
+@dataclasses.dataclass(frozen=True)
+class Refined:
+    """A fit refined with a noise model.
+
+    Attributes:
+        x: the model's free parameters, physical, shape (p,).
+        problem: with the noise model and its fitted values.
+        values: those values, shape (q,).
+        root: square root R of the information matrix R'R of x, shape (p, p).
+        converged: both optimizations met their tolerances.
+    """
+
+    x: np.ndarray
+    problem: Problem
+    values: np.ndarray
+    root: np.ndarray
+    converged: bool
+
+    @property
+    def noise(self) -> AbstractNoise:
+        """The noise model with fitted values."""
+        return self.problem.noise  # type: ignore[return-value]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Fitted values of the noise by name."""
+        return dict(zip(self.space.names, map(float, self.values), strict=True))
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the noise."""
+        return self.problem.noise_space  # type: ignore[return-value]
+
+
+def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) -> Refined:
+    """Refine a fit with a noise model.
+
+    Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a
+    second round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
+
+    Args:
+        problem: what was fitted.
+        x: where the fit ended, physical, shape (p,).
+        noise: a name of `NOISES`, my_noise.py:MyNoise, or a class.
+
+    Raises:
+        ParameterError: an unknown noise model.
+    """
+    on_bound = np.array([side is not None for side in problem.at_bound(x)])
+    weights = on_bound & np.array([info.linear for info in problem.space.infos], bool)
+    released = on_bound & ~weights
+    if not released.any():
+        return refine_moving(problem, x, noise, ~on_bound)
+    c = problem.space.coordinates
+    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
+    edge = _INSIDE * np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
+    inside = np.where(released, np.clip(x, lower + edge, upper - edge), x)
+    refined = refine_moving(problem, inside, noise, ~weights)
+    returned = np.array([side is not None for side in problem.at_bound(refined.x)]) & released
+    if not returned.any():
+        return refined
+    return refine_moving(problem, np.where(returned, x, refined.x), noise, ~(returned | weights))
+
+
+def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise], moving: np.ndarray) -> Refined:
+    """`refine` where only the parameters `moving`, shape (p,), bool, may change.
+
+    Raises:
+        ParameterError: an unknown noise model.
+    """
+    r, J = problem.linearize(x)
+    rows = [row[on] for row, on in zip(r, problem.used, strict=True)]
+    time = max(autocorrelation_time(row) for row in rows)
+    start = NOISES.find(noise).start(ResidualScales.of(rows, time))  # type: ignore[attr-defined]
+    problem = problem.with_noise(start)
+    if not start.gaussian:
+        return _refine_jointly(problem, x, moving)
+    density, space, live = problem.density, problem.noise_space, jnp.asarray(moving)
+    assert space is not None
+    starts = np.tile(space.unconstrained(space.vector(start)), (len(_STARTS), 1))
+    if "noise_time" in space.names:
+        starts[:, space.names.index("noise_time")] += np.log(_STARTS)
+    settled, scale = False, np.asarray(problem.space.coordinates.scale)
+    for _ in range(_ROUNDS):
+        criterion = functools.partial(_restricted_slope, density, jnp.asarray(r), jnp.asarray(J), live)
+        best, noise_settled = _fit_noise(criterion, starts)
+        values = space.tree(best)
+        new, _, done = (np.asarray(v) for v in _fit_model(problem.whitened(values), jnp.asarray(x), live))
+        shift = float(np.max(np.abs(new - x) / scale))
+        x, starts = new, best[None]
+        r, J = problem.linearize(x)
+        settled = bool(done) and noise_settled
+        if shift < 1e-3:
+            break
+    problem.noise = space.tree(starts[0])
+    root = _information_root(problem.whitened(), r, J)
+    return Refined(x, problem, space.physical(starts[0]), root, settled)
+
+
+def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refined:
+    p, space = len(problem.space), problem.noise_space
+    assert space is not None
+    start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), _z_of(space, problem)])
+    best = _fit_jointly(problem.density, jnp.asarray(start), jnp.asarray(x), jnp.asarray(moving))
+    x = np.where(moving, problem.space.physical(best.z[:p]), x)
+    noise: AbstractNoise = space.tree(best.z[p:])
+    problem.noise = noise
+    r, J = problem.linearize(x)
+    root = _information_root(problem.whitened(White(noise_white=noise.gaussian_scale())), r, J)
+    return Refined(x, problem, space.physical(best.z[p:]), root, bool(best.converged))
+
+
+def _z_of(space: ParameterSpace, problem: Problem) -> np.ndarray:
+    return space.unconstrained(space.vector(problem.noise))
+
+
+@eqx.filter_jit
+def _restricted_slope(density: Density, r: Array, J: Array, moving: Array, z: Array) -> tuple[Array, Array]:
+    """Negative of the criterion for the parameters of the noise, and its gradient."""
+    priors = density.priors[density.p :]
+
+    def value(z: Array) -> Array:
+        x = density.noise.physical(z)
+        prior = sum((one.log_density(x[k]) for k, one in enumerate(priors)), density.noise.log_jacobian(z))
+        return -restricted(density.noise.tree(z), density.setting, r, J, moving) - prior
+
+    return jax.value_and_grad(value)(z)
+
+
+def _fit_noise(criterion: Callable[[Array], tuple[Array, Array]], starts: np.ndarray) -> tuple[np.ndarray, bool]:
+    """BFGS from the best of the starts: (z, converged). A Hessian through the filter would cost more than ten gradients."""
+
+    def host(z: np.ndarray) -> tuple[float, np.ndarray]:
+        value, gradient = (np.asarray(v) for v in criterion(jnp.asarray(z)))
+        bad = not (np.isfinite(value) and np.isfinite(gradient).all())
+        return (1e30, np.zeros(z.size)) if bad else (float(value), gradient)
+
+    values = [host(z)[0] for z in starts] if len(starts) > 1 else [0.0]
+    first = starts[int(np.argmin(values))]
+    solution = scipy.optimize.minimize(host, first, jac=True, method="BFGS", options={"gtol": 1e-3, "maxiter": 100})
+    _, gradient = host(solution.x)
+    return solution.x, bool(np.max(np.abs(gradient)) < 0.05)
+
+
+@eqx.filter_jit
+def _fit_model(whitened: Whitened, x: Array, moving: Array) -> tuple[Array, Array, Array]:
+    c = whitened.objective.coordinates
+    z, value, done = descend(whitened.cost_at, whitened.normal_at, c.unconstrained(x), moving)
+    return jnp.where(moving, c.physical(z), x), value, done
+
+
+@eqx.filter_jit
+def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> Optimum:
+    """Parameters of model and noise by their joint likelihood and the priors of the noise."""
+    p, priors = density.p, density.priors[density.p :]
+    held = density.objective.coordinates.unconstrained(x)
+
+    def value(z: Array) -> Array:
+        model, noise = jnp.where(moving, z[:p], held), z[p:]
+        x = density.noise.physical(noise)
+        prior = sum((one.log_density(x[k]) for k, one in enumerate(priors)), density.noise.log_jacobian(noise))
+        total = density.log_likelihood(jnp.concatenate([model, noise])) + prior
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+
+    return maximize(value, z)
+
+
+@eqx.filter_jit
+def _rows(whitened: Whitened, r: Array, J: Array) -> Array:
+    return whitened.rows(r, J)
+
+
+def _information_root(whitened: Whitened, r: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """R with R'R the information about the parameters after the noise's shapes are eliminated, by QR."""
+    rows, p = np.asarray(_rows(whitened, jnp.asarray(r), jnp.asarray(J))), J.shape[-1]
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1.0
+    triangle = np.asarray(np.linalg.qr(rows / size, mode="r"))
+    return triangle[-p - 1 : -1, -p - 1 : -1] * size[-p - 1 : -1]

@@ -1,0 +1,154 @@
+"""The traced log density over the parameters of model and noise: likelihood, priors and gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hystfit.inference.newton import FORWARD, forward
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.objective import Objective
+from hystfit.inference.priors import AbstractPrior
+from hystfit.models.base import AbstractHysteresis
+from hystfit.params.coordinates import Coordinates
+
+
+class Density(eqx.Module):
+    """Log likelihood, prior and posterior at z, the unconstrained parameters of the model, then of the noise, shape (d,).
+
+    Attributes:
+        objective: data and model.
+        noise: coordinates of the noise model.
+        setting: the data in the form that the noise needs.
+        priors: of the parameters, over physical values.
+    """
+
+    objective: Objective
+    noise: Coordinates
+    setting: Setting
+    priors: tuple[AbstractPrior, ...]
+
+    @property
+    def p(self) -> int:
+        """Number of the model's parameters."""
+        return len(self.objective.coordinates.kinds)
+
+    def physical(self, z: Float[Array, " d"]) -> Float[Array, " d"]:
+        """x from z."""
+        return jnp.concatenate([self.objective.coordinates.physical(z[: self.p]), self.noise.physical(z[self.p :])])
+
+    def log_prior(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+        """Log prior density over z."""
+        x = self.physical(z)
+        total = sum((prior.log_density(x[k]) for k, prior in enumerate(self.priors)), jnp.zeros(()))
+        model, noise = self.objective.coordinates, self.noise
+        return total + model.log_jacobian(z[: self.p]) + noise.log_jacobian(z[self.p :])
+
+    def log_likelihood(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+        """Log density of the data that count."""
+        r = self.objective.residual(self.objective.coordinates.physical(z[: self.p]))
+        return self._of_residual(self.noise.tree(z[self.p :]), r)
+
+    def _of_residual(self, noise: AbstractNoise, r: Float[Array, "R T"]) -> Array:
+        # Constant residuals, such as those of broken simulations, would be very likely under a repeating error.
+        return jnp.where(self.objective.broken(r), -jnp.inf, noise.log_density(self.setting, r))
+
+    def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
+        """Log posterior over z, up to a constant; minus infinity where it is not finite.
+
+        Args:
+            z: shape (d,).
+            lean: by `log_likelihood_lean`.
+        """
+        total = self.log_prior(z) + (self.log_likelihood_lean(z) if lean else self.log_likelihood(z))
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+
+    # -- without trajectories ------------------------------------------------------------------------------------------
+
+    def log_likelihood_lean(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+        """`log_likelihood` in one scan that keeps no trajectory: several times the throughput under vmap over many z."""
+        if self.keeps_trajectories:
+            return self.log_likelihood(z)
+        noise = self.noise.tree(z[self.p :])
+        x = self.objective.coordinates.physical(z[: self.p])
+        if noise.by_squares:
+            return noise.of_squares(self.setting, self.squares(x))
+
+        def update(carry: tuple[Array, Array], r: Array, weight: Array, gap: Array) -> tuple[Array, Array]:
+            state, e, logs = noise.step(carry[0], r, gap, weight)
+            return state, carry[1] + jnp.where(weight > 0, noise.density(e, logs), 0.0)
+
+        return self._accumulate(x, (noise.init(), jnp.zeros(())), update)[1]
+
+    @property
+    def keeps_trajectories(self) -> bool:
+        """Whether even the lean likelihood needs whole trajectories: of the model's parts, or for shapes of the noise."""
+        return not self._scans or self.noise.tree(jnp.zeros(len(self.noise.kinds))).has_shapes
+
+    @property
+    def _scans(self) -> bool:
+        """Whether one scan of `step` is the model's own way over the samples, so that it can include the noise."""
+        model = self.objective.coordinates.assemble(jnp.zeros(self.p))
+        return type(model).sweep is AbstractHysteresis.sweep
+
+    def squares(self, x: Float[Array, " p"]) -> Float[Array, ""]:
+        """Weighted sum of squared residuals at physical x [y^2]; no trajectory is kept."""
+        return self._accumulate(x, jnp.zeros(()), lambda total, r, weight, gap: total + weight * r**2)
+
+    def _accumulate(self, x: Array, start: Any, update: Callable[[Any, Array, Array, Array], Any]) -> Any:
+        """Fold `update` over the residuals within the model's scan; summed over records."""
+        batch, setting = self.objective.batch, self.setting
+
+        def record(k: Any) -> Any:
+            model, u = self.objective.coordinates.assemble(x, k), batch.u[k]
+            first = model.init(u[0])
+            single = first.shape == (1,)  # carried as a number: see `AbstractHysteresis.sweep`
+
+            def sample(carry: tuple[Array, Any], at: tuple[Array, ...]) -> tuple[tuple[Array, Any], None]:
+                (state, total), (before, now, dt, y, weight, gap) = carry, at
+                state, out = model.step(state[None] if single else state, before, now, dt)
+                return (state[0] if single else state, update(total, y - out, weight, gap)), None
+
+            rows = (jnp.concatenate([u[:1], u[:-1]]), u, batch.dt[k], batch.y[k], setting.weight[k])
+            begin = (first[0] if single else first, start)
+            if setting.gap.ndim == 0:  # even sampling: what depends on the gap alone stays outside the loop
+                return jax.lax.scan(lambda c, at: sample(c, (*at, setting.gap)), begin, rows)[0][1]
+            return jax.lax.scan(sample, begin, (*rows, setting.gap[k]))[0][1]
+
+        if batch.u.shape[0] == 1:
+            return record(0)
+        parts = jax.lax.map(record, jnp.arange(batch.u.shape[0]))
+        return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), parts)
+
+    # -- gradient ------------------------------------------------------------------------------------------------------
+
+    def slope(self, z: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
+        """`log_density` and its gradient: a forward pass through the model, a backward one through the noise."""
+        # One pass that only sums is faster for few parameters; the derivatives by many would fill the loop.
+        short = self._scans and self.p <= FORWARD and self.noise.tree(z[self.p :]).by_squares
+        likelihood, by_x, by_noise = (self._slope_by_squares if short else self._slope_by_residuals)(z)
+        by_model = by_x * self.objective.coordinates.slope(z[: self.p])
+        prior, by_prior = jax.value_and_grad(self.log_prior)(z)
+        total, gradient = prior + likelihood, by_prior + jnp.concatenate([by_model, by_noise])
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf), jnp.where(jnp.isfinite(gradient), gradient, 0.0)
+
+    def _slope_by_squares(self, z: Array) -> tuple[Array, Array, Array]:
+        """Log likelihood and its derivatives by x and by the noise's z, in one scan that keeps nothing."""
+        x = self.objective.coordinates.physical(z[: self.p])
+        squares, push = forward(self.squares)(x)
+        density = lambda noise, total: self.noise.tree(noise).of_squares(self.setting, total)
+        value, (by_noise, by_squares) = jax.value_and_grad(density, argnums=(0, 1))(z[self.p :], squares)
+        return value, by_squares * push, by_noise
+
+    def _slope_by_residuals(self, z: Array) -> tuple[Array, Array, Array]:
+        """The same for any noise."""
+        r, J = self.objective.linearize(self.objective.coordinates.physical(z[: self.p]))
+        density = lambda noise, r: self._of_residual(self.noise.tree(noise), r)
+        value, (by_noise, by_residual) = jax.value_and_grad(density, argnums=(0, 1))(z[self.p :], r)
+        return value, jnp.einsum("rt,rtp->p", by_residual, J), by_noise

@@ -1,0 +1,101 @@
+"""Model error that repeats every loop, as a Gaussian process over input and direction."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.inference.noise.base import ResidualScales
+from hystfit.inference.noise.ornstein_uhlenbeck import OrnsteinUhlenbeck
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.outcome import Code
+from hystfit.params.param import param
+
+_CURVE = 0.7  # prior standard deviation of the log size of the curve about the size that the residuals suggest
+
+
+class LoopDiscrepancy(OrnsteinUhlenbeck):
+    """Model error that repeats every loop: a Gaussian process in (input, direction), beside slow and independent noise.
+
+    Squared-exponential covariance in the input with inducing points over its range, independent on rising and falling branches; its
+    weights are integrated out. The error is the same in every cycle, so standard errors do not fall with the number of cycles.
+    """
+
+    name: ClassVar[str] = "discrepancy"
+    has_shapes: ClassVar[bool] = True
+    covers: ClassVar[frozenset[Code]] = OrnsteinUhlenbeck.covers | {Code.REPEATING_RESIDUALS}
+    noise_loop: Float[Array, ""] = param(
+        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the error that repeats"
+    )
+    noise_length: Float[Array, ""] = param(
+        0.3, bounds=(0.08, 3.0), scale=0.3, doc="input range over which that error changes, relative to the whole range"
+    )
+    points: int = eqx.field(static=True, default=12)
+
+    def columns(self, setting: Setting) -> Float[Array, "R T k"]:
+        """Shapes of the inducing points on either branch."""
+        shapes = self.noise_loop * inducing_shapes(setting.place, self.noise_length, self.points)
+        up = setting.rising[..., None]
+        return jnp.concatenate([jnp.where(up, shapes, 0.0), jnp.where(up, 0.0, shapes)], axis=-1)
+
+    @classmethod
+    def start(cls, scales: ResidualScales) -> LoopDiscrepancy:
+        """As slow noise, with a curve of half its size."""
+        plain = OrnsteinUhlenbeck.start(scales)
+        return cls(plain.noise_white, plain.noise_slow, plain.noise_time, 0.5 * scales.slow)
+
+    @classmethod
+    def of_size(cls, size: float) -> LoopDiscrepancy:
+        """White and slow noise of this size, and a curve of twice the size."""
+        return cls(noise_white=size, noise_slow=size, noise_time=20.0, noise_loop=2 * size)
+
+    @classmethod
+    def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
+        """The curve is about as large as the residuals suggest.
+
+        Model and discrepancy explain the same data. Without this prior the draws include errors of any size that the model
+        compensates (Brynjarsdottir and O'Hagan 2014).
+        """
+        curve = {} if curve_size is None else {"noise_loop": LogNormal(curve_size, _CURVE)}
+        return super().default_priors(longest, curve_size) | curve
+
+    def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
+        """See `AbstractNoise.draw`."""
+        first, second = jax.random.split(key)
+        return super().draw(setting, first) + self.columns(setting) @ jax.random.normal(second, (2 * self.points,))
+
+    def predictive(
+        self, new: Setting, key: Array, seen: Setting, residual: Float[Array, "R T"]
+    ) -> Float[Array, "Q T2"]:
+        """The curve is drawn given the residuals, which determine it; slow noise from its stationary distribution."""
+        columns = self.columns(seen)
+        e, _ = self.whiten(seen, jnp.concatenate([residual[..., None], columns], axis=-1))
+        e = e.reshape(-1, e.shape[-1])
+        target, shapes = e[:, 0], e[:, 1:]
+        factor = jnp.linalg.cholesky(jnp.eye(shapes.shape[1]) + shapes.T @ shapes)
+        mean = jax.scipy.linalg.cho_solve((factor, True), shapes.T @ target)
+        first, second, third = jax.random.split(key, 3)
+        scatter = jax.random.normal(first, mean.shape)
+        weights = mean + jax.scipy.linalg.solve_triangular(factor.T, scatter, lower=False)
+        ahead = self.columns(new)
+        # Between inducing points the curve has some variance of its own.
+        rest = jnp.sqrt(jnp.maximum(self.noise_loop**2 - jnp.sum(ahead**2, axis=-1), 0.0))
+        curve = ahead @ weights + rest * jax.random.normal(second, rest.shape)
+        return curve + OrnsteinUhlenbeck.draw(self, new, third)
+
+
+def inducing_shapes(
+    place: Float[Array, "*samples"], length: Float[Array, ""], points: int
+) -> Float[Array, "*samples k"]:
+    """Columns F with F F' close to the squared-exponential covariance of variance one over 0 <= place <= 1."""
+    at = jnp.linspace(0.0, 1.0, points)
+    cover = lambda a, b: jnp.exp(-0.5 * ((a[..., None] - b) / length) ** 2)
+    factor = jnp.linalg.cholesky(cover(at, at) + 1e-8 * jnp.eye(points))
+    inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(points), lower=True)  # smaller than a solve per sample
+    return cover(place, at) @ inverse.T

@@ -1,0 +1,101 @@
+"""Slow noise of exponential covariance by a scalar Kalman filter: what `ou`, `ar1` and `discrepancy` share."""
+
+from __future__ import annotations
+
+import abc
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.outcome import Code
+
+_MISSING = 1e100  # variance of the white part where there is no measurement
+
+
+class AbstractSlow(AbstractNoise):
+    """Noise with a slow Gaussian part of exponential covariance."""
+
+    covers: ClassVar[frozenset[Code]] = frozenset({Code.CORRELATED_RESIDUALS, Code.HEAVY_TAILS})
+
+    @classmethod
+    def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
+        """A correlation time between one sample and a third of the record: slower noise is a constant, which the offset already is."""
+        slowest = max(longest / 3, 10.0)
+        return {"noise_time": LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)}  # two sd each way
+
+    @property
+    @abc.abstractmethod
+    def white_variance(self) -> Float[Array, ""]:
+        """Variance of the independent part at weight one."""
+
+    def init(self) -> Float[Array, " state"]:
+        """State: mean and variance of the slow part after the sample before; at first the stationary ones."""
+        return jnp.stack([jnp.zeros_like(self.noise_slow), self.noise_slow**2])
+
+    def _gain(self, variance: Array, gap: Array, weight: Array) -> tuple[Array, Array, Array, Array]:
+        """(decay, gain, total variance, variance after) of one sample."""
+        decay = jnp.exp(-gap / self.noise_time)
+        before = decay**2 * variance + (1 - decay**2) * self.noise_slow**2
+        total = before + self.white_variance / jnp.where(weight > 0, weight, 1.0)
+        gain = jnp.where(weight > 0, before / total, 0.0)
+        return decay, gain, total, (1 - gain) * before
+
+    def step(
+        self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
+        """Predict over the gap, then update with the sample."""
+        decay, gain, total, after = self._gain(state[1], gap, weight)
+        mean = decay * state[0]
+        v = r - mean
+        return jnp.stack([mean + gain * v, after]), v / jnp.sqrt(total), jnp.log(total)
+
+    def whiten(
+        self, setting: Setting, rows: Float[Array, "R T k"]
+    ) -> tuple[Float[Array, "R T k"], Float[Array, "R T"]]:
+        """Two scans with small bodies, gains and then means, so that XLA compiles each into one native loop when differentiated."""
+        gap = jnp.broadcast_to(setting.gap, setting.weight.shape)
+        even = setting.gap.ndim == 0
+
+        def record(signals: Array, gap: Array, weight: Array) -> tuple[Array, Array]:
+            on = weight > 0
+            white = jnp.where(on, self.white_variance / jnp.where(on, weight, 1.0), _MISSING)
+            decay = jnp.exp(-(gap[0] if even else gap) / self.noise_time)
+            fresh = (1 - decay**2) * self.noise_slow**2
+
+            def variances(after: Array, at: tuple[Array, ...]) -> tuple[Array, Array]:
+                noise, square, add = (*at, decay**2, fresh) if even else at
+                before = square * after + add
+                return before * (noise / (before + noise)), before
+
+            rest = (white,) if even else (white, decay**2, fresh)
+            _, before = jax.lax.scan(variances, self.noise_slow**2, rest)
+            gain, total = before / (before + white), before + jnp.where(on, white, 0.0)
+            onward = decay if even else jnp.concatenate([decay[1:], decay[-1:]])
+            keep, push = onward * (1 - gain), (onward * gain)[:, None] * signals
+            _, mean = jax.lax.scan(lambda m, at: (at[0] * m + at[1], m), jnp.zeros(signals.shape[1]), (keep, push))
+            e = jnp.where(on[:, None], (signals - mean) / jnp.sqrt(total)[:, None], 0.0)
+            return e, jnp.where(on, jnp.log(total), 0.0)
+
+        if rows.shape[0] == 1:
+            e, logs = record(rows[0], gap[0], setting.weight[0])
+            return e[None], logs[None]
+        return jax.lax.map(lambda at: record(*at), (rows, gap, setting.weight))
+
+    def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
+        """See `AbstractNoise.draw`."""
+        gap = jnp.broadcast_to(setting.gap, setting.weight.shape)
+        decay = jnp.exp(-gap / self.noise_time)
+        first, second, third = jax.random.split(key, 3)
+        push = jnp.sqrt(1 - decay**2) * self.noise_slow * jax.random.normal(first, gap.shape)
+        start = self.noise_slow * jax.random.normal(second, gap.shape[:1])
+        move = lambda v, at: (at[0] * v + at[1], at[0] * v + at[1])
+        slow = jax.lax.scan(move, start, (decay.T, push.T))[1].T
+        on = setting.weight > 0
+        sd = jnp.sqrt(self.white_variance / jnp.where(on, setting.weight, 1.0))
+        return slow + sd * jax.random.normal(third, gap.shape)

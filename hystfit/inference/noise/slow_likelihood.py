@@ -1,0 +1,243 @@
+"""Slow and independent noise on the host: Ornstein-Uhlenbeck and white noise by tridiagonal algebra, O(T), without compilation.
+
+The likelihood is that of `OrnsteinUhlenbeck`; every default fit needs it, and should not wait for a compilation. All residuals here
+are weighted: multiplied by the square root of their weight.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Float
+from scipy.linalg.lapack import dpttrf, dpttrs
+
+from hystfit.inference.noise.setting import Setting
+
+_RATIOS = (1e-2, 1.0, 1e2)  # of white to slow variance, tried before the search
+_LEAST, _MOST = 1e-6, 1e6  # of that ratio
+_SHORTEST = 0.2  # correlation time, samples
+_VAGUE = 1.0  # prior standard deviation of the log variance of the shapes
+_WIDEST = 1.0  # largest standard deviation of the logs of ratio and time in the average
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """The samples that count, record after record.
+
+    Attributes:
+        on: mask of these samples, shape (R, T), bool.
+        gap: time since the one before, in typical sampling intervals; infinite at the first of a record. Shape (n,), like what follows.
+        weight: of each.
+        place: input in parts of its range.
+        rising: whether the input last rose.
+    """
+
+    on: np.ndarray
+    gap: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+    place: Float[np.ndarray, " n"]
+    rising: np.ndarray
+
+    @classmethod
+    def of(cls, setting: Setting) -> Samples:
+        """Those of a batch."""
+        weight, place, rising = (np.asarray(v) for v in (setting.weight, setting.place, setting.rising))
+        on = weight > 0
+        time = np.cumsum(np.broadcast_to(np.asarray(setting.gap), weight.shape), axis=1)
+        gaps = [np.diff(row[used], prepend=-np.inf) for row, used in zip(time, on, strict=True)]
+        return cls(on, np.maximum(np.concatenate(gaps), 1e-6), weight[on], place[on], rising[on])
+
+    def precision(self, time: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Inverse of the slow part's correlation matrix, which is tridiagonal: (diagonal, beside it, log determinant of the matrix)."""
+        fresh = -np.expm1(-2 * self.gap / time)
+        decay = np.exp(-self.gap[1:] / time)
+        diagonal = 1 / fresh
+        diagonal[:-1] += decay**2 / fresh[1:]
+        return diagonal, -decay / fresh[1:], float(np.sum(np.log(fresh)))
+
+
+@dataclasses.dataclass(frozen=True)
+class SlowNoise:
+    """Ornstein-Uhlenbeck and white noise of one set of records, and perhaps random curves on top.
+
+    Attributes:
+        samples: where.
+        white, slow: standard deviations, in the unit of the residuals.
+        time: correlation time of the slow part, typical sampling intervals.
+        shapes: columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0.
+        loop: see `shapes`.
+    """
+
+    samples: Samples
+    white: float
+    slow: float
+    time: float
+    shapes: Float[np.ndarray, "n k"]
+    loop: float = 0.0
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """By the names of `hystfit.inference.noise`."""
+        values = {"noise_white": self.white, "noise_slow": self.slow, "noise_time": self.time}
+        return values | ({"noise_loop": self.loop} if self.shapes.shape[1] else {})
+
+    def solve(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """The inverse covariance, without the shapes', times each column."""
+        return _solver(self.samples, (self.white / self.slow) ** 2, self.time)[0](rows) / self.slow**2
+
+    def apply(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """The covariance times each column."""
+        diagonal, beside, _ = self.samples.precision(self.time)
+        root = np.sqrt(self.samples.weight)[:, None]
+        factored = dpttrf(diagonal, beside)
+        plain = self.slow**2 * root * dpttrs(*factored[:2], root * rows)[0] + self.white**2 * rows
+        return plain + self.loop**2 * self.shapes @ (self.shapes.T @ rows) if self.shapes.shape[1] else plain
+
+
+def _solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+    """X -> inverse of (correlation of the slow part + ratio) times X, and the log determinant of that matrix."""
+    diagonal, beside, log_slow = samples.precision(time)
+    pivots, below, _ = dpttrf(diagonal + samples.weight / ratio, beside)
+    root = np.sqrt(samples.weight)[:, None] / ratio
+
+    def solve(rows: np.ndarray) -> np.ndarray:
+        return rows / ratio - root * dpttrs(pivots, below, root * rows)[0]
+
+    return solve, samples.gap.size * float(np.log(ratio)) + log_slow + float(np.sum(np.log(pivots)))
+
+
+@dataclasses.dataclass(frozen=True)
+class SlowNoiseFit:
+    """Slow and independent noise estimated from residuals.
+
+    Attributes:
+        noise: the most probable one.
+        others: noises about it, with their posterior weights `shares`.
+    """
+
+    noise: SlowNoise
+    others: tuple[SlowNoise, ...]
+    shares: Float[np.ndarray, " m"]
+
+    def projected(self, basis: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
+        """basis' Sigma basis, averaged over the uncertainty of the noise."""
+        basis = np.asfortranarray(basis)
+        parts = [share * basis.T @ noise.apply(basis) for share, noise in zip(self.shares, self.others, strict=True)]
+        return np.sum(parts, axis=0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Contrasts:
+    """The restricted likelihood of slow and independent noise (Patterson and Thompson 1971), which allows for the fitted parameters.
+
+    Attributes:
+        samples: the samples.
+        residual: of the fit, shape (n,).
+        basis: orthonormal columns that span its derivatives: contrasts to them alone are used.
+        shapes: see `SlowNoise`.
+        power: mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about
+            the value that gives this on average, because shapes too smooth for the residuals would otherwise grow without limit.
+    """
+
+    samples: Samples
+    residual: Float[np.ndarray, " n"]
+    basis: Float[np.ndarray, "n p"]
+    shapes: Float[np.ndarray, "n k"]
+    power: float = 0.0
+
+    @functools.cached_property
+    def rows(self) -> np.ndarray:
+        """[basis, residual, shapes]."""
+        return np.asfortranarray(np.column_stack([self.basis, self.residual, self.shapes]))
+
+    @functools.cached_property
+    def expected(self) -> float:
+        """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
+        rest = self.shapes - self.basis @ (self.basis.T @ self.shapes)
+        return self.power * self.residual.size / float(np.sum(rest**2))
+
+    def at(self, ratio: float, time: float) -> tuple[float, float, float]:
+        """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at a ratio of white to slow variance.
+
+        Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior.
+        """
+        n, p = self.basis.shape
+        solve, log_det = _solver(self.samples, ratio, time)
+        gram = self.rows.T @ solve(self.rows)
+        factor = np.linalg.cholesky(gram[:p, :p] + 1e-12 * np.trace(gram[:p, :p]) * np.eye(p))
+        half = scipy.linalg.solve_triangular(factor, gram[:p, p:], lower=True)
+        inner = gram[p:, p:] - half.T @ half
+        log_det += 2 * float(np.sum(np.log(np.diag(factor))))
+        if inner.shape[0] == 1:
+            square = max(float(inner[0, 0]), 1e-300) / (n - p)
+            return (n - p) * np.log(square) + log_det, square, 0.0
+        size, axes = np.linalg.eigh(inner[1:, 1:])
+        size, score = np.maximum(size, 0.0), axes.T @ inner[1:, 0]
+        strength = np.geomspace(1e-3, 1e6, 91)[:, None] / size[-1]  # variance of the weights over that of the slow part
+        shrunk = 1 + strength * size
+        square = np.maximum(inner[0, 0] - np.sum(strength * score**2 / shrunk, axis=1), 1e-300) / (n - p)
+        value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=1) + log_det
+        value = value + (np.log(strength[:, 0] * square / self.expected) / _VAGUE) ** 2
+        share = np.exp(-0.5 * (value - value.min()))
+        share /= share.sum()
+        return float(value.min()), float(share @ square), float(share @ (strength[:, 0] * square))
+
+
+def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
+    """The noise that maximizes the restricted likelihood, and those about it."""
+    samples, n = contrasts.samples, contrasts.residual.size
+    low, high = np.log([_LEAST, _SHORTEST]), np.log([_MOST, 4.0 * n])
+    inside = lambda at: np.exp(np.clip(at, low, high))
+    value = lambda at: contrasts.at(*inside(at))[0]
+    times = np.log(np.geomspace(1.0, max(n / 4, 4.0), 5))
+    first = min((np.array([np.log(ratio), time]) for ratio in _RATIOS for time in times), key=value)
+    simplex = first + np.array([[0, 0], [1.0, 0], [0, 0.7]])
+    options = {"xatol": 0.02, "fatol": 0.01, "initial_simplex": simplex}
+    solution = scipy.optimize.minimize(value, first, method="Nelder-Mead", options=options)
+    center = np.clip(solution.x, low, high)
+    nodes, ideal = _nodes()
+    about = center + nodes @ _spread(value, center).T
+    values = [contrasts.at(*inside(at)) for at in about]
+    above = np.array([v for v, _, _ in values]) - solution.fun
+    shares = ideal * np.exp(0.5 * (np.sum(nodes**2, axis=1) - above))
+
+    def noise(at: np.ndarray, slow: float, loop: float) -> SlowNoise:
+        ratio, time = inside(at)
+        return SlowNoise(
+            samples, float(np.sqrt(ratio * slow)), float(np.sqrt(slow)), float(time), contrasts.shapes, loop**0.5
+        )
+
+    others = tuple(noise(at, *v[1:]) for at, v in zip(about, values, strict=True))
+    return SlowNoiseFit(noise(center, *contrasts.at(*inside(center))[1:]), others, shares / shares.sum())
+
+
+def _nodes() -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
+    """Nodes and weights of a Gauss-Hermite rule of three by three points for a normal density of variance one."""
+    at, weight = np.polynomial.hermite_e.hermegauss(3)
+    return np.stack(np.meshgrid(at, at), -1).reshape(-1, 2), np.outer(weight, weight).ravel() / (2 * np.pi)
+
+
+def _spread(function: Callable[[np.ndarray], float], center: np.ndarray) -> Float[np.ndarray, "2 2"]:
+    """Axes of exp(-function / 2) about its maximum, as columns, each as long as its standard deviation."""
+    h = 0.15
+    steps = h * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
+    f0, (a, b, c, d, e, g) = function(center), [function(center + step) for step in steps]
+    cross = (e + g - a - b - c - d + 2 * f0) / (2 * h**2)
+    size, axes = np.linalg.eigh(0.5 * np.array([[(a + b - 2 * f0) / h**2, cross], [cross, (c + d - 2 * f0) / h**2]]))
+    return axes * np.minimum(1 / np.sqrt(np.maximum(size, 1e-12)), _WIDEST)
+
+
+def least_squares_root(fit: SlowNoiseFit, jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
+    """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'.
+
+    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
+    """
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0
+    Q, T = np.linalg.qr(jacobian / size)
+    factor = np.linalg.cholesky(fit.projected(Q))
+    return scipy.linalg.solve_triangular(factor, T, lower=True) * size

@@ -1,0 +1,90 @@
+"""The traced half of a problem: predictions, residuals and their derivatives, which compiled code takes as an argument."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hystfit.data.batch import Batch
+from hystfit.models.base import run
+from hystfit.params.coordinates import Coordinates
+
+Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
+BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
+
+
+class Objective(eqx.Module):
+    """Arrays and structure of a `Problem`, without labels.
+
+    Attributes:
+        coordinates: maps from z to the model.
+        batch: the data.
+        size: half range of the output, by which the misfit is divided.
+        bend: misfit beyond which a robust loss counts less.
+        loss: how large residuals count; "linear" is plain least squares.
+    """
+
+    coordinates: Coordinates
+    batch: Batch
+    size: Float[Array, ""]
+    bend: Float[Array, ""]
+    loss: Loss = eqx.field(static=True, default="linear")
+
+    def predict(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
+        """Free run of every record at physical parameters x."""
+
+        def one(record: Any) -> Array:
+            return run(self.coordinates.assemble(x, record), self.batch.u[record], self.batch.dt[record])[0]
+
+        if self.batch.u.shape[0] == 1:
+            return one(0)[None]
+        return jax.lax.map(one, jnp.arange(self.batch.u.shape[0]))
+
+    def residual(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
+        """Prediction less measurement, output units: 0 where a sample does not count, `BROKEN` half ranges where not finite."""
+        r = self.predict(x) - self.batch.y
+        return jnp.where(self.batch.weight > 0, jnp.where(jnp.isfinite(r), r, BROKEN * self.size), 0.0)
+
+    def linearize(self, x: Float[Array, " p"]) -> tuple[Float[Array, "R T"], Float[Array, "R T p"]]:
+        """`residual` and its derivatives, in one forward pass."""
+        push = lambda t: jax.jvp(self.residual, (x,), (t,))
+        r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
+        return r, jnp.moveaxis(J, 0, -1)
+
+    def misfit(self, x: Float[Array, " p"]) -> Float[Array, " n"]:
+        """Weighted residuals in half ranges, bent by the loss so that half their sum of squares is the cost: shape (R * T,)."""
+        weighted = jnp.sqrt(self.batch.weight) * self.residual(x) / self.size
+        return bend(weighted.reshape(-1), self.bend, self.loss)
+
+    def misfit_at(self, z: Float[Array, " p"]) -> Float[Array, " n"]:
+        """`misfit` at unconstrained z."""
+        return self.misfit(self.coordinates.physical(z))
+
+    def broken(self, r: Float[Array, "R T"]) -> Array:
+        """Whether some residual is that of a simulation that is not finite, or as large."""
+        return jnp.any(jnp.abs(r) >= BROKEN * self.size)
+
+
+def bend(r: Array, at: Array, loss: Loss) -> Array:
+    """sign(r) sqrt(rho(r^2)) for the loss rho: any least-squares solver then minimizes the robust cost."""
+    if loss == "linear":
+        return r
+    square = (r / at) ** 2
+    if loss == "soft-l1":
+        ratio = 2.0 / (1.0 + jnp.sqrt(1.0 + square))
+    elif loss == "cauchy":
+        ratio = jnp.where(square > 1e-12, jnp.log1p(square) / jnp.where(square > 1e-12, square, 1.0), 1.0)
+    else:
+        outer = jnp.maximum(square, 1.0)
+        ratio = jnp.where(square > 1.0, (2.0 * jnp.sqrt(outer) - 1.0) / outer, 1.0)
+    return r * jnp.sqrt(ratio)
+
+
+@eqx.filter_jit
+def bend_slope(r: Array, at: Array, loss: Loss) -> tuple[Array, Array]:
+    """`bend` and its derivative with respect to r."""
+    return jax.jvp(lambda r: bend(r, at, loss), (r,), (jnp.ones_like(r),))

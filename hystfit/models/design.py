@@ -1,0 +1,63 @@
+"""Design matrices: what the linear weights of a model are multiplied by, for a given input."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.params.param import ParamInfo
+
+
+@dataclasses.dataclass(frozen=True)
+class Penalty:
+    """Smoothness of weights that belong to cells of a plane, or to intervals of an axis.
+
+    Attributes:
+        matrix: of the quadratic penalty, shape (p, p).
+        cells: number of cells that share each weight, shape (p,); None where coverage by the data is not reported.
+        label: plural name of a cell.
+    """
+
+    matrix: np.ndarray
+    cells: np.ndarray | None = None
+    label: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Columns of one array of linear weights.
+
+    Attributes:
+        leaf: number of the array among the leaves of the model.
+        info: its declaration.
+        columns: shape (S, p), for the elements of the array in order.
+        penalty: of weights that are many and smooth.
+        shared: one value serves all records, although it is declared for each record.
+    """
+
+    leaf: int
+    info: ParamInfo
+    columns: np.ndarray
+    penalty: Penalty | None = None
+    shared: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignMatrix:
+    """The output of a model as a function of its linear weights: rest + sum over the blocks of columns @ weights.
+
+    Attributes:
+        blocks: one for each array of weights.
+        rest: output where all these weights are zero, shape (S,).
+        index: row of each sample, shape (T,); rows that many samples share are stored once.
+    """
+
+    blocks: tuple[Block, ...]
+    rest: np.ndarray
+    index: np.ndarray
+
+    def rows(self) -> DesignMatrix:
+        """The same with one row a sample."""
+        blocks = tuple(dataclasses.replace(block, columns=block.columns[self.index]) for block in self.blocks)
+        return DesignMatrix(blocks, self.rest[self.index], np.arange(self.index.size))

@@ -1,0 +1,137 @@
+"""Parametric Preisach densities: a handful of parameters instead of a weight a cell.
+
+The plane is described by coercivity h = (alpha - beta) / 2 and interaction m = (alpha + beta) / 2, as reversal curves draw it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.preisach.everett import cells
+from hystfit.models.preisach.model import Preisach
+from hystfit.models.starting import input_range, output_range
+from hystfit.params.param import param
+
+Density = Literal["gaussian", "lorentzian", "factorized"]
+
+
+class ParametricPreisach(AbstractHysteresis):
+    """A `Preisach` model with cells whose masses follow from a density, and a straight reversible part:
+
+        gaussian     exp(-((h - coercivity) / width)^2 / 2 - ((m - shift) / spread)^2 / 2), a bivariate normal in (h, m)
+        lorentzian   1 / ((1 + ((h - coercivity) / width)^2) (1 + ((m - shift) / spread)^2))
+        factorized   f(alpha - shift) f(shift - beta), f(x) = 1 / (1 + ((x - coercivity) / width)^2): what a major loop determines
+        y = offset + saturation (sum of masses g) / (sum of masses) + slope (u - center)
+
+    The density is taken at the middle of each cell. `preisach()` gives the model with weights, and with it the compiled form.
+    `depth` is the number of extrema that the sample-by-sample form remembers; its cost is in proportion.
+
+    Raises:
+        ModelError: an unknown density, or fewer than two levels.
+    """
+
+    rate_independent: ClassVar[bool] = True
+    short_cut: ClassVar[bool] = True
+
+    saturation: Float[Array, ""] = param(
+        1.0, bounds=(0.0, np.inf), unit="y", linear=True, doc="half the jump between saturations"
+    )
+    coercivity: Float[Array, ""] = param(0.4, bounds=(0.0, np.inf), unit="u", doc="h at the peak of the density")
+    width: Float[Array, ""] = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="width of the density in h")
+    spread: Float[Array, ""] = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="width of the density in m")
+    shift: Float[Array, ""] = param(0.0, unit="u", doc="m at the peak of the density")
+    slope: Float[Array, ""] = param(0.0, unit="y/u", linear=True, doc="reversible slope")
+    offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    levels: Float[Array, " levels"] = param(
+        tuple(np.linspace(-1, 1, 41)), unit="u", fixed=True, doc="edges of the cells, rising"
+    )
+    center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
+    density: Density = eqx.field(static=True, default="gaussian")
+    initial: Literal["demagnetized", "negative", "positive"] = eqx.field(static=True, default="demagnetized")
+    depth: int = eqx.field(static=True, default=64)
+
+    def __check_init__(self) -> None:
+        if self.density not in get_args(Density):
+            raise ModelError(f"density must be one of {', '.join(get_args(Density))}, got {self.density!r}")
+        if hasattr(self.levels, "shape") and self.levels.shape[0] < 2:
+            raise ModelError(f"a density needs at least two levels, got {self.levels.shape[0]}")
+
+    def shape(self, alpha: Float[Array, "..."], beta: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Density at thresholds, its peak 1."""
+        h, m = 0.5 * (alpha - beta), 0.5 * (alpha + beta)
+        if self.density == "factorized":
+            f = lambda x: 1.0 / (1.0 + ((x - self.coercivity) / self.width) ** 2)
+            return f(alpha - self.shift) * f(self.shift - beta)
+        a, b = ((h - self.coercivity) / self.width) ** 2, ((m - self.shift) / self.spread) ** 2
+        return jnp.exp(-0.5 * (a + b)) if self.density == "gaussian" else 1.0 / ((1.0 + a) * (1.0 + b))
+
+    def preisach(self) -> Preisach:
+        """The model with one weight a cell."""
+        i, j = cells(self.levels.shape[0] - 1)
+        width = self.levels[1:] - self.levels[:-1]
+        middle = 0.5 * (self.levels[1:] + self.levels[:-1])
+        # The middle of a triangle lies a third of the way from its right angle.
+        third = jnp.where(i == j, width[i] / 6.0, 0.0)
+        mass = width[i] * width[j] * jnp.where(i == j, 0.5, 1.0) * self.shape(middle[i] + third, middle[j] - third)
+        mass = self.saturation * mass / jnp.sum(mass)
+        straight = jnp.reshape(self.slope, (1,))
+        return Preisach(
+            w=mass,
+            levels=self.levels,
+            b=straight,
+            offset=self.offset,
+            center=self.center,
+            half=1.0,
+            initial=self.initial,
+            depth=self.depth,
+        )
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """The dominant extrema, as in `Preisach`."""
+        return self.preisach().init(u0)
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """As `Preisach.step`."""
+        return self.preisach().step(state, u0, u1, dt)
+
+    def start(self, records: Sequence[Record]) -> ParametricPreisach:
+        """Cells over the input range, the peak at a third of it."""
+        place, out = input_range(records), output_range(records)
+        old = np.asarray(self.levels)
+        levels = place.center + place.half * (2 * (old - old[0]) / (old[-1] - old[0]) - 1)
+        values = (
+            0.8 * out.half,
+            place.half / 3,
+            place.half / 4,
+            place.half / 4,
+            place.center,
+            0.2 * out.half / place.half,
+        )
+        fields = lambda m: (
+            m.saturation,
+            m.coercivity,
+            m.width,
+            m.spread,
+            m.shift,
+            m.slope,
+            m.offset,
+            m.levels,
+            m.center,
+        )
+        arrays = (*values, out.center, levels, place.center)
+        return eqx.tree_at(fields, self, tuple(jnp.asarray(value, dtype=self.levels.dtype) for value in arrays))
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """As `Preisach.free_run`."""
+        return self.preisach().free_run(u, dt)

@@ -1,0 +1,109 @@
+"""The report on a fit as text."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.outcome.table import number
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
+from hystfit.results.result import FitResult
+
+ERRORS = "Simulation error (model driven by the input only; % of the output range)"
+_WIDTH = 100
+
+
+def _filled(text: str, first: str = "", rest: str = "") -> str:
+    return textwrap.fill(
+        text, _WIDTH, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _section(heading: str, items: Iterable[object]) -> list[str]:
+    return ["", heading, *(_filled(str(item), "  - ", "    ") for item in items if str(item))]
+
+
+def headline(result: FitResult) -> str:
+    """Model, data and status in one line."""
+    names = [record.name for record in result.data]
+    what = names[0] if len(names) == 1 else f"{len(names)} records of {result.data.name}"
+    status = "usable" if result.usable else f"NOT USABLE ({result.status})"
+    return f"{result.name} fitted to {what}: {status}"
+
+
+def facts(result: FitResult) -> dict[str, list[str]]:
+    """Residuals, estimator, data and provenance, in sentences under headings."""
+    unit = result.data.units["y"]
+    starts = f"{result.in_best_basin} of {result.starts} starts reached the best cost"
+    fit = [f"{result.method}; {starts}" if result.starts > 1 else f"{result.method}, one start"]
+    if result.rank is not None:
+        condition = f", condition {result.condition:.2g}" if result.condition is not None else ""
+        fit.append(f"{len(result.free_names)} free parameters, rank {result.rank}{condition}")
+    else:
+        fit.append(f"{len(result.free_names)} free parameters")
+    fit.append(f"{number(result.compile_s, '.2f')} s compilation, {number(result.run_s, '.2f')} s computation")
+    spread = [f"standard deviation {number(result.sigma)} {unit}".rstrip()]
+    if result.correlation_time > 1 or result.error_ratio != 1:
+        spread.append(f"autocorrelated over {result.correlation_time:.3g} samples (integrated autocorrelation time)")
+    else:
+        spread.append("white (no significant autocorrelation)")
+    data = []
+    for record in result.data:
+        fitted = "all" if record.used.all() else str(int(record.used.sum()))
+        data.append(f"{record.name}: {len(record)} samples, {fitted} fitted; {', '.join(_columns_of(record))}")
+        data += [note.text for note in record.notes if note.text not in data]
+    source = result.provenance
+    versions = ", ".join(f"{name} {version}" for name, version in source.get("versions", {}).items())
+    origin = [
+        f"{source.get('date', '-')}, seed {source.get('seed', '-')}, Python {source.get('python', '-')}",
+        versions,
+    ]
+    files: dict[str, list[str]] = {}
+    for record in source.get("records", []):
+        digest = record.get("file_sha256") or record.get("data_sha256")
+        files.setdefault(digest, []).append(record.get("source") or record.get("name"))
+    for digest, names in list(files.items())[:5]:
+        shared = f" and {len(names) - 1} more records" if len(names) > 1 else ""
+        origin.append(f"{names[0]}{shared}, SHA-256 {digest}")
+    if len(files) > 5:
+        origin.append(f"and {len(files) - 5} more files (result.json has their checksums)")
+    return {"Residuals": spread, "Fit": fit, "Data": _shortened(data), "Provenance": origin}
+
+
+def _columns_of(record: Record) -> list[str]:
+    """Names, ranges and units of input, output and time."""
+    ranges = []
+    for role, name, values, unit in (
+        ("input", record.u_name, record.u, record.u_unit),
+        ("output", record.y_name, record.y, record.y_unit),
+    ):
+        ranges.append(f"{role} {name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}".rstrip())
+    if record.t is not None:
+        ranges.append(f"{record.t[0]:.4g} to {record.t[-1]:.4g} {record.t_unit}".rstrip())
+    return ranges
+
+
+def _shortened(items: list[str], most: int = 16) -> list[str]:
+    return (
+        items if len(items) <= most else [*items[:most], f"and {len(items) - most} more (result.json and records.npz)"]
+    )
+
+
+def text_report(result: FitResult) -> str:
+    """The report as text, at most about 100 columns wide."""
+    title = headline(result)
+    lines = [title, "=" * len(title)]
+    if not result.usable:
+        lines.append(_filled(result.advice))
+    lines += ["", ERRORS, *metrics_table(result).lines("  ")]
+    lines += ["", "Parameters", *parameter_table(result).lines("  ")]
+    if fixed := fixed_words(result):
+        lines.append(_filled(fixed, "  ", "  "))
+    if result.notes:
+        lines += _section("Notes", result.notes)
+    for heading, items in facts(result).items():
+        lines += _section(heading, items)
+    return "\n".join(lines) + "\n"

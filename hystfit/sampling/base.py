@@ -1,0 +1,81 @@
+"""What every sampler takes and returns."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from hystfit.errors import ParameterError
+from hystfit.outcome import Note
+from hystfit.sampling.setup import Setup
+
+Progress = Callable[[str, float], None]
+
+
+class Evidence(NamedTuple):
+    """Log evidence of model, noise and priors together (natural logarithm), its standard error, and the information gained [nats]."""
+
+    log_z: float
+    error: float
+    information: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Raw:
+    """What a sampler returns.
+
+    Attributes:
+        z: draws in unconstrained coordinates, shape (chains, draws, d).
+        log_density: log posterior there, shape (chains, draws).
+        stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
+        notes: on the run.
+        complete: whether the run met the sampler's own criterion for its length.
+        evidence: where the sampler estimates it.
+    """
+
+    z: np.ndarray
+    log_density: np.ndarray
+    stats: dict[str, np.ndarray]
+    notes: tuple[Note, ...] = ()
+    complete: bool = True
+    evidence: Evidence | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractSampler(abc.ABC):
+    """A sampler; its settings are its fields.
+
+    Class attributes:
+        name: by which users choose it.
+        many_short_chains: whether chains are pooled for R-hat, because each alone is too short.
+    """
+
+    name: ClassVar[str]
+    many_short_chains: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
+        """Draw from the posterior.
+
+        Args:
+            setup: the posterior: `setup.target` is a log density in whitened coordinates q, with its mode near 0.
+            seed: of the draws.
+            folder: keeps the run while it goes, so that the same call resumes after an interruption; None keeps nothing.
+            report: called from time to time with a line of text and the fraction that is done.
+        """
+
+    def check_counts(self, least: Mapping[str, int]) -> None:
+        """Refuse settings that are not whole numbers, or below the least sensible value.
+
+        Raises:
+            ParameterError: names the setting and its least value.
+        """
+        for name, lowest in least.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < lowest:
+                raise ParameterError(f"{name} must be a whole number of at least {lowest}, got {value!r}")

@@ -1,0 +1,131 @@
+"""Pictures of a posterior: corner, trace, rank, and bands over the loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import rankdata
+
+from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.outcome.table import rounded
+from hystfit.params.units import axis_label
+from hystfit.sampling.posterior import Posterior
+
+_SHOWN = 8  # chains in one picture at most
+_BINS = 20
+_KINDS = ("corner", "trace", "rank", "bands")
+
+
+def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
+    """Draw a picture of one kind and return its figure.
+
+    Raises:
+        ParameterError: an unknown kind.
+        MissingExtraError: corner is not installed.
+    """
+    if kind not in _KINDS:
+        raise ParameterError(f"no picture {kind!r} of a posterior; there are {', '.join(_KINDS)}")
+    return {"corner": _corner, "trace": _trace, "rank": _rank, "bands": _bands}[kind](posterior, **options)
+
+
+def _labels(posterior: Posterior) -> list[str]:
+    return [axis_label(name, unit) for name, unit in zip(posterior.names, posterior.units, strict=True)]
+
+
+def _corner(posterior: Posterior) -> Any:
+    try:
+        import corner
+    except ImportError as error:
+        raise MissingExtraError("corner", "bayes", "a corner plot") from error
+    flat = posterior.draws.reshape(-1, len(posterior.names))
+    moving = np.ptp(flat, axis=0) > 0
+    labels = [label for label, on in zip(_labels(posterior), moving, strict=True) if on]
+    figure = corner.corner(
+        flat[:, moving],
+        labels=labels,
+        quantiles=[0.025, 0.5, 0.975],
+        levels=(0.5, 0.9),
+        range=[0.998] * len(labels),
+        bins=25,
+        smooth=1.0,
+    )
+    panels = np.array(figure.axes).reshape(len(labels), len(labels))
+    names = [name for name, on in zip(posterior.names, moving, strict=True) if on]
+    for ax, name, column in zip(np.diag(panels), names, flat[:, moving].T, strict=True):
+        ax.set_title(f"{name}\n{_title(column)}", fontsize=10)
+    figure.suptitle(
+        "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %", fontsize=11
+    )
+    return figure
+
+
+def _title(draws: np.ndarray) -> str:
+    """Median and standard deviation, the latter with two digits."""
+    return " +- ".join(rounded(float(np.median(draws)), float(np.std(draws))))
+
+
+def _panels(posterior: Posterior) -> Any:
+    import matplotlib.pyplot as plt
+
+    count = len(posterior.names)
+    return plt.subplots(count, 1, figsize=(7, 1.4 * count), layout="constrained", squeeze=False)
+
+
+def _trace(posterior: Posterior) -> Any:
+    figure, axes = _panels(posterior)
+    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+        for chain in posterior.draws[:_SHOWN, :, k]:
+            ax.plot(chain, lw=0.4)
+        ax.set_ylabel(label.replace(" [", "\n["), fontsize=8)
+    axes[0, 0].set_title(_shown(posterior), fontsize=9)
+    axes[-1, 0].set_xlabel("draw")
+    return figure
+
+
+def _rank(posterior: Posterior) -> Any:
+    figure, axes = _panels(posterior)
+    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+        draws = posterior.draws[:, :, k]
+        ranks = rankdata(draws).reshape(draws.shape)
+        for chain in ranks[:_SHOWN]:
+            ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step")
+        ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
+        ax.set_ylabel(label.replace(" [", "\n["), fontsize=8)
+    axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected for converged chains", fontsize=9)
+    axes[-1, 0].set_xlabel("rank over all chains")
+    return figure
+
+
+def _shown(posterior: Posterior) -> str:
+    """The chains in a picture, as text."""
+    count = len(posterior.draws)
+    what = "walkers" if posterior.sampler == "emcee" else "chains"
+    return f"{count} {what}" if count <= _SHOWN else f"the first {_SHOWN} of {count} {what}"
+
+
+def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
+    """The loop, and below it the deviations from the median of the draws, which are too small to be seen in the loop."""
+    import matplotlib.pyplot as plt
+
+    record = posterior.result.data[0]
+    on = record.used
+    low, _, high = posterior.bands(record, level, count)
+    inner = posterior.bands(record, level, count, kind="credible")
+    middle = inner[1]
+    figure, (loop, rest) = plt.subplots(2, 1, figsize=(7, 7), sharex=True, layout="constrained")
+    loop.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
+    loop.plot(record.u[on], middle[on], color="#0072b2", lw=0.8, label="median of the draws")
+    rest.plot(record.u[on], (record.y - middle)[on], ".", ms=2, color="#a6a6a6")
+    for edges, color in (((low, high), "#d55e00"), ((inner[0], inner[2]), "#0072b2")):
+        for edge in edges:
+            rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
+    loop.set_ylabel(axis_label(record.y_name, record.y_unit))
+    rest.set(
+        xlabel=axis_label(record.u_name, record.u_unit), ylabel=axis_label("deviation from the median", record.y_unit)
+    )
+    if len(posterior.result.data) > 1:
+        loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
+    rest.set_title(f"{level:.0%} bands: of the model output (blue), of a measurement (orange)", fontsize=9)
+    loop.legend(frameon=False)
+    return figure

@@ -1,0 +1,15 @@
+"""The samplers by name."""
+
+from hystfit.registry import Registry
+
+_HERE = "hystfit.sampling"
+SAMPLERS = Registry(
+    "sampler",
+    "sampler",
+    f"{_HERE}.base:AbstractSampler",
+    {
+        "nuts": f"{_HERE}.nuts:Nuts",
+        "emcee": f"{_HERE}.ensemble:Ensemble",
+        "nested": f"{_HERE}.nested:Nested",
+    },
+)

@@ -1,0 +1,232 @@
+"""The command line as users run it: real processes in a fresh environment, without the settings of this test session."""
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit import cli
+
+MAIN = [sys.executable, "-c", "from hystfit.cli import main; main()"]
+CACHE = "JAX_COMPILATION_CACHE_DIR"
+TRUTH = {"c": 0.2, "mu": 0.5, "tau": 0.05, "rho": 0.4}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def process(home):
+    """Run `hystfit` with a home folder of its own and no variable of JAX or XLA."""
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_", "XDG_", "HYSTFIT_"))}
+    env |= {"HOME": str(home), "USERPROFILE": str(home), "LOCALAPPDATA": str(home), "MPLCONFIGDIR": str(home)}
+
+    def run(*arguments, env_more=None, **options) -> subprocess.CompletedProcess:
+        words = [str(argument) for argument in arguments]
+        options = {"capture_output": True, "text": True, "timeout": 300, "cwd": home, **options}
+        return subprocess.run([*MAIN, *words], env=env | (env_more or {}), **options)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def folder(home) -> Path:
+    """A noisy Bouc-Wen loop, a reference, and a record without a loop."""
+    t = np.arange(160) / 80
+    u = 20 * (1 - np.cos(2 * np.pi * t)) * (1 - 0.2 * np.floor(t))
+    c, mu, tau, delta = TRUTH["c"], TRUTH["mu"], TRUTH["tau"], TRUTH["tau"] * TRUTH["rho"]
+    h, y = 0.0, [c * u[0]]
+    for before, after in itertools.pairwise(u):
+        dv = (after - before) / 100
+        for _ in range(100):
+            h += mu * c * dv - tau * abs(dv) * h - delta * dv * abs(h)
+        y.append(c * after - h)
+    noisy = np.array(y) + 0.01 * np.random.default_rng(3).standard_normal(t.size)
+    tables = {"loop": ("t_s,u_V,y_um", (t, u, noisy)), "reference": ("t_s,y_um", (t, 2 - 0.8 * np.cos(6 * t)))}
+    tables["up"] = ("u,y", (np.arange(40.0), 2 * np.arange(40.0) + 1))
+    for name, (head, columns) in tables.items():
+        np.savetxt(home / f"{name}.csv", np.column_stack(columns), delimiter=",", header=head, comments="")
+    return home
+
+
+@pytest.fixture(scope="module")
+def fitted(process, folder) -> Path:
+    done = process("fit", "loop.csv", "--model", "bouc-wen", "--starts", "1", "--out", "fit")
+    assert (done.returncode, done.stderr) == (0, "")
+    return folder / "fit"
+
+
+def test_fit_finds_the_truth(fitted):
+    content = json.loads((fitted / "result.json").read_text())
+    assert (content["schema"], content["status"]) == ("hystfit.fit/1", "ok")
+    for name, truth in TRUTH.items():
+        found = content["parameters"][name]
+        assert abs(found["value"] - truth) < 5 * found["stderr"] < truth
+
+
+REFERENCE = ["reference.csv", "--output", "y_um", "--time", "t_s"]
+VERBS = [  # arguments, exit status, status in result.json, files beside it
+    (["check", "loop.csv"], 0, "ok", {"check.txt"}),
+    (["check", "up.csv"], 1, "no-model", {"check.txt"}),
+    (["check", "up.csv", "--preisach"], 1, "no-model", {"check.txt"}),
+    (["predict", "fit", "loop.csv"], 0, "ok", {"prediction.csv", "prediction.png"}),
+    (["invert", "fit", *REFERENCE], 0, "ok", {"inverse.csv"}),
+    (["invert", "fit", *REFERENCE, "--limits", "0:10"], 1, "missed", {"inverse.csv"}),
+    (["errors", "fit"], 0, "ok", {"errors.txt"}),
+    (["profile", "fit", "--parameter", "tau"], 0, "ok", {"profiles.png"}),
+    pytest.param(
+        ["sample", "fit", "--noise", "iid", "--chains", "2", "--draws", "40", "--warmup", "60"],
+        1,
+        "not-converged",
+        {"posterior.nc", "corner.png", "trace.png", "rank.png", "bands.png", "fit", "run"},
+        marks=pytest.mark.slow,
+    ),
+]
+
+
+@pytest.mark.usefixtures("fitted")
+@pytest.mark.parametrize(("arguments", "code", "status", "files"), VERBS, ids=lambda value: str(value)[:30])
+def test_verbs_print_json_and_write_their_folder(arguments, code, status, files, process, tmp_path):
+    out = tmp_path / "out"
+    done = process(*arguments, "--out", out, "--json")
+    assert (done.returncode, done.stderr) == (code, "")
+    content = json.loads(done.stdout)
+    assert content == json.loads((out / "result.json").read_text())
+    assert content["schema"] == f"hystfit.{arguments[0]}/1"
+    assert content["status"] == status
+    assert {path.name for path in out.iterdir()} == files | {"result.json"}
+
+
+def test_a_fit_without_a_loop_is_not_usable(process, folder):
+    done = process("fit", "up.csv", "--model", "bouc-wen", "--starts", "1", "--json")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert json.loads(done.stdout)["status"] == "no-loop"
+
+
+def test_report_and_export(process, fitted, tmp_path):
+    done = process("report", fitted, "--out", tmp_path / "again")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (fitted / "report.txt").read_text().strip() in done.stdout
+    assert (tmp_path / "again" / "report.html").is_file()
+    done = process("export", fitted, "--c", tmp_path / "c", "--name", "stack")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert sorted(file.name for file in (tmp_path / "c").iterdir()) == ["stack.c", "stack.h", "stack_main.c"]
+
+
+BAD = [
+    (["fit", "nofile.csv"], "nofile.csv"),
+    (["fit", "loop.csv", "--method", "magic", "--model", "bouc-wen"], "'magic'"),
+    (["check", "nofile.csv"], "nofile.csv"),
+    (["predict", "nofit", "loop.csv"], "nofit"),
+    (["invert", "fit", "reference.csv", "--limits", "5:1"], "'5:1'"),
+    (["export", "fit", "--c", "c", "--name", "2nd"], "2nd"),
+    (["profile", "fit", "--parameter", "nu"], "nu"),
+    (["profile", "fit", "--noise", "magic"], "'magic'"),
+    (["sample", "fit", "--sampler", "magic"], "'magic'"),
+    (["sample", "fit", "--out", "fit"], "'fit'"),
+    (["report", "nofit"], "nofit"),
+]
+
+
+@pytest.mark.usefixtures("fitted")
+@pytest.mark.parametrize(("arguments", "name"), BAD, ids=[" ".join(arguments) for arguments, _ in BAD])
+def test_bad_input_is_status_2(arguments, name, process):
+    done = process(*arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("hystfit: ")
+    assert name in done.stderr
+
+
+# -- what the process sets up before JAX is imported ---------------------------------------------------------------------
+
+SPY = """import json, os, jax, pathlib
+from jax._src import xla_bridge
+import hystfit
+
+state = {"flags": os.environ.get("XLA_FLAGS"), "x64": jax.config.jax_enable_x64, "late": bool(xla_bridge._backends)}
+pathlib.Path("state.json").write_text(json.dumps(state))
+
+
+class Mine(hystfit.BoucWen):
+    pass
+"""
+
+
+@pytest.mark.parametrize("own", [None, "--xla_cpu_enable_fast_math=false"])
+def test_a_verb_computes_in_double_precision_with_whole_loops(own, process, folder, tmp_path):
+    """A model file shows what XLA will read: no backend has started when a verb imports it."""
+    (tmp_path / "mine.py").write_text(SPY)
+    more = {} if own is None else {"XLA_FLAGS": own}
+    done = process("models", "mine.py:Mine", cwd=tmp_path, env_more=more)
+    assert done.returncode == 0, done.stderr
+    state = json.loads((tmp_path / "state.json").read_text())
+    assert (state["x64"], state["late"]) == (True, False)
+    assert state["flags"] == own or (own is None and "small_while_loop_byte_threshold" in state["flags"])
+
+
+def test_compiled_programs_are_kept_for_the_next_command(fitted, home):
+    assert list((home / ".cache" / "hystfit" / "programs").rglob("*-cache")) or sys.platform != "linux"
+
+
+def test_a_cache_folder_that_the_user_chose_is_used(monkeypatch):
+    monkeypatch.setenv(CACHE, "elsewhere")
+    cli.keep_programs()
+    assert os.environ[CACHE] == "elsewhere"
+
+
+def test_without_a_cache_folder_commands_still_run(process, tmp_path):
+    (tmp_path / "home").touch()
+    more = {"HOME": str(tmp_path / "home"), "XDG_CACHE_HOME": str(tmp_path / "home" / "cache")}
+    assert process("datasets", env_more=more).returncode == 0
+
+
+def test_help_starts_without_the_numerical_libraries():
+    code = (
+        "import sys, hystfit\nfrom hystfit.cli import run\nassert run(['--help']) == 0\n"
+        "heavy = {'jax', 'numpy', 'scipy', 'matplotlib', 'equinox'} & set(sys.modules)\nassert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert all(verb in done.stdout for verb in cli.VERBS)
+
+
+def test_a_reader_that_stops_early_changes_no_status(process, folder):
+    reader, writer = os.pipe()
+    os.close(reader)
+    for arguments, status in ((["check", "up.csv"], 1), (["models"], 0)):
+        done = process(*arguments, capture_output=False, stdout=writer, stderr=subprocess.PIPE)
+        assert (done.returncode, done.stderr) == (status, "")
+    os.close(writer)
+
+
+def test_interrupt_from_the_keyboard(folder, tmp_path):
+    before = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's background jobs ignore it, and pass that on
+    try:
+        running = subprocess.Popen(
+            [*MAIN, "fit", str(folder / "loop.csv"), "--model", "duhem", "--starts", "64", "--out", "out"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    time.sleep(2.5)
+    running.send_signal(signal.SIGINT)
+    out, err = running.communicate(timeout=60)
+    assert running.returncode == 130, err
+    assert "interrupted" in err
+    assert "Traceback" not in err
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []

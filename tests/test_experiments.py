@@ -1,0 +1,122 @@
+"""Experiments without their measured data: skipped, with a status of its own, and neither ok nor missed."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hystfit.outcome import Status
+
+from .conftest import ROOT
+
+EXPERIMENTS = ROOT / "experiments"
+
+
+def offline(folder: Path) -> dict[str, str]:
+    """Environment of a machine with no measured data, an empty cache and no network."""
+    (folder / "data").mkdir()
+    nowhere = "http://127.0.0.1:9"  # the discard port: connections are refused
+    return {
+        **{name: value for name, value in os.environ.items() if name.lower() != "no_proxy"},
+        **dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"), nowhere),
+        "HYSTFIT_DATA": str(folder / "data"),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+        "PYTHONPATH": str(ROOT),
+    }
+
+
+@pytest.mark.parametrize("form", [["--quick"], []], ids=["quick", "full"])
+def test_an_experiment_without_its_data_is_skipped(tmp_path: Path, form: list[str]) -> None:
+    page = EXPERIMENTS / "measured" / "RESULTS.md"
+    before = page.read_bytes()
+    command = [sys.executable, str(EXPERIMENTS / "measured" / "run.py"), *form, "--out", str(tmp_path / "out")]
+    ended = subprocess.run(command, env=offline(tmp_path), capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 77, ended.stdout + ended.stderr
+    content = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (content["status"], content["numbers"], content["failed"]) == (Status.SKIPPED, {}, [])
+    expected = json.loads((EXPERIMENTS / "measured" / "expected.json").read_text())
+    assert all(
+        name.startswith(tuple(content["skipped"])) for name in expected if form == [] or "quick" not in expected[name]
+    )
+    assert ended.stdout.splitlines()[-len(content["skipped"]) - 1].startswith("skipped: 0 numbers")
+    assert page.read_bytes() == before  # the page of a complete run stays
+
+
+PART = """
+import sys
+sys.path[:0] = [sys.argv[1], sys.argv[2]]
+from common import Results
+from pathlib import Path
+from importlib import import_module
+module, function = sys.argv[3].split(":")
+results = Results(Path(sys.argv[2]), quick=False, out=Path(sys.argv[4]))
+due = [name for name in results.expected if name in results.failures()]
+assert not hasattr(getattr(import_module(module), function)(results), "curves")
+print(*set(due) - set(results.failures()), sep="\\n")
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "numbers"),
+    [
+        ("duhem", "run:measured", ("piezo", "steel 1")),
+        ("preisach", "measured:measured", ("measured reversal curves", "measured minor loops")),
+        ("uncertainty", "piezo:run", ("piezo",)),
+    ],
+)
+def test_the_measured_part_of_an_experiment_is_skipped(tmp_path: Path, name: str, function: str, numbers) -> None:
+    """Its numbers, and no others, are no longer due."""
+    folder = EXPERIMENTS / name
+    command = [sys.executable, "-c", PART, str(EXPERIMENTS), str(folder), function, str(tmp_path / "out")]
+    ended = subprocess.run(command, env=offline(tmp_path), capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    expected = json.loads((folder / "expected.json").read_text())
+    no_longer_due = set(ended.stdout.splitlines()) & set(expected)
+    assert no_longer_due == {key for key in expected if key.startswith(numbers)} != set()
+
+
+@pytest.fixture
+def common(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    import common
+
+    return common
+
+
+@pytest.mark.parametrize(
+    ("numbers", "skipped", "status", "code"),
+    [
+        ({"a": 1.0, "b: x": 0.5}, (), Status.OK, 0),
+        ({"a": 1.0}, ("b",), Status.SKIPPED, 77),
+        ({"a": 1.0}, (), Status.MISSED, 1),  # b: x was not computed
+        ({"a": 1.3}, ("b",), Status.MISSED, 1),  # a missed number counts more than a skipped part
+        ({"a": float("nan"), "b: x": 0.5}, (), Status.MISSED, 1),
+    ],
+)
+def test_status_of_an_experiment(common, tmp_path: Path, numbers, skipped, status, code) -> None:
+    limits = {"a": {"value": 1.1, "tolerance": 0.15}, "b: x": {"bar": 0.6}}
+    (tmp_path / "expected.json").write_text(json.dumps(limits))
+    results = common.Results(tmp_path, quick=True)
+    for name, value in numbers.items():
+        results.add(name, value)
+    results.skipped = dict.fromkeys(skipped, "no data")
+    assert results.status is status
+    with pytest.raises(SystemExit) as ended:
+        results.finish()
+    assert ended.value.code == code
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["status"] == status
+
+
+def test_damaged_data_are_no_missing_data(common, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hystfit.errors import DataError
+
+    (tmp_path / "expected.json").write_text("{}")
+    results = common.Results(tmp_path, quick=True)
+    monkeypatch.setenv("HYSTFIT_DATA", str(tmp_path))
+    assert results.load("piezo", "piezo_dbo/model") is None
+    (tmp_path / "piezo_dbo").mkdir()
+    with pytest.raises(DataError):
+        results.load("piezo", "piezo_dbo/model")
