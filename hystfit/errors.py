@@ -14,7 +14,7 @@ class ParameterError(HystfitError):
 
 
 class ModelError(HystfitError):
-    """A model is unknown, badly composed, or cannot serve the data."""
+    """A model is unknown, wrongly composed, or unsuitable for the data."""
 
 
 class PrecisionError(HystfitError):

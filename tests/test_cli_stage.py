@@ -38,7 +38,7 @@ def test_numbers_written_as_counts_and_commands_beyond_the_limits(tmp_path, caps
     drive = ["--signal", "amplitude-sweep", "--cycles", "3", "--high", "150"]
     assert run(["simulate", "stage", *drive, "--out", str(tmp_path / "x.csv"), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert [note["code"] for note in content["notes"]] == ["record"]  # the amplifier clips the command
+    assert [note["code"] for note in content["notes"]] == ["prepared"]  # the amplifier clips the command
     assert content["range"]["u"][1] < 150
 
 

@@ -14,6 +14,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
 from hystfit.identify import Ukf
 from hystfit.models import AbstractHysteresis, BoucWen, LinearCreep, LogCreep, Series, simulate
+from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
 from hystfit.stage import Actuator, Sensor, piezo
 
@@ -213,7 +214,7 @@ def test_a_record_knows_where_the_device_rested() -> None:
     np.testing.assert_array_equal(longer.u[1:], record.u)
     np.testing.assert_allclose(np.diff(longer.t)[:3], 0.01, rtol=1e-9)  # type: ignore[arg-type]
     assert longer.used.sum() == 1000
-    assert "rested on -3 V" in longer.notes[-1]
+    assert longer.notes[-1].code is Code.PREPARED
 
 
 @pytest.mark.slow

@@ -245,6 +245,19 @@ def test_a_value_one_rounding_below_its_bound_has_a_finite_coordinate() -> None:
     assert SPACE.physical(z)[3] == pytest.approx(6.0, abs=2e-15)
 
 
+def test_starts_and_estimates_share_one_map_and_differ_only_on_a_bound() -> None:
+    inner = np.array([0.5, 2.0, 3.0, -1.999])
+    z = np.asarray(SPACE.coordinates.unconstrained(jnp.asarray(inner)))
+    np.testing.assert_allclose(SPACE.unconstrained(inner), z, rtol=1e-15)
+    hand = [0.5 / 3.0, np.log(3.0), np.log(1.0), np.log(0.001 / 7.999)]  # closed forms of the docstring
+    np.testing.assert_allclose(z, hand, rtol=1e-12, atol=1e-15)
+    bounds = np.array([0.5, -1.0, 4.0, 6.0])
+    gap = np.array([0.0, 1.0, -1.0, -8.0])  # towards the inside, by the scale or the width
+    np.testing.assert_allclose(SPACE.physical(SPACE.unconstrained(bounds)), bounds + 1e-3 * gap, atol=1e-5)
+    kept = SPACE.physical(SPACE.coordinates.unconstrained(jnp.asarray(bounds)))
+    np.testing.assert_allclose(kept, bounds + 1e-9 * gap, rtol=0, atol=1e-14)
+
+
 def test_bounds_are_attained_in_the_limit_on_both_sides() -> None:
     below, above = SPACE.physical(np.full(4, -60.0)), SPACE.physical(np.full(4, 60.0))
     assert below[0] == -180.0

@@ -18,11 +18,11 @@ from jaxtyping import Array, Float
 REAL, LOWER, UPPER, BOTH = range(4)
 
 
-@functools.partial(jax.jit, static_argnums=4, inline=True)  # called outside traced code too: one program, not twenty
+@functools.partial(jax.jit, static_argnums=4, inline=True)  # jitted because it is called outside traced code too
 def _physical(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[int, ...]) -> Array:
     kind = jnp.asarray(kinds, dtype=int)
-    # One exponential for all maps; for two bounds it is exp(-|z|), measured from the nearer bound, so that the slope keeps
-    # its digits next to either. Without a bound its argument is 0, as a branch not taken must not overflow in the gradient.
+    # One exponential for all maps; for two bounds it is exp(-|z|), measured from the nearer bound, so that the slope is
+    # accurate next to either. Without a bound its argument is 0: a branch that is not selected must not overflow in the gradient.
     away = jnp.where(kind == BOTH, jnp.where(z < 0, z, -z), z)
     grown = jnp.exp(jnp.where(kind == REAL, 0.0, away))
     low = jnp.where(jnp.isfinite(lower), lower, 0.0)
@@ -35,13 +35,13 @@ def _physical(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[i
 
 
 class Coordinates(eqx.Module):
-    """The traced half of a `ParameterSpace`: arrays and structure, no labels, so that no label can cost a compilation.
+    """The traced half of a `ParameterSpace`: arrays and structure without labels, which would cause compilations.
 
     Attributes:
         leaves: all leaves of the template tree.
         lower, upper, scale: of each free element, shape (p,).
-        kinds: which map each free element uses.
-        layout: for each leaf with free elements (leaf index, flat positions, whether each record has its own).
+        kinds: map of each free element.
+        layout: for each leaf with free elements (leaf index, flat positions, whether it differs between records).
     """
 
     leaves: tuple[Any, ...]
@@ -57,16 +57,23 @@ class Coordinates(eqx.Module):
         """x from z."""
         return _physical(z, self.lower, self.upper, self.scale, self.kinds)
 
-    def unconstrained(self, x: Float[Array, " p"]) -> Float[Array, " p"]:
-        """z from x inside traced code; values on a bound are moved a little inside."""
-        kind = jnp.asarray(self.kinds)
-        low = jnp.where(jnp.isfinite(self.lower), self.lower, 0.0)
-        high = jnp.where(jnp.isfinite(self.upper), self.upper, 0.0)
-        edge = 1e-9 * jnp.where(kind == BOTH, high - low, self.scale)
-        above, below = jnp.maximum(x - low, edge), jnp.maximum(high - x, edge)
-        z = jnp.where(kind == LOWER, jnp.log(above / self.scale), x / self.scale)
-        z = jnp.where(kind == UPPER, jnp.log(below / self.scale), z)
-        return jnp.where(kind == BOTH, jnp.log(above) - jnp.log(below), z)
+    def unconstrained(self, x: Any, inside: float = 1e-9, xp: Any = jnp) -> Any:
+        """z from x; values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
+
+        Args:
+            x: physical values, shape (p,).
+            inside: distance from the bound to which they are moved, as a fraction of the scale or of the interval. An estimate
+                stays at its bound with a small one; a start can leave it with a large one.
+            xp: module of the arrays: jax.numpy, also inside traced code, or numpy.
+        """
+        lower, upper, scale, kind = (xp.asarray(v) for v in (self.lower, self.upper, self.scale, self.kinds))
+        low = xp.where(xp.isfinite(lower), lower, 0.0)
+        high = xp.where(xp.isfinite(upper), upper, 0.0)
+        edge = inside * xp.where(kind == BOTH, high - low, scale)
+        above, below = (xp.where(distance > 0, distance, edge) for distance in (x - low, high - x))
+        z = xp.where(kind == LOWER, xp.log(above / scale), x / scale)
+        z = xp.where(kind == UPPER, xp.log(below / scale), z)
+        return xp.where(kind == BOTH, xp.log(above) - xp.log(below), z)
 
     def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """dx/dz, element by element (the maps do not mix parameters)."""
@@ -83,9 +90,9 @@ class Coordinates(eqx.Module):
     def assemble(self, x: Float[Array, " p"], record: Any = 0) -> Any:
         """The tree with the free elements set from x, with the parameters of record number `record`."""
         leaves, start = list(self.leaves), 0
-        for index, positions, own in self.layout:
+        for index, positions, per_record in self.layout:
             count = len(positions)
-            if own:
+            if per_record:
                 block = x[start : start + count * self.n_records].reshape(self.n_records, count)
                 values = jnp.take(block, jnp.asarray(record), axis=0)
                 start += count * self.n_records

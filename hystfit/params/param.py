@@ -26,8 +26,8 @@ class ParamInfo:
         unit: expression in u, y and s (see `hystfit.params.units`).
         scale: typical size in multiples of the unit's natural size.
         doc: meaning, one sentence.
-        fixed: held at its value unless freed by name.
-        per_record: every record of a fit has a value of its own.
+        fixed: kept at its value unless freed by name.
+        per_record: each record of a fit has its own value.
         linear: the output of the model is linear in it.
     """
 
@@ -49,12 +49,12 @@ class ParamInfo:
 
 
 def as_array(value: Any) -> Any:
-    """A number or array as a floating array; whatever else a tree may hold (tracers, placeholders) as it is.
+    """A number or array as a floating array; other leaves of a tree (tracers, placeholders) unchanged.
 
     Raises:
         ParameterError: text, complex numbers, ragged lists.
     """
-    # Python numbers in a module are static for jit: one compilation a value, and no gradient; integer arrays have none either.
+    # Python numbers in a module are static for jit: one compilation for each value, and no gradient (nor for integer arrays).
     whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
     if whole or isinstance(value, (int, float, complex, str, list, tuple, np.ndarray, np.generic)):
         try:
@@ -83,9 +83,12 @@ def param(
     linear: bool = False,
     vector: bool = False,
 ) -> Any:
-    """A field of a model that is a parameter (see `ParamInfo` for the arguments).
+    """A field of a model that is a parameter.
 
-    With `vector` it is an array of one dimension, and one number is taken for an array of one.
+    Args:
+        default: value, a number or an array.
+        bounds, unit, scale, doc, fixed, per_record, linear: see `ParamInfo`.
+        vector: the parameter is an array of one dimension; a number becomes an array of one element.
 
     Raises:
         ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is no expression.
@@ -97,7 +100,7 @@ def param(
 
 @dataclasses.dataclass(frozen=True)
 class Leaf:
-    """One array-valued parameter of a tree: where it is and what it is called."""
+    """One array-valued parameter of a tree: its position, path, declaration and shape."""
 
     index: int
     path: tuple[str, ...]
@@ -153,7 +156,7 @@ def leaves_of(tree: Any) -> list[Leaf]:
 
 
 def short_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
-    """The shortest ends of the paths that tell them apart."""
+    """The shortest unique ends of the paths."""
     names = []
     for path in paths:
         for length in range(1, len(path) + 1):

@@ -19,8 +19,7 @@ from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
 from hystfit.params.param import ParamInfo, leaves_of, short_names
 from hystfit.params.units import Scales
 
-# A start on its bound is moved inside by this part of the scale: the maps reach a bound only in the limit.
-_INSIDE = 1e-3
+_INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
 
 def _strong(leaf: Any) -> Any:
@@ -78,7 +77,11 @@ class ParameterSpace:
     # -- building ------------------------------------------------------------------------------------------------------
 
     def find(self, name: str) -> tuple[int, list[int]]:
-        """Leaf number and flat positions that a name means: a leaf ("w"), one element ("w[2]"), or a longer path."""
+        """Leaf number and flat positions of a name: a leaf ("w"), one element ("w[2]"), or a longer path.
+
+        Raises:
+            ParameterError: an unknown or ambiguous name (the message lists the names), or an element outside the array.
+        """
         match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
         words = tuple(match["path"].split(".")) if match else ()
         hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []
@@ -88,7 +91,7 @@ class ParameterSpace:
             hits = exact or hits
         if len(hits) > 1:
             raise ParameterError(
-                f"parameter {name!r} is ambiguous; say one of: {', '.join(self._leaf_names[i] for i in hits)}"
+                f"parameter {name!r} is ambiguous; choose one of: {', '.join(self._leaf_names[i] for i in hits)}"
             )
         if not hits:
             raise ParameterError(f"no parameter {name!r}; the parameters are: {known}")
@@ -133,7 +136,7 @@ class ParameterSpace:
                 number, positions = self.find(name)
                 for k in positions:
                     if touched.setdefault((number, k), state) != state:
-                        raise ParameterError(f"parameter {name!r} is asked to be fixed and free at once: choose one")
+                        raise ParameterError(f"parameter {name!r} is listed as fixed and free at once: choose one")
                 masks[number][positions] = state
         return masks
 
@@ -186,20 +189,15 @@ class ParameterSpace:
 
     def vector(self, trees: Any) -> np.ndarray:
         """Physical vector x of a tree, or of one tree for each record."""
-        own = jax.tree_util.tree_structure(trees) == jax.tree_util.tree_structure(
-            self.template
-        )  # a tree may be a tuple
-        listed = not own and isinstance(trees, (list, tuple)) and len(trees) == len(self.records) > 1
-        several = list(trees) if listed else None
-        flats = [jax.tree_util.tree_leaves(tree) for tree in (several or [trees])]
-        x = []
-        for number, k, record in self.sources:
-            flat = flats[record or 0] if several else flats[0]
-            x.append(float(np.asarray(flat[self.leaves[number].index]).reshape(-1)[k]))
-        return np.array(x)
+        structure = jax.tree_util.tree_structure
+        one = structure(trees) == structure(self.template)  # a single tree may be a tuple
+        several = not one and isinstance(trees, (list, tuple)) and len(trees) == len(self.records) > 1
+        flats = [jax.tree_util.tree_leaves(tree) for tree in (trees if several else [trees])]
+        leaf = lambda number, record: np.asarray(flats[(record or 0) if several else 0][self.leaves[number].index])
+        return np.array([float(leaf(number, record).reshape(-1)[k]) for number, k, record in self.sources])
 
     def unconstrained(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """z from x; a value on its bound is moved a little inside.
+        """z from x; values on their bound are moved inside.
 
         Raises:
             ParameterError: wrong length, not finite, or outside the bounds.
@@ -207,17 +205,12 @@ class ParameterSpace:
         x = np.asarray(x, dtype=float)
         if x.shape != (len(self),):
             raise ParameterError(f"expected {len(self)} values ({', '.join(self.names)}), got shape {x.shape}")
-        c = self.coordinates
-        lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
+        lower, upper = np.asarray(self.coordinates.lower), np.asarray(self.coordinates.upper)
         for name, value, low, high in zip(self.names, x, lower, upper, strict=True):
             if not (np.isfinite(value) and low <= value <= high):
                 raise ParameterError(f"parameter {name!r}: start {value:g} is outside its bounds [{low:g}, {high:g}]")
         with np.errstate(all="ignore"):
-            over = np.log(np.where(x > lower, (x - lower) / scale, _INSIDE))
-            under = np.log(np.where(x < upper, (upper - x) / scale, _INSIDE))
-            edge = _INSIDE * (upper - lower)
-            both = np.log(np.where(x > lower, x - lower, edge)) - np.log(np.where(x < upper, upper - x, edge))
-        return np.select([kind == REAL, kind == LOWER, kind == UPPER], [x / scale, over, under], both)
+            return self.coordinates.unconstrained(x, _INSIDE, np)
 
     def physical(self, z: Any) -> np.ndarray:
         """x from z."""
@@ -233,7 +226,7 @@ class ParameterSpace:
         return slope[:, None] * np.asarray(covariance_z) * slope[None, :]
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
-        """Name, value and declaration of every element that is held."""
+        """Name, value and declaration of every fixed element."""
         flat = jax.tree_util.tree_leaves(self.template)
         free = {(number, k) for number, k, _ in self.sources}
         rows = []

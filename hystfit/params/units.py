@@ -1,6 +1,6 @@
 """Units of parameters as expressions in the units of the data: "y/u" is um/V on a piezo record.
 
-One expression gives both what the report prints and the natural size of a parameter: with u in V over 100 V and y in um
+One expression gives both the printed unit and the natural size of a parameter: with u in V over 100 V and y in um
 over 10 um, "y/u" prints as "um/V" and scales as 0.1. Symbols: u input, y output, s time; "1" has no unit.
 """
 
@@ -76,7 +76,7 @@ class Scales:
 
 
 def axis_label(name: str, unit: str) -> str:
-    """Name and unit of an axis; a name that ends in its unit is shortened, and unknown units have brackets of their own."""
+    """Name and unit of an axis; a unit at the end of the name is removed, and unknown units keep their own brackets."""
     if not unit:
         return name
     if unit.startswith("["):

@@ -1,7 +1,7 @@
-"""Excitations that reveal hysteresis: plain numpy functions of time, and the registry that the command line reads.
+"""Excitations that reveal hysteresis: numpy functions of time, and their registry.
 
-Every function takes its limits `low` and `high` in the input's unit, `rate` in samples/s and times in seconds, and
-returns `(t, u)`, both of shape (T,); `forc_protocol` has no time and returns `(u, curve)`.
+Limits `low` and `high` are in the unit of the input, `rate` in samples/s and times in seconds. Every function returns
+`(t, u)`, both of shape (T,); `forc_protocol` has no time and returns `(u, curve)`.
 """
 
 from hystfit.signals.registry import SIGNALS as SIGNALS

@@ -1,4 +1,4 @@
-"""What all signals share: their time axis, the map onto their limits, and refusals in words."""
+"""Shared by all signals: their time axis, the map onto their limits, and checks of arguments."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from hystfit.errors import DataError
 
 Series = tuple[np.ndarray, np.ndarray]
 Real = float | int
-_MOST = 10**8  # samples: beyond them a rate or a duration is more likely mistyped than meant
+_MOST = 10**8  # samples; a larger number is probably a typing error in the rate or the duration
 
 
 def positive(**values: Real) -> None:
-    """Refuse what is not a finite number above zero, by name.
+    """Check for finite numbers above zero.
 
     Raises:
-        DataError: it is not.
+        DataError: one is not; the message has its name.
     """
     for name, value in values.items():
         if not np.isfinite(value) or value <= 0:
@@ -23,7 +23,7 @@ def positive(**values: Real) -> None:
 
 
 def limits(low: Real, high: Real) -> None:
-    """Refuse limits that are not in order.
+    """Check that limits are finite and in order.
 
     Raises:
         DataError: low is not below high, or one is not finite.
@@ -33,10 +33,15 @@ def limits(low: Real, high: Real) -> None:
 
 
 def whole_number(name: str, value: Real, least: int) -> int:
-    """A whole number of at least `least`.
+    """Check for a whole number and return it as int.
+
+    Args:
+        name: of the argument, for the message.
+        value: to be checked.
+        least: smallest allowed value.
 
     Raises:
-        DataError: it is not.
+        DataError: it is none, or too small.
     """
     if not np.isfinite(value) or int(value) != value or value < least:
         raise DataError(f"{name} must be a whole number of at least {least}, got {value}")
@@ -59,7 +64,7 @@ def time_axis(duration: Real, rate: Real) -> np.ndarray:
 
 
 def below_nyquist(frequency: Real, rate: Real) -> None:
-    """Refuse a frequency that the sampling cannot carry.
+    """Check a frequency [Hz] against the rate [samples/s].
 
     Raises:
         DataError: it is above half the rate.
@@ -69,5 +74,5 @@ def below_nyquist(frequency: Real, rate: Real) -> None:
 
 
 def between(low: Real, high: Real, wave: np.ndarray) -> np.ndarray:
-    """Map a wave in [-1, 1] onto [low, high]."""
+    """Map a wave in [-1, 1], shape (T,), onto [low, high]."""
     return 0.5 * (low + high) + 0.5 * (high - low) * wave

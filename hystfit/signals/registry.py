@@ -1,4 +1,4 @@
-"""Signals by name, as the command line offers them."""
+"""Signals by name, for the command line."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hystfit.signals.waves import chirp, decaying_sine, multisine, sine, triangl
 
 @dataclasses.dataclass(frozen=True)
 class Signal:
-    """One excitation as the command line offers it.
+    """One excitation.
 
     Attributes:
-        name: what it is called there.
+        name: on the command line.
         make: the function.
         doc: the first line of its description.
         parameters: default value of every parameter, by name.
@@ -62,14 +62,14 @@ def signal(name: str) -> Signal:
     Raises:
         DataError: there is none; the message lists the names.
     """
-    found = SIGNALS.get(name.replace("_", "-"))
-    if found is None:
+    entry = SIGNALS.get(name.replace("_", "-"))
+    if entry is None:
         raise DataError(f"no signal {name!r}; there are {', '.join(SIGNALS)}")
-    return found
+    return entry
 
 
 def make(name: str, **parameters: Any) -> Series:
-    """Make an excitation by name: `make("sine", frequency=2.0)`.
+    """An excitation by name, such as `make("sine", frequency=2.0)`.
 
     Raises:
         DataError: unknown name or parameter (the message lists them), or a value out of range.

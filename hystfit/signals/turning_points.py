@@ -1,4 +1,4 @@
-"""Signals made of turning points and rests: amplitude sweep, staircase, step, reversal curves, random reversals."""
+"""Signals made of turning points and holds: amplitude sweep, staircase, step, reversal curves, random reversals."""
 
 from __future__ import annotations
 
@@ -19,11 +19,17 @@ def amplitude_sweep(
     stop: Real = 0.1,
     anchor: str = "center",
 ) -> Series:
-    """Whole cycles whose amplitude goes from `start` to `stop` (fractions of the range): nested minor loops.
+    """Whole cycles of decreasing or increasing amplitude: nested minor loops.
 
-    A decaying sweep (start > stop) leaves every minor loop inside the last; a growing one wipes them out in turn.
-    `frequency` in Hz; the first and the last amplitude are exact. `anchor` is what all loops share: "center" (the
-    middle of the range), "low" or "high" (that turning point).
+    A decaying sweep (start > stop) nests every minor loop in the one before; a growing one wipes them out in turn.
+
+    Args:
+        rate: samples/s.
+        frequency: Hz.
+        low, high: limits [unit of u].
+        cycles: number of cycles.
+        start, stop: first and last amplitude, as fractions of the range.
+        anchor: common to all loops: "center" (the middle of the range), or the turning point "low" or "high".
     """
     positive(rate=rate, frequency=frequency, start=start, stop=stop)
     below_nyquist(frequency, rate)
@@ -53,9 +59,14 @@ def staircase(
     low: Real = -1.0,
     high: Real = 1.0,
 ) -> Series:
-    """Steps up from low to high and down again, resting `hold` seconds on each of `levels` levels.
+    """Steps up from low to high and down again; creep shows during the holds.
 
-    Neighboring levels are joined by a straight ramp of `ramp` seconds (0: a jump). The holds show creep.
+    Args:
+        rate: samples/s.
+        levels: number of levels.
+        hold: duration of each level [s].
+        ramp: duration of the ramp between levels [s]; 0 for jumps.
+        low, high: limits [unit of u].
     """
     positive(rate=rate, hold=hold)
     limits(low, high)
@@ -79,7 +90,14 @@ def step(
     low: Real = 0.0,
     high: Real = 1.0,
 ) -> Series:
-    """A jump from low to high at the time `at` [s]: what follows at constant input is creep and dynamics."""
+    """A jump from low to high; the response at constant input is creep and dynamics.
+
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        at: time of the jump [s].
+        low, high: limits [unit of u].
+    """
     t = time_axis(duration, rate)
     limits(low, high)
     if not 0 < at < duration:
@@ -92,7 +110,8 @@ def forc_protocol(*, curves: Real = 20, points: Real = 100, low: Real = -1.0, hi
 
     Args:
         curves: number of reversal levels, evenly spaced from just under high down to low.
-        points: samples over the whole range; every branch is sampled at about that spacing.
+        points: samples over the whole range; every branch has about that spacing.
+        low, high: limits [unit of u].
 
     Returns:
         u of shape (T,) and curve of shape (T,), int: k = 1..curves on the k-th returning branch (its reversal point
@@ -125,8 +144,15 @@ def random_reversals(
 ) -> Series:
     """Constant speed [input unit/s] between random turning points: uniform on the range, alternately up and down.
 
-    It reaches many pairs of turning levels, which a Preisach density needs. `speed` is the whole range a second if None,
-    `start` the first value (low if None).
+    It has many pairs of turning levels, which a Preisach density needs.
+
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        speed: of the input [unit of u per second]; None for the whole range in a second.
+        low, high: limits [unit of u].
+        start: first value; None for low.
+        seed: of the turning points.
     """
     t = time_axis(duration, rate)
     limits(low, high)
@@ -139,7 +165,7 @@ def random_reversals(
     values, times, rising = [first], [0.0], first < high
     while times[-1] < t[-1]:
         end = high if rising else low
-        # a turning point that is at least a sixth of the way keeps the branches long enough to be seen
+        # branches of a sixth of the way or more are long enough to show
         target = values[-1] + (end - values[-1]) * rng.uniform(1 / 6, 1)
         times.append(times[-1] + max(abs(target - values[-1]), 1e-9 * (high - low)) / speed)
         values.append(target)

@@ -21,7 +21,12 @@ def sine(
 ) -> Series:
     """Sine between low and high: one loop, repeated.
 
-    `frequency` in Hz, `phase` in radians (0 starts at the middle and rises, -pi/2 starts at low).
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        frequency: Hz.
+        low, high: limits [unit of u].
+        phase: radians; 0 starts at the middle and rises, -pi/2 starts at low.
 
     Raises:
         DataError: a number is out of its range.
@@ -43,7 +48,14 @@ def triangle(
     low: Real = -1.0,
     high: Real = 1.0,
 ) -> Series:
-    """Triangle from low to high and back: constant speed between sharp reversals; `frequency` in Hz."""
+    """Triangle from low to high and back: constant speed between sharp reversals.
+
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        frequency: Hz.
+        low, high: limits [unit of u].
+    """
     t = time_axis(duration, rate)
     positive(frequency=frequency)
     below_nyquist(frequency, rate)
@@ -63,7 +75,12 @@ def decaying_sine(
 ) -> Series:
     """Sine about the middle whose amplitude falls as exp(-decay t): nested minor loops that end near the middle.
 
-    `frequency` in Hz, `decay` in 1/s.
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        frequency: Hz.
+        low, high: limits [unit of u].
+        decay: 1/s.
     """
     t, u = sine(duration, rate, frequency=frequency, low=low, high=high)
     positive(decay=decay)
@@ -89,8 +106,13 @@ def multisine(
 ) -> Series:
     """Sum of equal sines, scaled to reach at most low and high about their middle.
 
-    `frequencies` in Hz. Of `tries` draws of the phases (by `seed`) the one with the lowest crest factor is kept, so
-    that most of the range is used most of the time.
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        frequencies: Hz.
+        low, high: limits [unit of u].
+        tries: number of random draws of the phases, of which the one with the lowest crest factor is used.
+        seed: of the draws.
     """
     t = time_axis(duration, rate)
     limits(low, high)
@@ -120,9 +142,14 @@ def chirp(
     high: Real = 1.0,
     spacing: str = "log",
 ) -> Series:
-    """Sine whose frequency runs from `start` to `stop` [Hz], geometrically ("log") or evenly ("linear") in time.
+    """Sine of increasing or decreasing frequency: the same loop at many speeds, for rate dependence.
 
-    It shows rate dependence: the same loop at many speeds.
+    Args:
+        duration: length of the signal [s].
+        rate: samples/s.
+        start, stop: first and last frequency [Hz].
+        low, high: limits [unit of u].
+        spacing: "log" for a geometric change of the frequency in time, or "linear".
     """
     t = time_axis(duration, rate)
     positive(start=start, stop=stop)

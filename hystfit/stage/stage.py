@@ -44,7 +44,7 @@ class StageMeasurement:
     u: np.ndarray
     extension: np.ndarray
     pose: np.ndarray
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     def columns(self) -> dict[str, np.ndarray]:
         """Columns of a file by name, with the unit after the last underscore."""
