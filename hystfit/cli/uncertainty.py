@@ -199,10 +199,10 @@ def calibrate(
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
     """A noise model with the size and correlation time of the residuals of a fit."""
-    from hystfit.inference.noise import starting_noise
+    from hystfit.inference.noise import NOISES, ResidualScales
 
     residuals = [(result.predict(record) - record.y)[record.used] for record in result.data]
-    return starting_noise(name, residuals, result.correlation_time)
+    return NOISES.find(name).start(ResidualScales.of(residuals, result.correlation_time))  # type: ignore[attr-defined]
 
 
 def design(
