@@ -94,14 +94,14 @@ VERBS = [  # arguments, exit status, status in result.json, files beside it
 
 
 @pytest.mark.usefixtures("fitted")
-@pytest.mark.parametrize(("arguments", "code", "status", "files"), VERBS, ids=lambda value: str(value)[:30])
+@pytest.mark.parametrize(("arguments", "code", "status", "files"), VERBS, ids=lambda value: str(sorted(value) if isinstance(value, set) else value)[:30])
 def test_verbs_print_json_and_write_their_folder(arguments, code, status, files, process, tmp_path):
     out = tmp_path / "out"
     done = process(*arguments, "--out", out, "--json")
     assert (done.returncode, done.stderr) == (code, "")
     content = json.loads(done.stdout)
     assert content == json.loads((out / "result.json").read_text())
-    assert content["schema"] == f"hystfit.{arguments[0]}/1"
+    assert content["schema"].partition("/")[0] == f"hystfit.{arguments[0]}"
     assert content["status"] == status
     assert {path.name for path in out.iterdir()} == files | {"result.json"}
 
