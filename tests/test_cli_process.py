@@ -94,7 +94,11 @@ VERBS = [  # arguments, exit status, status in result.json, files beside it
 
 
 @pytest.mark.usefixtures("fitted")
-@pytest.mark.parametrize(("arguments", "code", "status", "files"), VERBS, ids=lambda value: str(sorted(value) if isinstance(value, set) else value)[:30])
+@pytest.mark.parametrize(
+    ("arguments", "code", "status", "files"),
+    VERBS,
+    ids=lambda value: str(sorted(value) if isinstance(value, set) else value)[:30],
+)
 def test_verbs_print_json_and_write_their_folder(arguments, code, status, files, process, tmp_path):
     out = tmp_path / "out"
     done = process(*arguments, "--out", out, "--json")

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from hystfit import FitResult, datasets, explain_drift, fit, signals
-from hystfit.data.record import Dataset, Record
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.identify import Ukf
+from hystfit.inference.problem import Problem
 from hystfit.models import AbstractHysteresis, BoucWen, LinearCreep, LogCreep, Series, simulate
 from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
@@ -195,11 +196,12 @@ def test_drift_is_the_creep_of_the_step_that_began_the_record(told: FitResult) -
 
 
 def test_drift_that_cannot_be_explained_is_refused_in_words(told: FitResult) -> None:
-    short = dataclasses.replace(told, data=Dataset.of(told.data[0].segment(0, 250)))
+    short = dataclasses.replace(told, problem=Problem(told.model, told.data[0].segment(0, 250)))
     with pytest.raises(DataError, match="four or more like cycles"):
         explain_drift(short)
     with pytest.raises(ModelError, match="has no creep"):
-        explain_drift(dataclasses.replace(told, model=BoucWen(), models=(BoucWen(),)))
+        plain = Problem(BoucWen(), told.data)
+        explain_drift(dataclasses.replace(told, problem=plain, x=plain.space.vector(plain.model)))
     with pytest.raises(DataError, match="no record 'other'"):
         explain_drift(told, "other")
     with pytest.raises(DataError, match="finite input"):

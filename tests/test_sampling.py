@@ -190,7 +190,7 @@ def test_saved_and_read_back(posterior, tmp_path):
     made = again.provenance
     assert made["fit"]["date"] == posterior.result.provenance["date"] <= made["date"]
     assert (made["seed"], made["records"]) == (posterior.seed, posterior.result.provenance["records"])
-    with pytest.raises(DataError, match="no posterior"):
+    with pytest.raises(DataError, match="not a posterior"):
         load_posterior(tmp_path)
 
 
@@ -359,12 +359,12 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
         sample(fitted, noise="iid", priors={"tau": priors.Uniform(5.0, 6.0)})
     with pytest.raises(ParameterError, match=r"outside the parameter's bounds, 0 to 1"):
         sample(fitted, noise="iid", priors={"mu": priors.Normal(3.0, 0.01)})
-    with pytest.raises(ParameterError, match="mean = nan is no number"):
+    with pytest.raises(ParameterError, match="mean = nan is not a number"):
         sample(fitted, priors={"tau": priors.Normal(np.nan, 1.0)})
     for wrong in (priors.LogitNormal(0.0, 1.0, 0.5, 0.0), priors.LogitNormal(0.0, 1.0, 0.5, np.inf)):
         with pytest.raises(ParameterError, match="flat or has no width"):
             sample(fitted, noise="iid", priors={"mu": wrong})
-    with pytest.raises(ParameterError, match="edge = nan is no number"):
+    with pytest.raises(ParameterError, match="edge = nan is not a number"):
         sample(fitted, priors={"tau": priors.LogNormal(1.0, 1.0, np.nan)})
     with pytest.raises(ParameterError, match="lower limit must come first"):
         sample(fitted, priors={"tau": priors.Uniform(2.0, 1.0)})
@@ -423,7 +423,7 @@ def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
 
 def test_a_parameter_that_the_data_do_not_move_is_named(fitted):
     told = sample(fitted, noise="iid", chains=2, draws=900, warmup=200, priors={"tau": priors.LogNormal(2.03, 1e-6)})
-    assert "tau is hardly determined" in str(told)
+    assert any(note.code is Code.PRIOR and "tau" in note.text for note in told.notes)
     assert np.log(told["tau"]).std() == pytest.approx(1e-6, rel=0.15)
 
 
