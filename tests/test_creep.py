@@ -199,8 +199,8 @@ def test_drift_that_cannot_be_explained_is_refused_in_words(told: FitResult) -> 
     short = dataclasses.replace(told, problem=Problem(told.model, told.data[0].segment(0, 250)))
     with pytest.raises(DataError, match="four or more like cycles"):
         explain_drift(short)
+    plain = Problem(BoucWen(), told.data)
     with pytest.raises(ModelError, match="has no creep"):
-        plain = Problem(BoucWen(), told.data)
         explain_drift(dataclasses.replace(told, problem=plain, x=plain.space.vector(plain.model)))
     with pytest.raises(DataError, match="no record 'other'"):
         explain_drift(told, "other")
