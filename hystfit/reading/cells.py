@@ -53,11 +53,11 @@ def clean(cell: str) -> str:
 
 def is_stamp(cell: str) -> bool:
     """Whether a cleaned cell is a date, a time of day or both."""
-    found = _STAMP.fullmatch(cell)
-    if not found:
+    match = _STAMP.fullmatch(cell)
+    if not match:
         return False
-    clock = found["min"] is not None or (found["hh"] is not None and found["ss"] is not None)
-    date = found["y"] is not None or found["p"] is not None
+    clock = match["min"] is not None or (match["hh"] is not None and match["ss"] is not None)
+    date = match["y"] is not None or match["p"] is not None
     return clock or date
 
 
@@ -102,11 +102,11 @@ def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.nda
         else:
             return values, np.where(np.isnan(values), MISSING, NUMBER)
     cleaned = [clean(cell) for cell in cells]
-    found = [number(cell, decimal) for cell in cleaned]
-    values = np.array([np.nan if value is None else value for value in found])
+    numbers = [number(cell, decimal) for cell in cleaned]
+    values = np.array([np.nan if value is None else value for value in numbers])
     kinds = [
         NUMBER if value is not None else MISSING if cell.lower() in _MISSING_WORDS else TEXT
-        for cell, value in zip(cleaned, found, strict=True)
+        for cell, value in zip(cleaned, numbers, strict=True)
     ]
     return values, np.array(kinds)
 
@@ -144,12 +144,12 @@ def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     Raises:
         DataError: day and month cannot be distinguished, or a date does not exist.
     """
-    found = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
-    stamps = [stamp for stamp in found if stamp]
+    matches = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
+    stamps = [stamp for stamp in matches if stamp]
     notes: list[Note] = []
     day_first = _day_first(stamps, where)
     try:
-        pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in found]
+        pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in matches]
     except ValueError as error:
         raise DataError(f"{where}: a time stamp is not a valid date ({error}); correct it") from error
     days = np.array([day for day, _ in pairs]) - next((day for day, clock in pairs if clock == clock), 0)

@@ -115,10 +115,10 @@ def _find(name: str, source: Source, file: DataFile, folder: str | os.PathLike[s
     for place in given:
         path = place / source.folder / file.name
         if path.is_file():
-            found = sha256_of(path)
-            if found != file.sha256:
+            actual = sha256_of(path)
+            if actual != file.sha256:
                 raise DataError(
-                    f"{path} is not the published file of {name!r}: its SHA-256 is {found}, expected {file.sha256}; "
+                    f"{path} is not the published file of {name!r}: its SHA-256 is {actual}, expected {file.sha256}; "
                     "delete it to download it again"
                 )
             return path

@@ -27,20 +27,20 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     """Name and unit of a column header such as "t_s", "H_A_per_m", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip()
-    if found := re.fullmatch(r"(.*?)[\s_]*[\[(<]\s*([^\[\]()<>]*?)\s*[\])>]", name):
-        unit = found[2]
-        if found[1] and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
-            return found[1], unit
-        if found[1] and unit in ("-", "1", ""):
-            return found[1], ""
-    if found := re.fullmatch(r"(.+?)_([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
-        return found[1], f"{found[2]}/{found[3]}"
-    if (found := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)([^\s/,]+(?:/[^\s/,]+)?)", name)) and is_unit(
-        found[2]
+    if match := re.fullmatch(r"(.*?)[\s_]*[\[(<]\s*([^\[\]()<>]*?)\s*[\])>]", name):
+        unit = match[2]
+        if match[1] and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
+            return match[1], unit
+        if match[1] and unit in ("-", "1", ""):
+            return match[1], ""
+    if match := re.fullmatch(r"(.+?)_([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
+        return match[1], f"{match[2]}/{match[3]}"
+    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)([^\s/,]+(?:/[^\s/,]+)?)", name)) and is_unit(
+        match[2]
     ):
-        return found[1].strip(), found[2]
-    if (found := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(found[2]) and found[2] not in _NOT_SUFFIX:
-        base, unit = found[1], found[2]
+        return match[1].strip(), match[2]
+    if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
+        base, unit = match[1], match[2]
         if unit == "in" and (base.lower() in _NEVER_INCH or f"{base}_out" in siblings):
             return name, ""  # v_in is an input voltage
         return base, unit
@@ -88,10 +88,10 @@ def read_header(
         delimiter, decimal: those of the data; None is any white space.
         split: cells of lines that are split already (quoted cells), by position in `above`.
     """
-    found: list[tuple[int, list[str]]] = []
+    headers: list[tuple[int, list[str]]] = []
     for position in range(len(above) - 1, max(-1, len(above) - 7), -1):
         if not above[position].strip(" \t,;"):
-            if found:
+            if headers:
                 break
             continue
         parts = split.get(position)
@@ -101,29 +101,30 @@ def read_header(
             parts = _fields(above[position], width, delimiter)
         if parts is None or not _is_header(parts := [cells.clean(part) for part in parts], decimal):
             break
-        found.append((position, parts))
-    if not found:
+        headers.append((position, parts))
+    if not headers:
         return [""] * width, [""] * width, 0
     bare = [
         [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
-        for _, parts in found
+        for _, parts in headers
     ]
     unit_row = [
         all(is_unit(cell) or cell in ("", "-", "1") or cell != part for cell, part in zip(row, parts, strict=True))
-        for row, (_, parts) in zip(bare, found, strict=True)
+        for row, (_, parts) in zip(bare, headers, strict=True)
     ]
     used = 1
-    names, units = found[0][1], [""] * width
+    names, units = headers[0][1], [""] * width
     if unit_row[0]:
         units = ["" if cell in ("-", "1") else cell for cell in bare[0]]
-        if len(found) > 1:
-            names, used = found[1][1], 2
-    if len(set(filter(None, names))) < len(list(filter(None, names))) and len(found) > used:  # Force, Force under A, B
-        upper = found[used][1]
+        if len(headers) > 1:
+            names, used = headers[1][1], 2
+    named = list(filter(None, names))
+    if len(set(named)) < len(named) and len(headers) > used:  # Force, Force under A, B
+        upper = headers[used][1]
         if len(set(upper)) == width:
             names, used = [f"{one} {two}".strip() for one, two in zip(upper, names, strict=True)], used + 1
-    elif len(found) > used and unit_row[used] and not unit_row[0]:  # units above the names
+    elif len(headers) > used and unit_row[used] and not unit_row[0]:  # units above the names
         units, used = bare[used], used + 1
-    own = [split_unit(name, names)[1] for name in names]
-    units = [unit or mine for unit, mine in zip(units, own, strict=True)]
+    of_names = [split_unit(name, names)[1] for name in names]
+    units = [unit or of_name for unit, of_name in zip(units, of_names, strict=True)]
     return names, units, used

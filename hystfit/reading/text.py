@@ -192,9 +192,9 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
     for mark in marks:
         rows = [split(line, mark) for line in filled]
         for point in (".", ",") if decimal is None else (decimal,):
-            found = layout_of(rows, mark, point)
-            if found.score > best.score * (1 + 1e-9):
-                best = found
+            layout = layout_of(rows, mark, point)
+            if layout.score > best.score * (1 + 1e-9):
+                best = layout
     if best.score == 0.0:
         raise DataError(
             f"{source}: no row of numbers found in {len(lines)} lines; it begins {filled[0].strip()[:60]!r}. "
@@ -235,7 +235,7 @@ def read_table(
 
     Args:
         path: the file.
-        delimiter, decimal, encoding: what to use instead of what is found.
+        delimiter, decimal, encoding: detected where None.
 
     Raises:
         DataError: it is missing, not text, has no rows of numbers, or could be read in two ways.
@@ -396,9 +396,9 @@ def _check_thousands(columns: Sequence[Sequence[str]], layout: Layout, index: np
     """Refuse numbers in which a mark is either a thousands separator or the decimal mark, and nothing in the file decides."""
     numbers = [k for k, kind in enumerate(layout.kinds) if kind == cells.NUMBER]
     evidence = {k: cells.thousands(columns[k], layout.decimal) for k in numbers}
-    proven = any(found[2] for found in evidence.values())
-    certain = any(found[3] for found in evidence.values())
-    doubt = next((k for k, found in evidence.items() if found[0] or (found[1] and not certain)), None)
+    proven = any(marks[2] for marks in evidence.values())
+    certain = any(marks[3] for marks in evidence.values())
+    doubt = next((k for k, marks in evidence.items() if marks[0] or (marks[1] and not certain)), None)
     if doubt is None or proven:
         return
     other = "," if layout.decimal == "." else "."
