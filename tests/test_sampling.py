@@ -487,7 +487,7 @@ def test_bands_under_heavy_tails_have_the_tails_of_students_t(fitted):
     nothing = Convergence(*(np.ones(row.size) for _ in range(3)))
     draws = np.tile(row, (1, 4000, 1))
     drawn = Posterior(
-        fitted, "nuts", "student-t", names, ("",) * (p + 2), draws, np.zeros((1, 4000)), {}, nothing, "ok", (), {}, 0.0, 0, {}
+        fitted, "nuts", "student-t", names, ("",) * (p + 2), draws, np.zeros((1, 4000)), {}, nothing, Status.OK, (), {}, 0.0, 0, {}
     )  # fmt: skip
     ahead = hf.Record(u=np.linspace(-1, 1, 30), y=np.zeros(30))
     low, _, high = drawn.bands(ahead, 0.9, count=4000)

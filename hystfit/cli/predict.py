@@ -91,8 +91,7 @@ def _compared(
     if measured and finite:
         metrics = Metrics.of([r.y[r.used] for r, _ in measured], [run[r.used] for r, run in measured])
     weighted = [r if r.used.any() else r.replace(weight=np.ones(len(r))) for r in data]
-    warnings = [result.extrapolates(record) for record in weighted]
-    notes = [warn(Code.EXTRAPOLATION, str(warning)) for warning in warnings if warning]
+    notes = [note for record in weighted if (note := result.extrapolation(record))]
     if not finite:
         text = "the prediction is not finite: the model is unstable on this input"
         notes.append(Note(Code.NOT_FINITE, text, Severity.ERROR))

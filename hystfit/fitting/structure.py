@@ -151,8 +151,7 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
 
 
 def _interval(data: Dataset) -> float:
-    steps = np.concatenate([record.dt[1:] for record in data])
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    return data.sampling_interval or 0.0
 
 
 def _through(lag: Lag, record: Record) -> Record:

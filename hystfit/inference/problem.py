@@ -274,8 +274,7 @@ def _run(traced: Any, method: str, argument: Array) -> Any:
 def scales_of(data: Dataset) -> Scales:
     """Natural sizes and units of a data set: half ranges of input and output, a hundred sampling intervals."""
     records = list(data)
-    steps = np.concatenate([record.dt[1:] for record in records])
-    typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.01
+    typical = data.sampling_interval or 0.01
     units = data.units
     return Scales(
         input_range(records).half, output_range(records).half, 100 * typical, units["u"], units["y"], units["t"]

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record
+from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_rest
 from hystfit.models.bracketed import Root
@@ -224,8 +224,7 @@ class LinearCreep(AbstractHysteresis):
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
         place = fitted_input_range(records)
         low, high = (jnp.asarray(place.center + side * place.half) for side in (-1.0, 1.0))
-        steps = np.concatenate([record.dt[1:] for record in records])
-        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
+        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
         tau = jnp.asarray(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
         return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record
+from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, LinearStep, check_rest
 from hystfit.models.c_code import CPart, template
@@ -90,8 +90,7 @@ class Lag(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
-        steps = np.concatenate([record.dt[1:] for record in records])
-        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
+        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
         return eqx.tree_at(lambda m: m.tau, self, jnp.asarray(3.0 * typical))
 
     def with_rest(self, rest: str) -> Lag:
@@ -138,8 +137,7 @@ class SecondOrder(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> SecondOrder:
         """A resonance at a tenth of the sampling rate."""
-        steps = np.concatenate([record.dt[1:] for record in records])
-        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.01
+        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.01
         return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)
 
     def led(self) -> Led:

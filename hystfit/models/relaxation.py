@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record
+from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep
 from hystfit.models.c_code import CPart, template
@@ -50,8 +50,7 @@ class Relaxation(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> Relaxation:
         """Time constants from ten sampling intervals to the length of the records, small equal weights."""
-        steps = np.concatenate([record.dt[1:] for record in records])
-        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.005
+        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
         longest = max(float(np.sum(record.dt[1:])) for record in records)
         tau = np.geomspace(10 * typical, max(longest / 5, 100 * typical), self.tau.shape[0] + 2)[1:-1]
         return eqx.tree_at(lambda m: (m.a, m.tau), self, (jnp.full(self.a.shape, 0.02), jnp.asarray(tau)))

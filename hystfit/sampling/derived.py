@@ -67,8 +67,7 @@ def _loop(posterior: Posterior, low: float, high: float, count: int) -> dict[str
     half = _POINTS // 2
     inputs = np.linspace(low, high, half + 1)
     cycle = np.concatenate([inputs[:-1], inputs[:0:-1]])
-    steps = posterior.result.data[0].dt[1:]
-    dt = float(np.median(steps)) if steps.size and np.median(steps) > 0 else 1.0
+    dt = posterior.result.data[0].sampling_interval or 1.0
     u = np.tile(cycle, _CYCLES)
     y = posterior.predict(_record(u, np.arange(u.size) * dt), count)[:, -_POINTS:]
     rising = y[:, : half + 1]

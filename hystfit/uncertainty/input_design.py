@@ -179,7 +179,7 @@ def design(
     c = problem.space.coordinates
     size = _sizes(c, x)
     sigma = result.sigma * result.error_ratio
-    typical = float(np.median(np.concatenate([r.dt for r in result.data])))
+    typical = result.data.sampling_interval or 0.0
     prior = jnp.eye(x.size) / _PRIOR**2
     per_record = jnp.asarray([info.per_record for info in problem.space.infos])
     setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical), per_record)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
+from hystfit.data.record import median_interval
 
 _UNEVEN = 0.02  # deviation from even sampling, relative, below which the filters take one interval for all samples
 
@@ -36,7 +37,7 @@ class Setting(eqx.Module):
         """The setting of a batch; records without time are taken as evenly sampled. `limits` of the input, by default the batch's own."""
         u, dt, weight = (np.asarray(v) for v in (batch.u, batch.dt, batch.weight))
         low, high = limits or (float(u.min()), float(u.max()))
-        typical = float(np.median(dt[dt > 0])) if (dt > 0).any() else 1.0
+        typical = median_interval(dt) or 1.0
         gap = np.where((dt > 0).any(axis=1, keepdims=True), dt / typical, 1.0)
         last = [int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in weight]
         inside = np.concatenate([row[1 : end + 1] for row, end in zip(gap, last, strict=True)])
