@@ -183,7 +183,7 @@ for name, true in truth.items():
 
 # %%
 sine = hf.datasets.load("stage-sine")
-print(best.extrapolates(sine))
+print(best.extrapolation(sine))
 for name in models:
     metrics = comparison.fits[name].metrics(sine)
     print(f"{name:<20} rms {metrics.nrmse_percent:6.3f} %   largest {metrics.max_error_percent:6.2f} % of the range")

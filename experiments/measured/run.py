@@ -73,7 +73,7 @@ def predictions(results: Results) -> list:
             train, test = loaded[0].window(None, split), loaded[0].window(split, None)
             fit = held_out(results, rows, f"{label}: fit 60 %, predict 40 %", train, test)
             if label == "U-damper":
-                results.add("U-damper: warned of extrapolation", float(fit.extrapolates(test) is not None))
+                results.add("U-damper: warned of extrapolation", float(fit.extrapolation(test) is not None))
     if (loaded := results.load("MR damper", "mr_labcontrol/4.1")) is not None:
         train, test = loaded[0].window(None, 6), loaded[0].window(6, 15)
         held_out(results, rows, "MR damper: fit 0-6 s, predict 6-15 s", train, test)
@@ -109,7 +109,7 @@ def refused(results: Results) -> list:
         verdict = hf.check(loaded[0]).verdict("bouc-wen")
         results.add(f"{name}: refused by the fit", float(not fit.usable))
         results.add(f"{name}: refused by the check", float(verdict.verdict == "no"))
-        rows.append([name, fit.train.nrmse_percent, fit.status, fit.notes[0] if fit.notes else ""])
+        rows.append([name, fit.train.nrmse_percent, str(fit.status), str(fit.notes[0]) if fit.notes else ""])
     return rows
 
 
@@ -125,7 +125,7 @@ def loops_left_out(results: Results) -> list:
             error = fit.metrics(record)
             full_scale = max(r.y.max() for r in loaded[0]) - min(r.y.min() for r in loaded[0])
             percent = 100 * error.rmse / full_scale
-            warned = fit.extrapolates(record) is not None
+            warned = fit.extrapolation(record) is not None
             results.add(f"{name} {record.name} left out, % of full scale", percent)
             if warned:
                 results.add(f"{name} {record.name}: warned of extrapolation", 1.0)
