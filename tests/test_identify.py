@@ -196,4 +196,6 @@ def test_an_identification_that_is_not_usable_gives_a_fit_that_is_not_usable():
     assert identification.status is Status.NOT_CONVERGED
     fit = as_fit(identification, 0, Stopwatch())
     assert not fit.usable
-    assert len(fit.notes) == len(identification.notes) + 2
+    assert fit.status is identification.status
+    assert fit.advice == identification.status.advice("identify")
+    assert fit.notes[1:] == identification.notes

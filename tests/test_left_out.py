@@ -65,7 +65,7 @@ def test_nothing_of_what_is_predicted_enters_its_fit(model):
     e = (np.asarray(past.predict(made)) - made.y)[last]
     count = sum(part.size for part in fifths(U.size)[2:])
     extra = np.sum((e - D) ** 2 - e**2) / count
-    other = dataclasses.replace(fit, data=hf.Dataset((moved,)))
+    other = dataclasses.replace(fit, problem=hf.Problem(fit.model, moved))
     before, after = left_out_error(fit, "future"), left_out_error(other, "future")
     assert after**2 - before**2 == pytest.approx(extra, rel=0.01)
 
