@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -249,7 +249,7 @@ class Convex(AbstractEstimator):
 
 
 def search_nonlinear(
-    problem: Problem, cost: Callable[[np.ndarray], float], z: np.ndarray, others: np.ndarray, **options: float
+    problem: Problem, cost: Callable[[np.ndarray], float], z: np.ndarray, others: np.ndarray, **options: Any
 ) -> tuple[np.ndarray, int, bool, str]:
     """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
 
