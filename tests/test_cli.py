@@ -406,7 +406,14 @@ def test_a_damaged_fit_is_refused(fitted, folder, capsys):
     whole = strict((fitted / "result.json").read_text())
     changed = [{"metrics": None}, {"covariance": [[1.0]]}, {"parameters": 3}]
     by_hand = [json.dumps({**whole, **change}) for change in changed]
-    for content in ("{", '{"schema": "other/1"}', '{"schema": "hystfit.fit/1"}', '{"schema": "hystfit.fit/2"}', "[]", *by_hand):
+    for content in (
+        "{",
+        '{"schema": "other/1"}',
+        '{"schema": "hystfit.fit/1"}',
+        '{"schema": "hystfit.fit/2"}',
+        "[]",
+        *by_hand,
+    ):
         (damaged / "result.json").write_text(content)
         assert run(["report", str(damaged)]) == 2
         assert str(damaged) in capsys.readouterr().err

@@ -209,17 +209,17 @@ class TestReversalCurves:
 
     def test_bad_families_are_told(self):
         curves = family(truth("positive"), 6)
-        with pytest.raises(DataError, match="families"):
+        with pytest.raises(DataError, match="two reversal curves or more"):
             fit_forc(curves[:1], 4)
         turned = curves[0].replace(u=np.append(curves[0].u[:-1], curves[0].u[0]))
-        with pytest.raises(DataError, match="turns round"):
+        with pytest.raises(DataError, match="reverses at sample"):
             fit_forc([turned, *curves[1:]], 4)
         falling = curves[1].replace(u=curves[1].u[::-1], y=curves[1].y[::-1])
         with pytest.raises(DataError, match="rise and the others fall"):
             fit_forc([curves[0], falling], 4)
         back = np.append(curves[0].u, np.linspace(1.0, 0.95, 20)[1:])
         slowly = curves[0].replace(u=back, y=np.interp(back, curves[0].u, curves[0].y), weight=np.ones(back.size))
-        with pytest.raises(DataError, match="turns round at sample 59"):
+        with pytest.raises(DataError, match="reverses at sample 59"):
             fit_forc([slowly, *curves[1:]], 4)
         crossing = [r.replace(y=r.y + (40 if k == 3 else 0)) for k, r in enumerate(curves)]
         notes = " ".join(fit_forc(crossing, 4, smoothness=[1e-3]).notes)
@@ -253,7 +253,7 @@ class TestPictures:
         cells_untouched = np.arange(model.w.size) < 5
         ax = plot_density(model, reach=1.0 - cells_untouched)
         assert len(ax.patches) == 5  # one hatched cell each
-        assert ax.get_xlabel() == "switching down, beta"
+        assert ax.get_xlabel().endswith("beta")
         drawn = ax.collections[0].get_array()
         i, j = np.tril_indices(12)
         area = np.where(i == j, 0.5, 1.0) / 36

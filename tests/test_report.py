@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.fit import fit, with_test
 from hystfit.models import BoucWen, simulate
+from hystfit.outcome import Status
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.results import plots, report
@@ -102,7 +103,9 @@ def test_text_has_what_a_reader_needs(result):
 
 
 def test_status_advice_and_unknown_values(result):
-    poor = dataclasses.replace(result, status="poor", test=None, compile_s=None, run_s=None, rank=None, condition=None)
+    poor = dataclasses.replace(
+        result, status=Status.POOR, test=None, compile_s=None, run_s=None, rank=None, condition=None
+    )
     text = report.text_report(poor)
     assert "NOT USABLE (poor)" in text
     assert " ".join(poor.advice.split()) in " ".join(text.split())
