@@ -204,7 +204,7 @@ def test_drift_that_cannot_be_explained_is_refused_in_words(told: FitResult) -> 
         explain_drift(dataclasses.replace(told, problem=plain, x=plain.space.vector(plain.model)))
     with pytest.raises(DataError, match="no record 'other'"):
         explain_drift(told, "other")
-    with pytest.raises(DataError, match="finite input"):
+    with pytest.raises(DataError, match="must be finite, got nan"):
         switched_on().resting_on(np.nan)
 
 

@@ -366,7 +366,7 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
             sample(fitted, noise="iid", priors={"mu": wrong})
     with pytest.raises(ParameterError, match="edge = nan is not a number"):
         sample(fitted, priors={"tau": priors.LogNormal(1.0, 1.0, np.nan)})
-    with pytest.raises(ParameterError, match="lower limit must come first"):
+    with pytest.raises(ParameterError, match="lower limit must be below"):
         sample(fitted, priors={"tau": priors.Uniform(2.0, 1.0)})
     with pytest.raises(ParameterError, match=r"those are: .*noise_white"):
         sample(fitted, noise="iid", priors={"nu": priors.Normal(0, 1)})

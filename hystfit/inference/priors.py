@@ -274,7 +274,7 @@ def _check(name: str, prior: Any) -> None:
     if bad := [f"{f} = {value}" for f, value in values.items() if np.isnan(value)]:
         raise ParameterError(f"the prior of {name!r}: {', '.join(bad)} is not a number")
     if "upper" in values and values["upper"] < values["lower"]:
-        raise ParameterError(f"the prior of {name!r} ({prior}): its lower limxx")
+        raise ParameterError(f"the prior of {name!r} ({prior}): its lower limit must be below the upper one")
     positive = ("sd", "spread") if isinstance(prior, LogitNormal) else ("sd", "spread", "median")
     widths = [values[f] for f in positive if f in values]
     widths += [values["upper"] - values["lower"]] if "upper" in values else []
