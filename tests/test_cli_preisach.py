@@ -96,7 +96,8 @@ def test_bad_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: py
         assert found["preisach"]["status"] == "fails"
         assert all(word in str(found["findings"]) for word in words)
         assert run(["fit", file, "--by", "curve", "--model", "preisach-forc", "--json"]) == status
-        assert all(word in str(json.loads(capsys.readouterr().out)["notes"]) for word in words)
+        notes = str(json.loads(capsys.readouterr().out)["notes"])
+        assert all(word in notes for word in words)
     lines = Path(reversal_file(tmp_path, "turned.csv")).read_text().splitlines()
     back = [f"3,{u!r},0.0" for u in np.linspace(179, 150, 30).tolist()]
     at = max(k for k, line in enumerate(lines) if line.startswith("3,")) + 1
