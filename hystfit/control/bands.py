@@ -64,7 +64,7 @@ class InverseBands:
         at = np.arange(self.reference.size)
         for ax, of, label in zip(axes, ("u", "error"), ("input", "tracking error"), strict=True):
             low, middle, high = self.band(of, level)
-            ax.fill_between(at, low, high, color="#d55e00", alpha=0.35, lw=0, label=f"{level:.0%} of the draws")
+            ax.fill_between(at, low, high, color="#d55e00", alpha=0.35, lw=0, label=f"{100 * level:.0f} % of the draws")
             ax.plot(
                 at,
                 self.given.u if of == "u" else middle,

@@ -90,7 +90,7 @@ def status_of(
         return Status.POOR, [error(Code.POOR_FIT, text)]
     if percent > _ROUGH and train.rmse > _SHARE * plain and not white:
         text = (
-            f"the error is {train.rmse / plain:.0%} of that of a single-valued curve without hysteresis: the loop itself is not "
+            f"the error is {100 * train.rmse / plain:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not "
             "described"
         )
         return Status.POOR, [error(Code.POOR_FIT, text)]

@@ -232,7 +232,7 @@ class Convex(AbstractEstimator):
         penalty[at] = fit.ridge / size**2
         note = (
             f"ridge {fit.strength:.0e} chosen on {system.block.max() + 1} blocks left out "
-            f"(error there {fit.score / (2 * size):.2%} of the range)"
+            f"(error there {100 * fit.score / (2 * size):.2f} % of the range)"
         )
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried: the model hardly helps to predict what was left out"

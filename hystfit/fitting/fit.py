@@ -241,7 +241,7 @@ def _choose_rest(
         scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
     best, where = (problem, "on zero input") if scores[0] <= scores[1] else (other, "on its first input")
     gain = 1 - min(scores) / max(scores)
-    text = f"the device is assumed to have rested {where} before the record (cross-validation error {gain:.0%} lower)"
+    text = f"the device is assumed to have rested {where} before the record (cross-validation error {100 * gain:.0f} % lower)"
     return best, [Note(Code.CHOICE, text)]
 
 

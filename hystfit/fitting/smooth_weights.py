@@ -67,7 +67,7 @@ class SmoothWeights(AbstractEstimator):
         if fit.left_out.size:
             texts.append(
                 f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {int(now.system.judged.sum())} blocks "
-                f"(error there {fit.left_out.min():.2%} of the range)",
+                f"(error there {100 * fit.left_out.min():.2f} % of the range)",
             )
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2

@@ -114,7 +114,7 @@ def search_structure(data: Dataset, *, plays: int = 20) -> Found:
             break
         changed = next(f for f in options if getattr(best, f) != getattr(structure, f))
         trail.append(
-            f"{changed} {getattr(best, changed)}: left-out error {bench.score(best) / score:.0%} of that before"
+            f"{changed} {getattr(best, changed)} reduced the cross-validation error by {100 * (1 - bench.score(best) / score):.0f} %"
         )
         structure, score = best, bench.score(best)
     return Found(build(structure, data, plays), structure, plays, score, len(bench.scores), tuple(trail))

@@ -154,7 +154,8 @@ class GradientCorrection(LinearIdentifier):
         if np.sqrt(max(error**2 - least**2, 0.0)) <= _EXCESS * size:
             return Status.OK, []
         text = (
-            f"the one-step error is {error / size:.2%} of the increments, and the least possible is {least / size:.2%}: use more "
+            f"the one-step error is {100 * error / size:.2f} % of the increments, and the least possible is "
+            f"{100 * least / size:.2f} %: use more "
             "passes, a better start (start='data'), or method='rls'"
         )
         return Status.DIVERGED if error > size else Status.NOT_CONVERGED, [warn(Code.ONE_STEP_ERROR, text)]

@@ -176,7 +176,7 @@ def diagnose(analysis: ResidualAnalysis) -> Diagnosis:
     if repeating is not None and repeating.shown:
         recommended = "discrepancy"
         text = (
-            f"{repeating.share:.0%} of the residual variance recurs every loop: the model is systematically wrong, and more cycles "
+            f"{100 * repeating.share:.0f} % of the residual variance recurs every loop: the model is systematically wrong, and more cycles "
             "will not help. noise='discrepancy' includes this in the errors"
         )
         findings.append(Note(Code.REPEATING_RESIDUALS, text, Severity.WARNING))

@@ -126,6 +126,6 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     )
     if len(posterior.result.data) > 1:
         loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
-    rest.set_title(f"{level:.0%} bands: of the model output (blue), of a measurement (orange)", fontsize=9)
+    rest.set_title(f"{100 * level:.0f} % bands: of the model output (blue), of a measurement (orange)", fontsize=9)
     loop.legend(frameon=False)
     return figure

@@ -139,7 +139,9 @@ def beside_priors(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> l
             continue
         ratio = _spread(prior, draws[:, :, k]) / _spread(prior, expected)
         if ratio > _AS_WIDE:
-            text = f"the data hardly determine {name}: its posterior is {ratio:.0%} as wide as its prior ({prior})"
+            text = (
+                f"the data hardly determine {name}: its posterior is {100 * ratio:.0f} % as wide as its prior ({prior})"
+            )
             notes.append(warn(Code.PRIOR, text))
     return notes
 

@@ -121,7 +121,9 @@ class Calibration:
         if len(self.ranks):
             low, high = self.coverage_band()
             count = len(self.ranks)
-            lines.append(f"with {count} replicates, {low:.1%} to {high:.1%} coverage is consistent with 95 %")
+            lines.append(
+                f"with {count} replicates, {100 * low:.1f} % to {100 * high:.1f} % coverage is consistent with 95 %"
+            )
             lines += self.table().lines()
         lines += [f"replicate {k} failed: {why}" for k, why in self.failures[:10]]
         if not self.usable:

@@ -209,7 +209,7 @@ def design(
         text = f"the input {candidates[0].name!r} determines {combination}, which the present data do not"
         notes.append(Note(Code.CLOSES, text))
     if None in present.values():
-        text = f"each parameter has a prior of {_PRIOR:.0%} of its size; '-' where the data add no information to that"
+        text = f"each parameter has a prior of {100 * _PRIOR:.0f} % of its size; '-' where the data add no information to that"
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
     dt = None if all(record.t is None for record in result.data) else typical

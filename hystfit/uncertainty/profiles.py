@@ -108,7 +108,7 @@ class Profiles:
         return str(self)
 
     def __str__(self) -> str:
-        lines = [f"{self.result.name}: {self.level:.0%} limits by profile likelihood, noise {self.noise}"]
+        lines = [f"{self.result.name}: {100 * self.level:.0f} % limits by profile likelihood, noise {self.noise}"]
         return "\n".join(lines + [str(p) for p in self.profiles.values()] + [f"note: {note}" for note in self.notes])
 
     def to_dict(self) -> dict[str, Any]:
@@ -141,7 +141,7 @@ class Profiles:
             ax.axis("off")
         for ax, p in zip(axes.ravel(), self.profiles.values(), strict=False):
             ax.plot(p.x, p.statistic, ".-", color="#0072b2")
-            ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8, label=f"{self.level:.0%}")
+            ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8, label=f"{100 * self.level:.0f} %")
             ax.locator_params(axis="x", nbins=4)
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:

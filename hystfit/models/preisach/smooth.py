@@ -123,7 +123,7 @@ class SmoothSystem:
             missing = int(penalty.cells[self.reach[start : start + penalty.cells.size] < 1e-9].sum())
             if missing:
                 lines.append(
-                    f"{missing} of {total} {penalty.label} were never switched by the data ({missing / total:.0%}): their weights "
+                    f"{missing} of {total} {penalty.label} were never switched by the data ({100 * missing / total:.0f} %): their weights "
                     "follow from smoothness alone, and a prediction that reaches them is extrapolation"
                 )
         return tuple(lines)
