@@ -26,7 +26,7 @@ def weighted(model: hf.Preisach, **fields: object) -> hf.Preisach:
 
 
 PIEZO = hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, scheme="exact", offset=0.3, h0=0.1)
-HARDENING = hf.PrandtlIshlinskii.of(6, degree=3, hardening=True, rest="first")
+HARDENING = hf.PrandtlIshlinskii.of(6, degree=3, hardening=3, rest="first")
 HARDENING = eqx.tree_at(
     lambda m: (m.hardening, m.b), HARDENING, (0.01 * jnp.arange(6.0), jnp.asarray([1.0, 0.1, 0.02]))
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -103,6 +104,14 @@ class AbstractHysteresis(eqx.Module):
     def linear_in_input(self) -> bool:
         """Whether the output is linear in the signal that comes in, apart from a constant of the initial state: linear filters."""
         return False
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """Choices besides the values of parameters, as they follow a name (`preisach:n=60`): whole numbers, words and switches.
+
+        By default the fields that are no parameters; to override where the model is built by other settings than its fields.
+        """
+        values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
+        return {name: value for name, value in values if isinstance(value, (int, str))}
 
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
 

@@ -31,6 +31,10 @@ DataKind = Literal["lagging-timed", "lagging-untimed", "leading", "reversal-curv
 _LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
 
 
+def _word(value: int | bool | str) -> int | str:
+    return ("no", "yes")[value] if isinstance(value, bool) else value
+
+
 @dataclasses.dataclass(frozen=True)
 class Entry:
     """A model that users choose by name.
@@ -58,8 +62,12 @@ class Entry:
 
     def shown(self) -> str:
         """The settings as `make_model` takes them."""
-        words = lambda value: ("no", "yes")[value] if isinstance(value, bool) else value
-        return ":".join(f"{name}={words(value)}" for name, value in self.settings().items())
+        return ":".join(f"{name}={_word(value)}" for name, value in self.settings().items())
+
+    def changed(self, model: AbstractHysteresis) -> list[str]:
+        """Settings of a model that differ from the defaults, as `make_model` takes them."""
+        chosen = model.settings()
+        return [f"{name}={_word(chosen[name])}" for name, value in self.settings().items() if chosen[name] != value]
 
 
 MODELS: dict[str, Entry] = {
@@ -123,13 +131,13 @@ MODELS: dict[str, Entry] = {
         lambda model: model.operator == "stop",
     ),
     "prandtl-ishlinskii-generalized": Entry(
-        PrandtlIshlinskii.generalized,
+        partial(PrandtlIshlinskii.of, degree=5, envelopes=3),
         "core",
         "weighted plays with envelopes: asymmetric loops; convex solve",
         lambda model: model.operator == "play" and len(model.envelopes) > 1,
     ),
     "prandtl-ishlinskii-hardening": Entry(
-        partial(PrandtlIshlinskii.of, degree=3, operator="stop", hardening=True),
+        partial(PrandtlIshlinskii.of, degree=3, operator="stop", hardening=3),
         "core",
         "weighted stops that fade with the path: cyclic hardening",
         lambda model: model.hardening.size > 0,
@@ -216,14 +224,14 @@ def _from_file(expression: str) -> AbstractHysteresis:
 
 
 def model_name(model: AbstractHysteresis) -> str:
-    """Names as `make_model` takes them, joined by "+" in the order of the signal; the class's own for a model of the user's.
+    """The expression that makes the model again, with the settings that differ from its name's defaults.
 
-    Arguments that are no choice of a model, such as the number of plays, are not in the name.
+    Parts are in the order of the signal. A model of the user's has the name of its class.
     """
     if isinstance(model, AbstractComposition):
         return "+".join(model_name(part) for part in model.parts)
     fitting = [name for name, kind in _kinds().items() if type(model) is kind and MODELS[name].variant(model)]
-    return fitting[-1] if fitting else type(model).__name__
+    return ":".join([fitting[-1], *MODELS[fitting[-1]].changed(model)]) if fitting else type(model).__name__
 
 
 @functools.cache

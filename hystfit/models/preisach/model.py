@@ -235,6 +235,20 @@ class Preisach(AbstractPlane):
 
     # -- optional methods ------------------------------------------------------------------------------------------------
 
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        return {
+            "n": self.n,
+            "symmetric": self.symmetric,
+            "reversible": bool(self.slopes.size),
+            "degree": self.b.shape[0],
+            "elements": self.elements,
+            # Reversal curves start from the saturation that they came from, whatever is set.
+            "initial": "demagnetized" if self.from_saturation else self.initial,
+            "spacing": self.spacing,
+            "depth": self.depth,
+        }
+
     @property
     def from_saturation(self) -> bool:
         """Whether its levels come from reversal curves."""
