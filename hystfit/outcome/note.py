@@ -84,6 +84,9 @@ class Code(enum.StrEnum):
     DRIFT = "drift"  # the mean of like cycles drifts
     LAG = "lag"  # the output keeps moving after the input has turned
     SPEED_DEPENDENT = "speed-dependent"  # the output depends on the speed of the input
+    DYNAMICS = "dynamics"  # the response changes with frequency as that of a resonance
+    TOO_FEW_SAMPLES = "too-few-samples"  # fewer samples than branches or parameters need
+    MINOR_LOOPS = "minor-loops"  # one amplitude alone: minor loops are not determined
     REVERSAL_CURVES = "reversal-curves"  # the records are first-order reversal curves
 
 
