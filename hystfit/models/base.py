@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,9 @@ from hystfit.models.c_code import CPart
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.params.param import leaves_of
 from hystfit.quality.needs import Needs
+
+
+Use = Literal["inverse", "export"]
 
 
 class AbstractHysteresis(eqx.Module):
@@ -161,10 +164,12 @@ class AbstractHysteresis(eqx.Module):
         """Whether every record starts from saturation, so that its input need not turn back (reversal curves)."""
         return False
 
-    def sizes(self) -> dict[str, AbstractHysteresis]:
-        """Numbers of elements that a comparison should try: this model first and others of its kind, by their size in words.
+    def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
+        """Models of its kind that a comparison should try on these records, by their size in words.
 
-        Empty where there is nothing to choose.
+        First the model itself, where needed with fewer elements than given, as many as the records can determine; then models that
+        differ from it by one choice: the number of elements, where they are, the state before the records. Empty where there is
+        nothing to choose.
         """
         return {}
 
@@ -191,6 +196,20 @@ class AbstractHysteresis(eqx.Module):
 
     def led(self) -> Led | None:
         """The resonance at the end of the model, which is inverted by leading the reference; None where there is none."""
+        return None
+
+    def obstacle(self, use: Use) -> str | None:
+        """Why the model cannot be inverted, or exported to C; None where it can.
+
+        A resonance at the end of a model is no obstacle to an inverse, because the reference leads it.
+        """
+        try:
+            if use == "export":
+                self.c_part()
+            elif self.led() is None:
+                self.step_inverse()
+        except ModelError as error:
+            return str(error)
         return None
 
     def c_part(self) -> CPart:
