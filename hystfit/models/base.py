@@ -22,7 +22,6 @@ from hystfit.models.design import Block, DesignMatrix
 from hystfit.params.param import leaves_of
 from hystfit.quality.needs import Needs
 
-
 Use = Literal["inverse", "export"]
 
 

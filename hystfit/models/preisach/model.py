@@ -35,7 +35,16 @@ _SMALL = (
     4_000_000  # samples times weights up to which columns on the host beat compiling look-ups for yet another shape
 )
 _RIDGE = 1e-3  # penalty on the weights themselves, relative to that on their second differences
-_SIZES = (8, 12, 16, 24, 30, 40, 60, 80)  # cells along an axis that a comparison tries, one step from the model's own at a time
+_SIZES = (
+    8,
+    12,
+    16,
+    24,
+    30,
+    40,
+    60,
+    80,
+)  # cells along an axis that a comparison tries, one step from the model's own at a time
 _MOST = {True: 80, False: 40}  # the largest of them, for reversal curves and for other records
 
 
