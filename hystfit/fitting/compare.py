@@ -87,7 +87,7 @@ def compare(
     if purpose != "prediction" and not best.serves(purpose):
         reasons = "; ".join(f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles)
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
-    return Comparison(tuple(rows), judge.fits[best.name], judge.fits, left_out, purpose, chosen.reason)
+    return Comparison(tuple(rows), judge.fits[best.asked], judge.fits, left_out, purpose, chosen.reason)
 
 
 @contextlib.contextmanager
@@ -138,7 +138,7 @@ class _Judge:
         row = dataclasses.replace(row, seconds=time.perf_counter() - started)
         self.rows.append(row)
         if result is not None:
-            self.fits[row.name] = result
+            self.fits[name] = result
 
     def refusal(self, rows: Sequence[Row]) -> HystfitError:
         """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""

@@ -58,7 +58,7 @@ class Comparison:
     Attributes:
         rows: one for each model.
         winner: the fitted result of the first row.
-        fits: every fit that was completed, by the name of its row.
+        fits: every fit that was completed, by what was asked for.
         left_out: what was left out, "blocks" or "future".
         purpose: models that cannot be used for it rank below the others.
         reason: why these models were tried.
