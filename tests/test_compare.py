@@ -157,7 +157,7 @@ def test_candidates_follow_what_check_finds():
         hf.Record(u := np.linspace(low, 1.0, 20), np.tanh(3 * u - low), name=f"{low:g}")
         for low in np.linspace(-1, 0.5, 8)
     ]
-    assert candidates(hf.Dataset(tuple(curves))).names == ("preisach-forc",)
+    assert set(candidates(hf.Dataset(tuple(curves))).names) == {"preisach-forc", "preisach-forc-signed"}
 
 
 def test_a_resonance_brings_the_oscillator():
@@ -295,3 +295,16 @@ def test_thinned_measured_loops_get_an_answer(measured, name, count):
     whole = [hf.Record(loop[:, 1], loop[:, 2], name=f"{k}") for k, loop in enumerate(loops)]
     assert found.winner.usable == (found.winner.metrics(whole).nrmse_percent < 3.0)
     assert found.winner.metrics(whole).nrmse_percent < 3.0
+
+
+def test_reversal_curves_of_a_raw_file_by_the_bare_search(measured):
+    """Every fourth curve fitted: the others are predicted within 0.05 % of the range; with an inverse, within 0.1 %."""
+    curves = list(hf.read(measured / "mag_forc_pyforc" / "hchb_forc"))
+    held = [curve for k, curve in enumerate(curves) if k % 4]
+    found = hf.compare(curves[::4])
+    assert found.winner.metrics(held).nrmse_percent <= 0.05
+    assert found.rows[0].serves("inverse") is False
+    inverse = next(row for row in found.rows if row.serves("inverse"))
+    assert found.fits[inverse.asked].metrics(held).nrmse_percent <= 0.1
+    # The error on left-out curves is that of weights inside their bounds, however many they are.
+    assert inverse.score_percent >= 0.9 * inverse.in_sample_percent

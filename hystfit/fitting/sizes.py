@@ -12,9 +12,11 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.preisach.smooth import SMOOTHNESS
 from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note
 
+_COARSE = SMOOTHNESS[::2]
 _GAIN = 0.98  # another size is taken only if it lowers the error on left-out data by at least 2 %
 
 
@@ -70,6 +72,6 @@ def _left_out(model: AbstractHysteresis, data: Dataset) -> float:
     """Root mean square error on left-out data, output units; infinite for a model that cannot be solved for."""
     try:
         problem = Problem(model.start(list(data)), data)
-        return left_out_score(problem, problem.space.vector(problem.model))
+        return left_out_score(problem, problem.space.vector(problem.model), _COARSE)
     except (HystfitError, np.linalg.LinAlgError):
         return float("inf")

@@ -21,6 +21,7 @@ from hystfit.models.dynamics import Delay, Lag, SecondOrder
 from hystfit.models.oscillator import BoucWenOscillator
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
 from hystfit.quality.needs import Needs
@@ -127,6 +128,12 @@ MODELS: dict[str, Entry] = {
         "core",
         "Preisach with cells from first-order reversal curves, each a record that starts from saturation",
         lambda model: model.spacing == "reversal-curves",
+        compared_on=("reversal-curves",),
+    ),
+    "preisach-forc-signed": Entry(
+        partial(SignedPreisach.of, n=40, spacing="reversal-curves"),
+        "core",
+        "the same with masses of either sign: closer to the curves, no inverse",
         compared_on=("reversal-curves",),
     ),
     "prandtl-ishlinskii": Entry(

@@ -45,7 +45,7 @@ _SIZES = (
     60,
     80,
 )  # cells along an axis that a comparison tries, one step from the model's own at a time
-_MOST = {True: 80, False: 40}  # the largest of them, for reversal curves and for other records
+_MOST = {True: 60, False: 40}  # the largest of them, for reversal curves and for other records
 
 
 class Preisach(AbstractPlane):
@@ -309,7 +309,7 @@ class Preisach(AbstractPlane):
             changes += [{"n": n, "spacing": spacing} for spacing in spacings if spacing != self.spacing]
             if not self.symmetric and not _start_at_an_end(records):
                 changes += [{"n": n, "initial": rest} for rest in get_args(Rest) if rest != self.initial]
-        models = [Preisach.of(**{**self.settings(), **change}) for change in changes]
+        models = [type(self).of(**{**self.settings(), **change}) for change in changes]
         return {_size_words(model): model for model in models}
 
     def reach(self) -> tuple[float, float]:
@@ -348,7 +348,8 @@ class Preisach(AbstractPlane):
 
 
 def _size_words(model: Preisach) -> str:
-    return f"{model.n} {model.spacing} levels, {model.initial} before the record"
+    state = "" if model.from_saturation else f", {model.initial} before the record"
+    return f"{model.n} cells an axis, {model.spacing} levels{state}"
 
 
 def _start_at_an_end(records: Sequence[Record]) -> bool:
