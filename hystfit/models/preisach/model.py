@@ -43,7 +43,6 @@ _SIZES = (
     30,
     40,
     60,
-    80,
 )  # cells along an axis that a comparison tries, one step from the model's own at a time
 _MOST = {True: 60, False: 40}  # the largest of them, for reversal curves and for other records
 
