@@ -18,16 +18,15 @@ from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size
+from hystfit.fitting.thinning import thinned
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
-from hystfit.quality.loops import branches
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.result import FitResult
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
-_MANY, _A_BRANCH = 1500, 20  # samples of a quick fit: at most that many, and at least those of each branch
 _HOPELESS = 2.0  # a model whose quick fit errs this much more than the best on left-out data is not validated
 
 
@@ -182,7 +181,8 @@ class _Judge:
         best = min((row.score_percent for row in self.rows if row.score_percent is not None), default=None)
         if best is None:
             return None
-        quick = fit(name, thinned(self.data), starts=2, seed=self.seed, noise="iid")
+        data = thinned(self.data) if make_model(name).allows_thinning else self.data
+        quick = fit(name, data, starts=2, seed=self.seed, noise="iid")
         error = quick.train.nrmse_percent
         if error is None or error <= _HOPELESS * best:
             return None
@@ -197,11 +197,3 @@ class _Judge:
     def _span(self) -> float:
         y = np.concatenate([record.y[record.used] for record in self.data])
         return float(np.ptp(y)) or 1.0
-
-
-def thinned(data: Dataset) -> Dataset:
-    """Every k-th sample of the records, for a quick fit: about 1500 in all, but at least 20 of each branch."""
-    total = sum(len(record) for record in data)
-    shortest = min(len(r) // len(branches(r.u, 0.05 * float(np.ptp(r.u)))) for r in data)
-    stride = max(1, min(total // _MANY, shortest // _A_BRANCH))
-    return data if stride == 1 else data.map(lambda record: record.take(slice(None, None, stride)))
