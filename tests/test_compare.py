@@ -13,6 +13,8 @@ from jaxtyping import Array, Float
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting.candidates import candidates
+from hystfit.fitting.compare import _Judge
+from hystfit.fitting.comparison import Row
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, build, most_plays, search_structure
@@ -180,6 +182,15 @@ def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison():
     assert default["bouc-wen"].in_sample_percent > 2 * min(r.score_percent for r in default.values() if r.score_percent)
     named = {row.asked: row for row in hf.compare(data, ["preisach-magnetic", "bouc-wen"]).rows}
     assert named["bouc-wen"].score_percent > default["bouc-wen"].in_sample_percent / 2
+
+
+def test_only_a_model_that_serves_the_purpose_stops_others():
+    rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
+    for purpose in ("inverse", "prediction"):
+        judge = _Judge(stepped_loops(), "blocks", purpose, 0, thorough=False)
+        judge.rows.append(rival)
+        judge.add("duhem", lambda _: None)
+        assert (judge.rows[1].score_percent is None) == (purpose == "prediction")
 
 
 def test_thinned_records_keep_their_branches():

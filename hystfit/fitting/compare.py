@@ -71,7 +71,7 @@ def compare(
     for name in chosen.names:
         if name != SEARCH:
             make_model(name)
-    judge = _Judge(data, left_out, seed, thorough=bool(models))
+    judge = _Judge(data, left_out, purpose, seed, thorough=bool(models))
     with _shown(progress) as update:
         count = len(chosen.names)
         update(f"{count} to try: {', '.join(chosen.names)}", 0.0)
@@ -84,7 +84,9 @@ def compare(
         raise judge.refusal(rows)
     best = rows[0]
     if purpose != "prediction" and not best.serves(purpose):
-        reasons = "; ".join(f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles)
+        reasons = "; ".join(
+            f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles and purpose in row.obstacles
+        )
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
     return Comparison(tuple(rows), judge.fits[best.asked], judge.fits, left_out, purpose, chosen.reason)
 
@@ -115,13 +117,13 @@ class _Judge:
 
     Args:
         data: records.
-        left_out: see `compare`.
+        left_out, purpose: see `compare`.
         seed: of the starting points.
         thorough: validate every model, however poor its fit.
     """
 
-    def __init__(self, data: Dataset, left_out: Scheme, seed: int, *, thorough: bool):
-        self.data, self.left_out, self.seed, self.thorough = data, left_out, seed, thorough
+    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, seed: int, *, thorough: bool):
+        self.data, self.left_out, self.purpose, self.seed, self.thorough = data, left_out, purpose, seed, thorough
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
         self.errors: list[Exception] = []
@@ -178,7 +180,8 @@ class _Judge:
 
     def _stopped(self, name: str) -> Row | None:
         """The row of a model whose quick fit is far from the best error on left-out data; None for a model that may win."""
-        best = min((row.score_percent for row in self.rows if row.score_percent is not None), default=None)
+        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
+        best = min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
         if best is None:
             return None
         data = thinned(self.data) if make_model(name).allows_thinning else self.data
