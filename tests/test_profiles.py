@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,6 +97,73 @@ def test_an_open_side_is_named_and_no_error_is_finite_there(faint):
     for p in opened:
         assert faint[p.name].stderr is None or faint[p.name].identifiable is False, p.name
     assert has(faint.notes, Code.NOT_DETERMINED)
+
+
+def test_profiles_of_a_faint_loop_are_those_of_refits_by_another_solver(faint):
+    found = profile(faint, ["c", "mu", "tau", "rho"])
+    squares = lambda result: result.train.n * result.train.rmse**2
+    for p in found.profiles.values():
+        for k in (0, -1):
+            held = hf.fit(TRUTH, faint.data, method="trf", starts=8, noise="iid", fix={p.name: float(p.x[k])})
+            refit = (squares(held) - squares(faint)) / faint.sigma**2
+            assert p.statistic[k] == pytest.approx(refit, abs=0.01), p
+
+
+@pytest.mark.slow
+def test_a_parameter_on_its_bound_moves_off_it_where_others_are_held():
+    bound = hf.fit(TRUTH, loop(0.1, 0.01, seed=1), starts=4, noise="iid")
+    assert bound["rho"].at_bound == "upper"
+    squares = lambda result: result.train.n * result.train.rmse**2
+    for p in profile(bound, ["mu", "rho"]).profiles.values():
+        held = hf.fit(TRUTH, bound.data, method="trf", starts=8, noise="iid", fix={p.name: float(p.x[0])})
+        assert p.statistic[0] == pytest.approx((squares(held) - squares(bound)) / bound.sigma**2, abs=0.01), p
+
+
+@pytest.fixture(scope="module")
+def plays() -> hf.FitResult:
+    """Eight plays, half of them with weight zero, in white noise."""
+    model = hf.PrandtlIshlinskii.of(8)
+    u = np.sin(2 * np.pi * np.arange(400) / 80) * (0.4 + 0.6 * np.arange(400) / 400)
+    model = model.start([hf.Record(u=u, y=u)])
+    weights = np.where(np.arange(8) % 2, 0.0, 0.3)[None]
+    y = np.asarray(hf.simulate(eqx.tree_at(lambda m: m.w, model, jnp.asarray(weights)), u)[0])
+    return hf.fit(model, hf.Record(u=u, y=y + 0.02 * np.random.default_rng(0).normal(size=400)), noise="iid")
+
+
+def test_profiles_of_weights_are_those_of_bounded_linear_least_squares(plays):
+    found = profile(plays, ["w", "b"], noise="iid")
+    assert set(found.profiles) == {*(f"w[0,{k}]" for k in range(8)), "b[0]"}
+    record, names = plays.data[0], plays.free_names
+    output = lambda x: np.asarray(plays.problem.predict(x)[0])
+    base = output(np.zeros(len(names)))
+    columns = np.column_stack([output(row) - base for row in np.eye(len(names))])
+    lower = np.array([plays[name].lower if plays[name].lower is not None else -np.inf for name in names])
+    sd = float(np.sqrt(np.sum((output(plays.x) - record.y) ** 2) / (400 - np.sum(plays.x > 1e-4 * lower))))
+
+    def refit(k: int, value: float) -> float:
+        others = np.delete(np.arange(len(names)), k)
+        target = record.y - base - value * columns[:, k]
+        return 2 * scipy.optimize.lsq_linear(columns[:, others], target, (lower[others], np.inf), method="bvls").cost
+
+    full = 2 * scipy.optimize.lsq_linear(columns, record.y - base, (lower, np.inf), method="bvls").cost
+    sd2 = plays.sigma**2
+    assert sd == pytest.approx(plays.sigma, rel=0.02)
+    for p in found.profiles.values():
+        k = names.index(p.name)
+        for value, statistic in zip(p.x, p.statistic, strict=True):
+            assert statistic == pytest.approx((refit(k, value) - full) / sd2, abs=1e-3, rel=1e-3), p.name
+        for limit in (p.lower, p.upper):
+            if limit is not None:
+                assert (refit(k, limit) - full) / sd2 == pytest.approx(1.96**2, rel=0.05), p.name
+        assert p.upper is not None, p.name
+        assert p.lower is not None or (refit(k, 0.0) - full) / sd2 < 1.96**2, p.name
+
+
+def test_weights_are_profiled_by_name_only(plays):
+    found = profile(plays)
+    assert set(found.profiles) == {"b[0]", "offset"}
+    assert has(found.notes, Code.CHOICE)
+    assert set(profile(plays, "w[0,2]").profiles) == {"w[0,2]"}
 
 
 @pytest.mark.slow

@@ -225,6 +225,13 @@ class ParameterSpace:
         slope = np.asarray(self.coordinates.slope(jnp.asarray(z)))
         return slope[:, None] * np.asarray(covariance_z) * slope[None, :]
 
+    @property
+    def weights(self) -> np.ndarray:
+        """Which free elements are non-negative weights: elements of an array in which the output is linear, shape (p,), bool."""
+        shapes = [self.leaves[number].shape for number, _, _ in self.sources]
+        rows = zip(self.infos, shapes, strict=True)
+        return np.array([info.linear and info.bounds[0] == 0.0 and bool(shape) for info, shape in rows], dtype=bool)
+
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""
         flat = jax.tree_util.tree_leaves(self.template)
