@@ -12,7 +12,7 @@ import scipy.optimize
 import hystfit as hf
 from hystfit.errors import ParameterError
 from hystfit.inference.noise import Setting
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.uncertainty.input_design import design
 from hystfit.uncertainty.profiles import _whitened, profile
@@ -187,6 +187,41 @@ def test_predicted_errors_are_those_of_a_fit_to_the_designed_record(fitted):
         assert made.best.stderr[name] < fitted[name].stderr
 
 
+def slow_record(T: int = 600, repeating: float = 0.0) -> hf.Record:
+    """A loop in slow noise of correlation time 20 samples and white noise, with an error that is the same in every loop."""
+    base, rng, slow = loop(T=T), np.random.default_rng(5), np.zeros(T)
+    for k in range(1, T):
+        slow[k] = 0.95 * slow[k - 1] + 0.004 * rng.normal()
+    return base.replace(y=base.y + slow + repeating * np.sin(4 * base.u))
+
+
+@pytest.mark.parametrize(("noise", "repeating"), [("auto", 0.0), ("auto", 0.03), ("ou", 0.0)])
+def test_a_design_has_the_errors_of_a_fit_in_slow_noise(noise, repeating):
+    fit = hf.fit(TRUTH, slow_record(repeating=repeating), starts=1, noise=noise)
+    assert fit.error_ratio > 1.3
+    made = design(fit, samples=300, method="families")
+    for name in NAMES:
+        assert made.present[name] == pytest.approx(fit[name].stderr, rel=0.01), name
+    assert not has(made.notes, Code.ERRORS_DIFFER)
+
+
+def test_a_design_in_slow_noise_predicts_least_squares_under_the_dense_covariance():
+    fit = hf.fit(TRUTH, slow_record(), starts=1)
+    made = design(fit, low=-1.0, high=1.0, samples=300, method="families")
+    white, slow, time = (fit.noise.parameters[k] for k in ("noise_white", "noise_slow", "noise_time"))
+    values = {name: fit[name].value for name in NAMES}
+    cover = lambda T: white**2 * np.eye(T) + slow**2 * np.exp(-np.abs(np.subtract.outer(range(T), range(T))) / time)
+    first, further = jacobian(fit.data[0].u, values), jacobian(made.best.u, values)
+    rows = np.zeros((900, 6))  # the further record has an offset of its own
+    rows[:600, :5], rows[600:, :4], rows[600:, 5] = first, further[:, :4], further[:, 4]
+    both = np.zeros((900, 900))
+    both[:600, :600], both[600:, 600:] = cover(600), cover(300)
+    inverse = np.linalg.pinv(rows)
+    expected = np.sqrt(np.diag(inverse @ both @ inverse.T))
+    for k, name in enumerate(NAMES):  # the noise itself is averaged over its uncertainty
+        assert made.best.stderr[name] == pytest.approx(expected[k], rel=0.1), name
+
+
 def test_design_aims_at_one_parameter(fitted):
     plain = design(fitted, samples=300, method="families")
     for name in ("c", "tau", "rho"):
@@ -216,9 +251,10 @@ def test_standard_errors_stand_side_by_side(fitted):
     np.testing.assert_array_equal(found.errors["sandwich"], covariance(fitted, "sandwich", block=20).stderr)
     content = found.to_dict()["parameters"]["c"]
     assert content["ratio"]["bootstrap"] == pytest.approx(content["stderr"]["bootstrap"] / content["stderr"]["iid"])
-    text = str(found)
-    assert f"{found.errors['sandwich'][0]:.3g}" in text.splitlines()[2]
-    assert f"blocks of {found.block} samples" in text
+    row = found.table().to_list()[0]
+    assert row["sandwich"] == found.errors["sandwich"][0]
+    assert found.block == 20
+    assert has(found.notes, Code.BLOCKS)
 
 
 def test_no_rule_gives_an_error_to_what_is_not_determined(faint):
@@ -236,7 +272,7 @@ def test_a_record_of_one_block_gives_the_bootstrap_nothing_to_redraw():
     found = hf.standard_errors(hf.fit(TRUTH, loops, starts=1, noise="iid"), block=120)
     assert set(found.errors) == {"fit", "iid", "sandwich"}
     assert np.all(found.errors["sandwich"][:4] > 0)
-    assert "no bootstrap: a record holds fewer than two blocks of 120 samples" in str(found)
+    assert sum(note.code is Code.BLOCKS and note.severity is Severity.WARNING for note in found.notes) == 1
 
 
 def test_a_design_gives_no_error_to_what_the_fit_leaves_open(faint):
@@ -273,9 +309,10 @@ def test_a_profile_that_ends_elsewhere_than_the_fit_says_so(fitted):
 def test_records_too_short_for_blocks_say_so_and_fits_under_a_noise_model_are_refused(fitted):
     short = hf.standard_errors(fitted, block=400)
     assert set(short.errors) == {"fit", "iid"}
-    assert "fewer than four blocks" in str(short)
+    assert short.block is None
+    assert sum(note.code is Code.BLOCKS and note.severity is Severity.WARNING for note in short.notes) == 2
     other = hf.fit(TRUTH, loop(), starts=1, noise="ou")
-    with pytest.raises(ParameterError, match="under noise 'ou'"):
+    with pytest.raises(ParameterError):
         hf.standard_errors(other)
 
 
@@ -300,19 +337,19 @@ def test_correlated_noise_widens_sandwich_and_bootstrap():
 
 @pytest.mark.usefixtures("as_users_run")
 def test_bad_questions_are_refused(fitted):
-    with pytest.raises(ParameterError, match="no free parameter"):
+    with pytest.raises(ParameterError):
         profile(fitted, ["nu"])
-    with pytest.raises(ParameterError, match="level must"):
+    with pytest.raises(ParameterError):
         profile(fitted, level=2.0)
-    with pytest.raises(ParameterError, match="Gaussian noise"):
+    with pytest.raises(ParameterError):
         profile(fitted, noise="student-t")
-    with pytest.raises(ParameterError, match="low < high"):
+    with pytest.raises(ParameterError):
         design(fitted, low=1.0, high=0.0)
-    with pytest.raises(ParameterError, match="no free parameter"):
+    with pytest.raises(ParameterError):
         design(fitted, aim=["nu"])
-    with pytest.raises(ParameterError, match="fewer than four blocks"):
+    with pytest.raises(ParameterError):
         covariance(fitted, "bootstrap", block=500)
-    with pytest.raises(ParameterError, match="kind must be"):
+    with pytest.raises(ParameterError):
         covariance(fitted, "jackknife")
 
 
@@ -382,5 +419,5 @@ def test_seeds_that_no_generator_takes_are_refused_at_once(fitted, seed):
         lambda: covariance(fitted, "bootstrap", seed=seed),
         lambda: design(fitted, seed=seed),
     ):
-        with pytest.raises(ParameterError, match="a seed is a whole number from 0"):
+        with pytest.raises(ParameterError):
             ask()

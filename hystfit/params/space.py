@@ -243,3 +243,22 @@ class ParameterSpace:
                 if (number, k) not in free:
                     rows.append((f"{self._leaf_names[number]}{leaf.element(k)}", float(values[k]), leaf.info))
         return rows
+
+
+def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
+    """Size in which each parameter's error is judged: its distance to the bounds, or its natural scale where it has none.
+
+    Args:
+        space: the free parameters.
+        x: their physical values, shape (p,).
+    """
+    c = space.coordinates
+    lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
+    with np.errstate(invalid="ignore"):
+        both = (x - lower) * (upper - x) / (upper - lower)
+        one = np.where(np.isfinite(lower), x - lower, upper - x)
+    natural = np.maximum(scale, np.abs(x))
+    weight = np.array([info.linear for info in space.infos])
+    # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
+    one = np.where(weight, np.maximum(one, scale), one)
+    return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))

@@ -23,9 +23,10 @@ from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
 from hystfit.outcome import Code, Note, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
+from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.profile_paths import LowerOptimum, Path, Walk
 
@@ -194,7 +195,21 @@ def profile(
         if side and name in profiles
     ]
     notes += _other_optimum(result, profiles)
+    halves = {
+        name: (p.upper - p.lower) / (2 * np.sqrt(limit)) if p.lower is not None and p.upper is not None else None
+        for name, p in profiles.items()
+    }
+    notes += differences(result, halves, "half the distance between the limits", _reason(result, noise))
     return Profiles(result, profiles, level, described, tuple(notes))
+
+
+def _reason(result: FitResult, noise: str | type[AbstractNoise]) -> str:
+    """Why limits differ from the standard errors of the fit."""
+    if has(result.notes, Code.REGULARIZED):
+        return "the fit includes the regularization, the profile does not"
+    if noise in ("auto", result.noise.name):
+        return "the likelihood is not symmetric about its maximum, which one standard error cannot show"
+    return f"the profile assumes noise {NOISES.label(noise)}, the fit {result.noise.name}"
 
 
 def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], list[Note]]:
