@@ -97,14 +97,6 @@ class BoundedNewton:
         x = self.problem.space.physical(np.where(self.linear, 0.0, v))
         return np.where(self.linear, v * self._bounds[2], x)
 
-    def _slope(self, x: np.ndarray) -> np.ndarray:
-        """dx/dv at physical x, element by element."""
-        kind, (lower, upper, scale) = self._kind, self._bounds
-        with np.errstate(invalid="ignore"):
-            both = (x - lower) * (upper - x) / (upper - lower)
-            curved = np.select([kind == LOWER, kind == UPPER, kind == BOTH], [x - lower, x - upper, both], scale)
-        return np.where(self.linear, scale, curved)
-
     def inside(self, v: np.ndarray, held: int = -1) -> np.ndarray | None:
         """v with the nonlinear parameters that lie on a bound moved away from it; None where there is none.
 
@@ -138,7 +130,7 @@ class BoundedNewton:
             value, gradient = value + gradient @ move + 0.5 * move @ matrix @ move, gradient + matrix @ move
         else:
             value, gradient, matrix = self._traced(x)
-        slope = self._slope(x)
+        slope = np.where(self.linear, self._bounds[2], self.problem.space.slope(v))
         return Point(v, value, gradient * slope, matrix * np.outer(slope, slope))
 
     def descend(self, v: np.ndarray, moving: np.ndarray, steps: int = _STEPS, tolerance: float = 1e-5) -> Point:
