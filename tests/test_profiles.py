@@ -12,6 +12,7 @@ import scipy.optimize
 import hystfit as hf
 from hystfit.errors import ParameterError
 from hystfit.inference.noise import Setting
+from hystfit.inference.residuals import analyze
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.uncertainty.input_design import design
@@ -187,12 +188,14 @@ def test_predicted_errors_are_those_of_a_fit_to_the_designed_record(fitted):
         assert made.best.stderr[name] < fitted[name].stderr
 
 
-def slow_record(T: int = 600, repeating: float = 0.0) -> hf.Record:
-    """A loop in slow noise of correlation time 20 samples and white noise, with an error that is the same in every loop."""
-    base, rng, slow = loop(T=T), np.random.default_rng(5), np.zeros(T)
-    for k in range(1, T):
+def slow_record(repeating: float = 0.0) -> hf.Record:
+    """Growing loops in slow noise of correlation time 20 samples and white noise, with an error that is the same in every loop."""
+    rng, slow, t = np.random.default_rng(0), np.zeros(800), np.arange(800) / 800
+    for k in range(1, 800):
         slow[k] = 0.95 * slow[k - 1] + 0.004 * rng.normal()
-    return base.replace(y=base.y + slow + repeating * np.sin(4 * base.u))
+    u = np.sin(2 * np.pi * 4 * t) * (0.4 + 0.6 * t)
+    noise = slow + 0.002 * rng.normal(size=800) + repeating * np.sin(4 * u)
+    return hf.Record(u=u, y=np.asarray(hf.simulate(TRUTH, u)[0]) + noise)
 
 
 @pytest.mark.parametrize(("noise", "repeating"), [("auto", 0.0), ("auto", 0.03), ("ou", 0.0)])
@@ -208,18 +211,24 @@ def test_a_design_has_the_errors_of_a_fit_in_slow_noise(noise, repeating):
 def test_a_design_in_slow_noise_predicts_least_squares_under_the_dense_covariance():
     fit = hf.fit(TRUTH, slow_record(), starts=1)
     made = design(fit, low=-1.0, high=1.0, samples=300, method="families")
-    white, slow, time = (fit.noise.parameters[k] for k in ("noise_white", "noise_slow", "noise_time"))
+    noise = analyze(fit.problem, fit.x).of_errors
     values = {name: fit[name].value for name in NAMES}
-    cover = lambda T: white**2 * np.eye(T) + slow**2 * np.exp(-np.abs(np.subtract.outer(range(T), range(T))) / time)
+
+    def cover(T: int) -> np.ndarray:
+        """Covariance of the noise, averaged over its uncertainty."""
+        lag = np.abs(np.subtract.outer(np.arange(T), np.arange(T)))
+        parts = zip(noise.shares, noise.others, strict=True)
+        return sum(share * (n.white**2 * np.eye(T) + n.slow**2 * np.exp(-lag / n.time)) for share, n in parts)
+
     first, further = jacobian(fit.data[0].u, values), jacobian(made.best.u, values)
-    rows = np.zeros((900, 6))  # the further record has an offset of its own
-    rows[:600, :5], rows[600:, :4], rows[600:, 5] = first, further[:, :4], further[:, 4]
-    both = np.zeros((900, 900))
-    both[:600, :600], both[600:, 600:] = cover(600), cover(300)
+    rows = np.zeros((1100, 6))  # the further record has an offset of its own
+    rows[:800, :5], rows[800:, :4], rows[800:, 5] = first, further[:, :4], further[:, 4]
+    both = np.zeros((1100, 1100))
+    both[:800, :800], both[800:, 800:] = cover(800), cover(300)
     inverse = np.linalg.pinv(rows)
     expected = np.sqrt(np.diag(inverse @ both @ inverse.T))
-    for k, name in enumerate(NAMES):  # the noise itself is averaged over its uncertainty
-        assert made.best.stderr[name] == pytest.approx(expected[k], rel=0.1), name
+    for k, name in enumerate(NAMES):
+        assert made.best.stderr[name] == pytest.approx(expected[k], rel=0.02), name
 
 
 def test_design_aims_at_one_parameter(fitted):

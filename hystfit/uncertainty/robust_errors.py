@@ -147,7 +147,7 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         notes.append(Note(Code.BLOCKS, text))
         blocks = sum(int(record.used.sum()) for record in result.data) / span
         known = 100 / np.sqrt(2 * blocks)
-        reason = f"{blocks:.0f} blocks determine an error to {known:.0f} % and include no correlation beyond a block"
+        reason = f"with {blocks:.0f} blocks such an error is known to {known:.0f} % at best, and tends to be too small"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
