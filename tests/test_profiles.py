@@ -430,3 +430,13 @@ def test_seeds_that_no_generator_takes_are_refused_at_once(fitted, seed):
     ):
         with pytest.raises(ParameterError):
             ask()
+
+
+def test_coefficients_are_no_weights():
+    weights = lambda model: hf.ParameterSpace.of(model).weights
+    assert not weights(hf.Duhem()).any()
+    assert not weights(hf.BoucWen()).any()
+    assert weights(hf.PrandtlIshlinskii.of(8)).sum() == 8
+    masses = hf.Preisach.of(8)
+    assert weights(masses).sum() == masses.w.size + masses.slopes.size
+    assert weights(hf.SignedPreisach.of(8)).sum() == masses.w.size

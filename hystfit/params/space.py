@@ -19,6 +19,7 @@ from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
 from hystfit.params.param import ParamInfo, leaves_of, short_names
 from hystfit.params.units import Scales
 
+_MANY = 12  # elements of an array of either sign above which they are weights, not coefficients
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
 
@@ -231,10 +232,16 @@ class ParameterSpace:
 
     @property
     def weights(self) -> np.ndarray:
-        """Which free elements are non-negative weights: elements of an array in which the output is linear, shape (p,), bool."""
-        shapes = [self.leaves[number].shape for number, _, _ in self.sources]
-        rows = zip(self.infos, shapes, strict=True)
-        return np.array([info.linear and info.bounds[0] == 0.0 and bool(shape) for info, shape in rows], dtype=bool)
+        """Which free elements are weights of plays, cells or relaxations, shape (p,), bool.
+
+        They are elements of an array in which the output is linear, not negative or many.
+        """
+        leaves = [self.leaves[number] for number, _, _ in self.sources]
+        rows = [
+            info.linear and bool(leaf.shape) and (info.bounds[0] == 0.0 or leaf.size > _MANY)
+            for info, leaf in zip(self.infos, leaves, strict=True)
+        ]
+        return np.array(rows, dtype=bool)
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""

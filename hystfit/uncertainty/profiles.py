@@ -161,7 +161,7 @@ def profile(
 
     Args:
         result: the fit.
-        names: parameters, or arrays of them ("w" for all its weights); by default all free ones that are not non-negative weights.
+        names: parameters, or arrays of them ("w" for all its weights); by default all free ones but weights.
         noise: "auto" uses the noise of the fit: its noise model if it had one, else the sum of squares, which for autocorrelated
             residuals is divided by the square of each parameter's reported over its i.i.d. standard error (Kent 1982); or a noise
             model, whose values are those at the optimum.
