@@ -86,6 +86,11 @@ class AbstractHysteresis(eqx.Module):
         return (state[None] if single else state), y
 
     @property
+    def one_scan(self) -> bool:
+        """Whether a scan of `step` is as fast as `sweep`, so that sums over the samples can share it."""
+        return True
+
+    @property
     def short_cut(self) -> bool:
         """Whether `free_run` is faster than a scan over the samples."""
         return False

@@ -43,6 +43,8 @@ class AbstractComposition(AbstractHysteresis):
 
     parts: eqx.AbstractVar[tuple[AbstractHysteresis, ...]]
 
+    one_scan: ClassVar[bool] = False
+
     @property
     def rate_independent(self) -> bool:
         """Whether all parts are."""
