@@ -313,7 +313,7 @@ def _collect(newton: BoundedNewton, optimum: Point, k: int, paths: tuple[Path, P
 
     kind, lower, upper = c.kinds[k], float(c.lower[k]), float(c.upper[k])
     if kind == UPPER and not newton.linear[k]:  # with an upper bound alone, x falls as z rises
-        paths = paths[::-1]
+        paths = (paths[1], paths[0])
     down, up = paths
     crossings = [path.crossing(start, limit) for path in paths]
     ends = [None if at is None else physical(at) for at in crossings]
