@@ -9,7 +9,7 @@ from hystfit.fitting.left_out import Scheme
 from hystfit.outcome import Column, Status, Table
 from hystfit.results.result import FitResult
 
-SCHEMA = "hystfit.compare/2"
+SCHEMA = "hystfit.compare/1"
 Purpose = Literal["prediction", "inverse", "export"]
 _WORDS = {
     "blocks": "on contiguous blocks (or records) that the fit did not use",
