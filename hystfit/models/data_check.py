@@ -1,16 +1,86 @@
-"""`check`: the data-quality report, with a verdict for each model."""
+"""`check`: the data-quality report, with a verdict for each model, and the models that suit the data."""
 
 from __future__ import annotations
 
+import dataclasses
+
 from hystfit.data.record import Dataset, Record
-from hystfit.models.registry import judged
-from hystfit.quality.check import QualityReport, examine
+from hystfit.models.registry import MODELS, DataKind, judged
+from hystfit.outcome.note import Code, has
+from hystfit.quality.check import Advice, QualityReport, examine
+from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict
+
+_FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")
+_RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
 def check(data: Record | Dataset) -> QualityReport:
-    """Data-quality report of a record or a data set, and which models the data determine.
+    """Data-quality report of a record or a data set, which models the data determine, and which to try first.
 
     Raises:
         DataError: `data` holds no records.
     """
-    return examine(data, judged())
+    report = examine(data, judged())
+    advice = _advice(report)
+    first = set() if advice is None else set(advice.model.split("+"))
+    rank = lambda item: (item.model not in first, _RANK[item.verdict])
+    return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))
+
+
+def data_kinds(report: QualityReport) -> tuple[DataKind, ...]:
+    """The kinds of data that a report found, the most specific last: each calls for models of its own (`registry.compared`)."""
+    records = report.records
+    if has(report.findings, Code.REVERSAL_CURVES):
+        return ("reversal-curves",)
+    if any(record.dynamic for record in records):
+        return ("dynamic",)
+    if sum(record.shape.area for record in records if record.shape is not None) < 0:
+        return ("leading", "leading-with-rate") if any(record.speed_dependent for record in records) else ("leading",)
+    timed = all(record.sampling.rate is not None for record in records)
+    kind: DataKind = "lagging-timed" if timed else "lagging-untimed"
+    return (kind,) if _asymmetric(report) else (kind, "point-symmetric")
+
+
+def _asymmetric(report: QualityReport) -> bool:
+    return any(r.shape is not None and r.shape.asymmetry_percent > ASYMMETRIC for r in report.records)
+
+
+def _advice(report: QualityReport) -> Advice | None:
+    """The model to try first; None where the data determine no hysteresis, or show damage that no model describes."""
+    verdicts = {item.model: item for item in report.determines}
+    kinds = data_kinds(report)
+    if kinds[0] == "reversal-curves":
+        return Advice("preisach-forc", "first-order reversal curves")
+    if all(item.verdict is Verdict.NO for name, item in verdicts.items() if MODELS[name].place == "core"):
+        return None
+    if kinds[0] == "dynamic":
+        if all(record.units["u"] in _FORCES for record in report.records):
+            return Advice("bouc-wen-oscillator", "the displacement resonates under a force")
+        return Advice("bouc-wen+second-order", "the output resonates")
+    if kinds[0] == "leading":
+        if "leading-with-rate" in kinds:
+            return Advice(
+                "bouc-wen-force+viscous", "the loop runs clockwise, and the force depends on the input's speed"
+            )
+        return Advice(
+            "bouc-wen-force", "the loop runs clockwise, as force against displacement; or prandtl-ishlinskii-stop"
+        )
+    return _lagging(report, kinds, verdicts)
+
+
+def _lagging(report: QualityReport, kinds: tuple[DataKind, ...], verdicts: dict[str, Determination]) -> Advice:
+    """Plays with lag and creep where there is time; a Preisach model for magnetic loops of several amplitudes."""
+    reasons = ["the loop runs counter-clockwise"]
+    if kinds[0] == "lagging-untimed" and not has(report.findings, Code.MINOR_LOOPS):
+        reasons.append("without time, at several amplitudes")
+        return Advice("preisach-magnetic" if "point-symmetric" in kinds else "preisach", ", ".join(reasons))
+    parts = ["prandtl-ishlinskii-generalized" if _asymmetric(report) else "prandtl-ishlinskii"]
+    if any(record.lags for record in report.records):
+        parts.insert(0, "lag")
+        reasons.append("the output lags")
+    if verdicts["creep"].verdict is Verdict.YES:
+        parts.append("creep")
+        reasons.append("it creeps")
+    if _asymmetric(report):
+        reasons.append("the loop is asymmetric")
+    return Advice("+".join(parts), ", ".join(reasons))

@@ -23,11 +23,16 @@ from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
+from hystfit.params.param import leaves_of
 from hystfit.quality.needs import Needs
 from hystfit.registry import class_from_file
 
-# Loops that lag (counter-clockwise: piezo actuators with time, and creep; magnetic materials without), force that leads, and curves.
-DataKind = Literal["lagging-timed", "lagging-untimed", "leading", "reversal-curves"]
+# What `check` finds about records decides which models are compared on them: output that lags (counter-clockwise loops) with time
+# (piezo actuators) or without (magnetic materials), loops of the same form after a turn by 180 degrees, force that leads, force
+# that depends on the rate, resonances, and first-order reversal curves.
+DataKind = Literal[
+    "lagging-timed", "lagging-untimed", "point-symmetric", "leading", "leading-with-rate", "dynamic", "reversal-curves"
+]
 _LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
 
 
@@ -237,8 +242,12 @@ def compared(kind: DataKind) -> tuple[str, ...]:
 
 
 def judged() -> dict[str, Needs]:
-    """The data that models need, by the first name of each class that declares it; `check` reports on these."""
-    kinds = _kinds()
-    first = {kind: name for name, kind in reversed(kinds.items())}
-    made = {name: MODELS[name].make() for name, kind in kinds.items() if first[kind] == name}
-    return {name: model.needs for name, model in made.items() if model.needs is not None}
+    """The data that models need, by the first name of each class with these needs; `check` reports on these."""
+    first: dict[tuple[type[AbstractHysteresis], Needs], str] = {}
+    counts: dict[str, int] = {}
+    for name, entry in MODELS.items():
+        model = entry.make()
+        if model.needs is not None:
+            first.setdefault((type(model), model.needs), name)
+            counts[name] = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
+    return {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
