@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hystfit import check, datasets, signals
 from hystfit.data.record import Dataset, Record
 from hystfit.models.data_check import data_kinds
+from hystfit.models.registry import make_model
 from hystfit.outcome.note import Code, Severity, has
 from hystfit.quality import drift as drifting
 from hystfit.quality import faults as small
@@ -411,7 +412,7 @@ def test_a_resonance_is_dynamics_and_not_damage(kind, frequency):
         assert record.dynamics.damping_ratio == pytest.approx(0.1, rel=0.1)
         assert record.dynamics.phase_high < -140
     assert report.advice.model == ("bouc-wen-oscillator" if kind == "oscillator" else "bouc-wen+second-order")
-    assert data_kinds(report) == ("dynamic",)
+    assert data_kinds(report.records) == ("dynamic",)
 
 
 @pytest.mark.parametrize("model", [piezo, steel])
@@ -477,6 +478,33 @@ def test_creep_needs_a_rest_with_motion_or_a_drift():
         creeping.append(state)
     assert check(Record(u, piezo(u) + 0.1 * np.array(creeping), t=t)).verdict("creep").verdict == "yes"
     assert check(Record(u, piezo(u))).verdict("creep").verdict == "no"
+
+
+def test_the_kind_of_data_decides_the_model_to_try_first():
+    t, u = signals.sine(4, 200)
+    _, small = signals.sine(4, 200, low=-0.5, high=0.5)
+    late = np.interp(np.arange(t.size) - 4, np.arange(t.size), piezo(u))
+    cases = [
+        (Record(u, piezo(u), t=t), ("lagging-timed", "point-symmetric"), "prandtl-ishlinskii"),
+        (Record(u, late, t=t), ("lagging-timed", "point-symmetric"), "lag+prandtl-ishlinskii"),
+        (Record(u + 2, piezo(u + 2), t=t), ("lagging-timed",), "prandtl-ishlinskii"),
+        (Record(u, piezo(u) + 0.5 * u**2, t=t), ("lagging-timed",), "prandtl-ishlinskii-generalized"),
+        (Record(u, steel(u), t=t), ("leading",), "bouc-wen-force"),
+        (
+            Dataset.of([Record(x, piezo(x)) for x in (u, small)]),
+            ("lagging-untimed", "point-symmetric"),
+            "preisach-magnetic",
+        ),
+        (Record(u, u**2, t=t), None, None),
+        (Record(u[:40], piezo(u)[:40], t=t[:40]), None, None),
+    ]
+    for data, kinds, model in cases:
+        report = check(data)
+        assert (report.advice and report.advice.model) == model
+        if kinds:
+            assert data_kinds(report.records) == kinds
+            make_model(model)
+            assert report.determines[0].model in model.split("+")
 
 
 def damaged(u):

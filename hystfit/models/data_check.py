@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 from hystfit.data.record import Dataset, Record
 from hystfit.models.registry import MODELS, DataKind, judged
 from hystfit.outcome.note import Code, has
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict
+from hystfit.quality.summary import RecordQuality
 
 _FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")
+_SYMMETRIC = 5.0  # percent of the stroke up to which a loop counts as symmetric about its center
+_CENTERED = 0.2  # distance of the middle of the input from 0, in parts of its range, up to which it counts as centered
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
@@ -27,18 +31,31 @@ def check(data: Record | Dataset) -> QualityReport:
     return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))
 
 
-def data_kinds(report: QualityReport) -> tuple[DataKind, ...]:
-    """The kinds of data that a report found, the most specific last: each calls for models of its own (`registry.compared`)."""
-    records = report.records
-    if has(report.findings, Code.REVERSAL_CURVES):
-        return ("reversal-curves",)
+def data_kinds(records: Sequence[RecordQuality]) -> tuple[DataKind, ...]:
+    """Kinds of data that records are, apart from reversal curves; each calls for models of its own (`registry.compared`)."""
     if any(record.dynamic for record in records):
         return ("dynamic",)
-    if sum(record.shape.area for record in records if record.shape is not None) < 0:
-        return ("leading", "leading-with-rate") if any(record.speed_dependent for record in records) else ("leading",)
     timed = all(record.sampling.rate is not None for record in records)
+    if _clockwise(records):
+        rated = timed and any(record.speed_dependent for record in records)
+        return ("leading", "leading-with-rate") if rated else ("leading",)
     kind: DataKind = "lagging-timed" if timed else "lagging-untimed"
-    return (kind,) if _asymmetric(report) else (kind, "point-symmetric")
+    return (kind, "point-symmetric") if all(_point_symmetric(record) for record in records) else (kind,)
+
+
+def _clockwise(records: Sequence[RecordQuality]) -> bool:
+    """Whether most loops run clockwise; by the area inside the records where no open loop could be measured."""
+    ways = [record.shape.circulation for record in records if record.shape is not None and record.shape.circulation]
+    if ways:
+        return 2 * ways.count("clockwise") > len(ways)
+    return sum(record.area for record in records) < 0
+
+
+def _point_symmetric(record: RecordQuality) -> bool:
+    """Whether the loop is that of a material without remembered sign: centered on zero input, and alike on both sides."""
+    if record.shape is None or abs(record.u.low + record.u.high) > 2 * _CENTERED * record.u.range:
+        return False
+    return record.shape.asymmetry_percent <= _SYMMETRIC
 
 
 def _asymmetric(report: QualityReport) -> bool:
@@ -48,8 +65,8 @@ def _asymmetric(report: QualityReport) -> bool:
 def _advice(report: QualityReport) -> Advice | None:
     """The model to try first; None where the data determine no hysteresis, or show damage that no model describes."""
     verdicts = {item.model: item for item in report.determines}
-    kinds = data_kinds(report)
-    if kinds[0] == "reversal-curves":
+    kinds = data_kinds(report.records)
+    if has(report.findings, Code.REVERSAL_CURVES):
         return Advice("preisach-forc", "first-order reversal curves")
     if all(item.verdict is Verdict.NO for name, item in verdicts.items() if MODELS[name].place == "core"):
         return None

@@ -30,12 +30,8 @@ class Coverage:
 
     @classmethod
     def of(cls, records: Iterable[Record]) -> Coverage:
-        """Coverage of records up to their last sample that counts; strokes of noise (below 5 % of the range) are omitted.
-
-        Raises:
-            ValueError: no records.
-        """
-        inputs = [record.u[: 1 + int(np.flatnonzero(record.used)[-1])] for record in records if record.used.any()]
+        """Coverage of records up to their last sample that counts, at least one record; strokes below 5 % of the range are omitted."""
+        inputs = [record.u[: 1 + int(np.flatnonzero(record.used)[-1])] for record in records]
         low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
         least = _APART * (high - low)
         kept: list[float] = []
@@ -61,7 +57,9 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
         `Code.MINOR_LOOPS` where the fitted records have one amplitude only (and the others, where given, have smaller ones),
         `Code.EXTRAPOLATION` where the input of the others leaves the fitted range.
     """
-    fitted, others = list(fitted), list(others)
+    fitted, others = ([record for record in records if record.used.any()] for records in (fitted, others))
+    if not fitted:
+        return ()
     known, unit = Coverage.of(fitted), fitted[0].u_unit
     size = lambda value: f"{value:.4g} {unit}".rstrip()
     asked = Coverage.of(others) if others else None

@@ -96,7 +96,7 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     response = _frequency_response(x, bridged)
     if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
         return None
-    stride = max(1, int(1 / (_FINE * response.frequency[-1])))
+    stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // _LEAST))
     columns = _Columns.of(*(part[::stride][:_MOST] for part in (x, bridged, used)))
     coarse = dataclasses.replace(response, frequency=response.frequency * stride)
     without = columns.error_without()

@@ -95,7 +95,7 @@ class Motion:
 
 @dataclasses.dataclass(frozen=True)
 class RecordQuality:
-    """Everything measured on one record; None where it is unknown."""
+    """Everything measured on one record; None where it is unknown. `area`: signed, of the whole record, see `loops.loop_area`."""
 
     name: str
     units: dict[str, str]
@@ -104,6 +104,7 @@ class RecordQuality:
     y: Column
     motion: Motion
     shape: Shape | None
+    area: float
     drift: Drift | None
     lag: Lag | None
     velocity_gain: float | None
@@ -173,6 +174,7 @@ def summarize(record: Record) -> RecordQuality:
         u=u_column,
         y=y_column,
         motion=motion,
+        area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
         shape=loop_shape(u, bridged(y), loops, cycles),
         drift=drift(u, y, t, cycles) if moving else None,
         lag=lag,
