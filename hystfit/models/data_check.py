@@ -33,14 +33,19 @@ def check(data: Record | Dataset) -> QualityReport:
 
 def data_kinds(records: Sequence[RecordQuality]) -> tuple[DataKind, ...]:
     """Kinds of data that records are, apart from reversal curves; each calls for models of its own (`registry.compared`)."""
-    if any(record.dynamic for record in records):
-        return ("dynamic",)
     timed = all(record.sampling.rate is not None for record in records)
+    kinds: list[DataKind] = []
     if _clockwise(records):
-        rated = timed and any(record.speed_dependent for record in records)
-        return ("leading", "leading-with-rate") if rated else ("leading",)
-    kind: DataKind = "lagging-timed" if timed else "lagging-untimed"
-    return (kind, "point-symmetric") if all(_point_symmetric(record) for record in records) else (kind,)
+        kinds.append("leading")
+        if timed and any(record.speed_dependent for record in records):
+            kinds.append("leading-with-rate")
+    else:
+        kinds.append("lagging-timed" if timed else "lagging-untimed")
+        if all(_point_symmetric(record) for record in records):
+            kinds.append("point-symmetric")
+    if any(record.dynamic for record in records):
+        kinds.append("dynamic")
+    return tuple(kinds)
 
 
 def _clockwise(records: Sequence[RecordQuality]) -> bool:
@@ -48,7 +53,7 @@ def _clockwise(records: Sequence[RecordQuality]) -> bool:
     ways = [record.shape.circulation for record in records if record.shape is not None and record.shape.circulation]
     if ways:
         return 2 * ways.count("clockwise") > len(ways)
-    return sum(record.area for record in records) < 0
+    return sum(record.area for record in records) <= 0
 
 
 def _point_symmetric(record: RecordQuality) -> bool:
@@ -70,7 +75,7 @@ def _advice(report: QualityReport) -> Advice | None:
         return Advice("preisach-forc", "first-order reversal curves")
     if all(item.verdict is Verdict.NO for name, item in verdicts.items() if MODELS[name].place == "core"):
         return None
-    if kinds[0] == "dynamic":
+    if "dynamic" in kinds:
         if all(record.units["u"] in _FORCES for record in report.records):
             return Advice("bouc-wen-oscillator", "the displacement resonates under a force")
         return Advice("bouc-wen+second-order", "the output resonates")

@@ -59,6 +59,7 @@ class Code(enum.StrEnum):
     OPEN_SIDE = "open-side"  # no confidence limit on one side
     OTHER_OPTIMUM = "other-optimum"  # the likelihood is larger elsewhere than at the fit
     BLOCKS = "blocks"  # block length of a robust covariance
+    ERRORS_DIFFER = "errors-differ"  # standard errors differ from those of the fit, and why
     CLOSES = "closes"  # the proposed input determines what the present data do not
     LOCAL = "local"  # the design holds near the fitted values
     # predictions, inverses and simulated records

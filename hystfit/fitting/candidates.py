@@ -1,0 +1,44 @@
+"""Which models are worth trying on records, by what `check` finds about them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from hystfit.data.record import Dataset
+from hystfit.models.data_check import data_kinds
+from hystfit.models.registry import SEARCH, DataKind, compared, make_model
+from hystfit.quality.reversal_curves import recognize_family
+from hystfit.quality.summary import summarize
+
+_WORDS: dict[DataKind, str] = {
+    "leading": "clockwise loops (a force that leads)",
+    "leading-with-rate": "an output that depends on the rate of the input",
+    "lagging-timed": "counter-clockwise loops (an output that lags) with time",
+    "lagging-untimed": "counter-clockwise loops (an output that lags) without time",
+    "point-symmetric": "loops symmetric about their center",
+    "dynamic": "a resonance",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidates:
+    """Models that a comparison tries.
+
+    Attributes:
+        names: expressions; those whose weights follow from a linear solve come first, because they take seconds.
+        reason: what was found about the data.
+    """
+
+    names: tuple[str, ...]
+    reason: str
+
+
+def candidates(data: Dataset) -> Candidates:
+    """Models worth comparing on records, and why."""
+    if recognize_family(data) is not None:
+        return Candidates(compared("reversal-curves"), "the records are first-order reversal curves")
+    kinds = data_kinds([summarize(record) for record in data])
+    found = [_WORDS[kind] for kind in kinds]
+    names = (SEARCH, *compared(*kinds))
+    linear = lambda name: name == SEARCH or make_model(name).estimator is not None
+    return Candidates(tuple(sorted(names, key=linear, reverse=True)), "the data have " + ", ".join(found))
