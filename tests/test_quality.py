@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hystfit import check, datasets, signals
 from hystfit.data.record import Dataset, Record
 from hystfit.models.data_check import data_kinds
-from hystfit.models.registry import make_model
+from hystfit.models.registry import judged_as, make_model
 from hystfit.outcome.note import Code, Severity, has
 from hystfit.quality import drift as drifting
 from hystfit.quality import faults as small
@@ -488,10 +488,10 @@ def test_the_kind_of_data_decides_the_model_to_try_first():
         (Record(u, piezo(u), t=t), ("lagging-timed", "point-symmetric"), "prandtl-ishlinskii"),
         (Record(u, late, t=t), ("lagging-timed", "point-symmetric"), "lag+prandtl-ishlinskii"),
         (Record(u + 2, piezo(u + 2), t=t), ("lagging-timed",), "prandtl-ishlinskii"),
-        (Record(u, piezo(u) + 0.5 * u**2, t=t), ("lagging-timed",), "prandtl-ishlinskii-generalized"),
+        (Record(u, piezo(u) + u**2, t=t), ("lagging-timed",), "prandtl-ishlinskii-generalized"),
         (Record(u, steel(u), t=t), ("leading",), "bouc-wen-force"),
         (
-            Dataset.of([Record(x, piezo(x)) for x in (u, small)]),
+            Dataset.of([Record(x, piezo(x), name=f"{np.ptp(x):g}") for x in (u, small)]),
             ("lagging-untimed", "point-symmetric"),
             "preisach-magnetic",
         ),
@@ -504,7 +504,7 @@ def test_the_kind_of_data_decides_the_model_to_try_first():
         if kinds:
             assert data_kinds(report.records) == kinds
             make_model(model)
-            assert report.determines[0].model in model.split("+")
+            assert report.determines[0].model in [judged_as(part) for part in model.split("+")]
 
 
 def damaged(u):
@@ -618,7 +618,10 @@ def test_units_and_origins_change_no_finding(kind, u_power, y_power):
         y=10.0**y_power * (record.y - 5.0),
         t=None if record.t is None else 1e3 * (record.t + 2.0),
     )
-    assert codes(check(moved)) == codes(check(record))
+    verdicts, notes, _ = codes(
+        check(record)
+    )  # only the advice depends on where zero is: magnetic loops are centered there
+    assert codes(check(moved))[:2] == (verdicts, notes)
 
 
 @settings(max_examples=10)

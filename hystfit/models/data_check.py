@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from hystfit.data.record import Dataset, Record
-from hystfit.models.registry import MODELS, DataKind, judged
+from hystfit.models.registry import MODELS, DataKind, judged, judged_as
 from hystfit.outcome.note import Code, has
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict
@@ -26,7 +26,7 @@ def check(data: Record | Dataset) -> QualityReport:
     """
     report = examine(data, judged())
     advice = _advice(report)
-    first = set() if advice is None else set(advice.model.split("+"))
+    first = set() if advice is None else {judged_as(part) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))
 

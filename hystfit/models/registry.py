@@ -288,3 +288,12 @@ def judged() -> dict[str, Needs]:
                 first[type(model), model.needs] = name
             counts[name] = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
     return {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
+
+
+def judged_as(name: str) -> str | None:
+    """Name under which `judged` has the needs of a model; None where it declares none."""
+    model = MODELS[name].make()
+    same = lambda row, needs: (
+        isinstance(model, _kinds()[row]) and dataclasses.replace(needs, parameters=0) == model.needs
+    )
+    return next((row for row, needs in judged().items() if same(row, needs)), None)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.quality.determination import few_samples
-from hystfit.quality.dynamics import Dynamics
+from hystfit.quality.resonance import Dynamics
 from hystfit.quality.summary import RecordQuality
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
 from hystfit.quality.drift import Drift, drift
-from hystfit.quality.dynamics import Dynamics, estimate_dynamics
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
+from hystfit.quality.resonance import Dynamics, estimate_dynamics
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
