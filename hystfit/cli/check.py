@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading
 from hystfit.cli.records import load
 from hystfit.cli.write import finish, items, progress
 from hystfit.outcome import Status
-
-if TYPE_CHECKING:
-    from hystfit.data.record import Dataset
-
-_MOST_GROUPS, _MOST_NAMES = 8, 5  # of Preisach properties and of records in a line, in the text
 
 
 def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
@@ -38,41 +33,18 @@ def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_R
     remarks = dict.fromkeys(note for record in data for note in record.notes)
     text = "\n".join([report.text().rstrip(), *(["", "Reading of the file", *items(remarks)] if remarks else [])])
     if preisach:
-        properties, content["preisach"] = _properties(data)
-        text += f"\n\n{properties}"
-        status = Status.UNTESTED if content["preisach"]["status"] == Status.UNTESTED else Status.OK
+        from hystfit.models.preisach import check_family
+
+        with progress("testing Preisach properties"):
+            properties = check_family(data)
+        content["preisach"] = properties.to_dict()
+        text += f"\n\n{properties.text()}"
+        status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
+    if report.advice is not None:
+        rest = "" if reading == DEFAULT_READING else "  (and the same options for reading the file)"
+        text += f"\n\nhystfit fit {shlex.quote(loop)} --model {report.advice.model}{rest}"
 
     def save(folder: Path) -> None:
         (folder / "check.txt").write_text(text + "\n", encoding="utf-8")
 
     return finish(text, content, output, save, status=status)
-
-
-def _properties(data: Dataset) -> tuple[str, dict[str, Any]]:
-    """Preisach properties of every record: as text, and for result.json."""
-    from hystfit.models.preisach import check_preisach
-    from hystfit.quality.reversal_curves import recognize_family
-
-    with progress("testing Preisach properties"):
-        checks = [check_preisach(record, model=True) for record in data]
-    tested = [one for one in checks if one.tested]
-    family = recognize_family(data)
-    fails = any(outcome == "fails" for one in tested for outcome in one.outcomes.values())
-    status = "untested" if not tested else "fails" if fails else "holds"
-    lines = ["Preisach properties (limit: 2 % of the output's range)"]
-    if family is not None:
-        status = "holds" if status == "untested" and not family.notes else "fails" if family.notes else status
-        lines += [f"  {family.words()}", *(f"    - {note}" for note in family.notes)]
-        if not family.notes:
-            lines.append("    - the curves close and do not cross: weights >= 0 can reproduce them")
-    groups: dict[str, list[str]] = {}  # names of the records with one and the same text
-    for one in tested or checks:
-        groups.setdefault(one.text(), []).append(one.record)
-    for text, names in list(groups.items())[:_MOST_GROUPS]:
-        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-        lines += [f"  {', '.join(names[:_MOST_NAMES])}{more}", text]
-    if not tested and family is None:
-        lines.append(f"  not tested: {Status.UNTESTED.advice('check')}")
-    if len(groups) > _MOST_GROUPS:
-        lines.append(f"  ({len(groups) - _MOST_GROUPS} more groups of records are in result.json)")
-    return "\n".join(lines), {"status": status, "records": {one.record: one.to_dict() for one in checks}}

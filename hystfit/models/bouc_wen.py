@@ -41,6 +41,7 @@ class BoucWen(AbstractHysteresis):
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
+        direction="counter-clockwise",
         too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
     )
 

@@ -39,7 +39,10 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = True
     needs: ClassVar[Needs] = Needs(
-        amplitudes=2, symmetry="asymmetric", too_few="the shape parameters are nearly redundant"
+        amplitudes=2,
+        symmetry="asymmetric",
+        direction="counter-clockwise",
+        too_few="the shape parameters are nearly redundant",
     )
 
     c: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")

@@ -16,6 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 _SUBSTEPS = 4
 
@@ -34,6 +35,11 @@ class BoucWenForce(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2,
+        symmetry="symmetric",
+        too_few="the shape of the unloading branch and the sharpness of the knee trade off",
+    )
 
     kappa_x: Float[Array, ""] = param(1.0, unit="y/u", linear=True, doc="slope after yielding")
     kappa_w: Float[Array, ""] = param(1.0, unit="y", linear=True, doc="force at yielding")

@@ -1,16 +1,108 @@
-"""`check`: the data-quality report, with a verdict for each model."""
+"""`check`: the data-quality report, with a verdict for each model, and the models that suit the data."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
+
 from hystfit.data.record import Dataset, Record
-from hystfit.models.registry import judged
-from hystfit.quality.check import QualityReport, examine
+from hystfit.models.registry import MODELS, DataKind, judged, judged_as
+from hystfit.outcome.note import Code, has
+from hystfit.quality.check import Advice, QualityReport, examine
+from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict
+from hystfit.quality.summary import RecordQuality
+
+_FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")
+_SYMMETRIC = 5.0  # percent of the stroke up to which a loop counts as symmetric about its center
+_CENTERED = 0.2  # distance of the middle of the input from 0, in parts of its range, up to which it counts as centered
+_RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
 def check(data: Record | Dataset) -> QualityReport:
-    """Data-quality report of a record or a data set, and which models the data determine.
+    """Data-quality report of a record or a data set, which models the data determine, and which to try first.
 
     Raises:
         DataError: `data` holds no records.
     """
-    return examine(data, judged())
+    report = examine(data, judged())
+    advice = _advice(report)
+    first = set() if advice is None else {judged_as(part) for part in advice.model.split("+")}
+    rank = lambda item: (item.model not in first, _RANK[item.verdict])
+    return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))
+
+
+def data_kinds(records: Sequence[RecordQuality]) -> tuple[DataKind, ...]:
+    """Kinds of data that records are, apart from reversal curves; each calls for models of its own (`registry.compared`)."""
+    timed = all(record.sampling.rate is not None for record in records)
+    kinds: list[DataKind] = []
+    if _clockwise(records):
+        kinds.append("leading")
+        if timed and any(record.speed_dependent for record in records):
+            kinds.append("leading-with-rate")
+    else:
+        kinds.append("lagging-timed" if timed else "lagging-untimed")
+        if all(_point_symmetric(record) for record in records):
+            kinds.append("point-symmetric")
+    if any(record.dynamic for record in records):
+        kinds.append("dynamic")
+    return tuple(kinds)
+
+
+def _clockwise(records: Sequence[RecordQuality]) -> bool:
+    """Whether most loops run clockwise; by the area inside the records where no open loop could be measured."""
+    ways = [record.shape.circulation for record in records if record.shape is not None and record.shape.circulation]
+    if ways:
+        return 2 * ways.count("clockwise") > len(ways)
+    return sum(record.area for record in records) <= 0
+
+
+def _point_symmetric(record: RecordQuality) -> bool:
+    """Whether the loop is that of a material without remembered sign: centered on zero input, and alike on both sides."""
+    if record.shape is None or abs(record.u.low + record.u.high) > 2 * _CENTERED * record.u.range:
+        return False
+    return record.shape.asymmetry_percent <= _SYMMETRIC
+
+
+def _asymmetric(report: QualityReport) -> bool:
+    return any(r.shape is not None and r.shape.asymmetry_percent > ASYMMETRIC for r in report.records)
+
+
+def _advice(report: QualityReport) -> Advice | None:
+    """The model to try first; None where the data determine no hysteresis, or show damage that no model describes."""
+    verdicts = {item.model: item for item in report.determines}
+    kinds = data_kinds(report.records)
+    if has(report.findings, Code.REVERSAL_CURVES):
+        return Advice("preisach-forc", "first-order reversal curves")
+    if all(item.verdict is Verdict.NO for name, item in verdicts.items() if MODELS[name].place == "core"):
+        return None
+    if "dynamic" in kinds:
+        if all(record.units["u"] in _FORCES for record in report.records):
+            return Advice("bouc-wen-oscillator", "the displacement resonates under a force")
+        return Advice("bouc-wen+second-order", "the output resonates")
+    if kinds[0] == "leading":
+        if "leading-with-rate" in kinds:
+            return Advice(
+                "bouc-wen-force+viscous", "the loop runs clockwise, and the force depends on the input's speed"
+            )
+        return Advice(
+            "bouc-wen-force", "the loop runs clockwise, as force against displacement; or prandtl-ishlinskii-stop"
+        )
+    return _lagging(report, kinds, verdicts)
+
+
+def _lagging(report: QualityReport, kinds: tuple[DataKind, ...], verdicts: dict[str, Determination]) -> Advice:
+    """Plays with lag and creep where there is time; a Preisach model for magnetic loops of several amplitudes."""
+    reasons = ["the loop runs counter-clockwise"]
+    if kinds[0] == "lagging-untimed" and not has(report.findings, Code.MINOR_LOOPS):
+        reasons.append("without time, at several amplitudes")
+        return Advice("preisach-magnetic" if "point-symmetric" in kinds else "preisach", ", ".join(reasons))
+    parts = ["prandtl-ishlinskii-generalized" if _asymmetric(report) else "prandtl-ishlinskii"]
+    if any(record.lags for record in report.records):
+        parts.insert(0, "lag")
+        reasons.append("the output lags")
+    if verdicts["creep"].verdict is Verdict.YES:
+        parts.append("creep")
+        reasons.append("it creeps")
+    if _asymmetric(report):
+        reasons.append("the loop is asymmetric")
+    return Advice("+".join(parts), ", ".join(reasons))

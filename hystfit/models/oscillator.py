@@ -33,7 +33,7 @@ class BoucWenOscillator(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = False
     needs: ClassVar[Needs] = Needs(
-        time=True, frequencies=2, too_few="mass, damping and stiffness trade off; it needs several, or a resonance"
+        time=True, dynamics=True, too_few="mass, damping and stiffness trade off; measure around the resonance"
     )
 
     m: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u*s^2/y", doc="mass")

@@ -80,7 +80,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
-    needs: ClassVar[Needs] = Needs(amplitudes=2, symmetry="generalized", direction="counter-clockwise")
 
     def __check_init__(self) -> None:
         unknown = [kind for kind in self.envelopes if kind not in get_args(Envelope)]
@@ -149,6 +148,13 @@ class PrandtlIshlinskii(AbstractHysteresis):
     def generalized(cls, plays: int = 20, degree: int = 5, **options: object) -> PrandtlIshlinskii:
         """`of` with the three envelopes, for asymmetric loops."""
         return cls.of(plays, degree, envelopes=3, **options)
+
+    @property
+    def needs(self) -> Needs:
+        """Plays describe loops that lag, stops loops that lead."""
+        if self.operator == "play":
+            return Needs(amplitudes=2, symmetry="generalized", direction="counter-clockwise")
+        return Needs(amplitudes=2, symmetry="symmetric", direction="clockwise")
 
     def _position(self, u: Array) -> Array:
         return (u - self.low) / (self.high - self.low)

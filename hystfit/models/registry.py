@@ -24,6 +24,7 @@ from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
+from hystfit.params.param import leaves_of
 from hystfit.quality.needs import Needs
 from hystfit.registry import class_from_file
 
@@ -277,8 +278,22 @@ def compared(*kinds: DataKind) -> tuple[str, ...]:
 
 
 def judged() -> dict[str, Needs]:
-    """The data that models need, by the first name of each class that declares it; `check` reports on these."""
-    kinds = _kinds()
-    first = {kind: name for name, kind in reversed(kinds.items())}
-    made = {name: MODELS[name].make() for name, kind in kinds.items() if first[kind] == name}
-    return {name: model.needs for name, model in made.items() if model.needs is not None}
+    """The data that models need, by the first name of each class with these needs; `check` reports on these."""
+    first: dict[tuple[type[AbstractHysteresis], Needs], str] = {}
+    counts: dict[str, int] = {}
+    for name, entry in MODELS.items():
+        model = entry.make()
+        if model.needs is not None:
+            if not any(issubclass(type(model), kind) and model.needs == needs for kind, needs in first):
+                first[type(model), model.needs] = name
+            counts[name] = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
+    return {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
+
+
+def judged_as(name: str) -> str | None:
+    """Name under which `judged` has the needs of a model; None where it declares none."""
+    model = MODELS[name].make()
+    same = lambda row, needs: (
+        isinstance(model, _kinds()[row]) and dataclasses.replace(needs, parameters=0) == model.needs
+    )
+    return next((row for row, needs in judged().items() if same(row, needs)), None)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.outcome.note import Code, Note, warn
+from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.table import Column, Table, number
+from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.determination import Determination, Verdict, determine
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
@@ -22,6 +23,14 @@ _MOST_RECORDS, _MOST_FINDINGS = 8, 40  # shown in the text
 
 
 @dataclasses.dataclass(frozen=True)
+class Advice:
+    """The model to try first, as an expression such as "lag+prandtl-ishlinskii+creep", and why."""
+
+    model: str
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
 class QualityReport:
     """Quality of a data set.
 
@@ -29,13 +38,15 @@ class QualityReport:
         name: of the data set.
         records: what was measured on each record.
         findings: what is wrong with the data or worth knowing about them.
-        determines: which models the data determine.
+        determines: which models the data determine, the recommended one first.
+        advice: which model to try first; None where the data determine none.
     """
 
     name: str
     records: tuple[RecordQuality, ...]
     findings: tuple[Note, ...]
     determines: tuple[Determination, ...]
+    advice: Advice | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As plain lists, dicts, numbers and None, ready for JSON."""
@@ -44,6 +55,7 @@ class QualityReport:
             "records": [_plain(dataclasses.asdict(record)) for record in self.records],
             "findings": [note.to_dict() for note in self.findings],
             "determines": [_plain(dataclasses.asdict(item)) for item in self.determines],
+            "advice": None if self.advice is None else dataclasses.asdict(self.advice),
         }
 
     def verdict(self, model: str) -> Determination:
@@ -74,6 +86,8 @@ class QualityReport:
             lines.append(f"  ... and {len(self.findings) - _MOST_FINDINGS} more")
         if self.determines:
             lines += ["", "What these data determine", *self.table().lines("  ")]
+        if self.advice is not None:
+            lines += ["", f"Try first: {self.advice.model} ({self.advice.reason})"]
         return "\n".join(lines)
 
     def __str__(self) -> str:
@@ -94,7 +108,10 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     records = tuple(summarize(record) for record in dataset)
     notes, determined = findings(records), determine(records, needs or {})
     family = recognize_family(dataset)
-    if family is not None:
+    if family is None:
+        notes = (*notes, *_coverage(dataset, notes))
+    else:
+        notes = tuple(note for note in notes if note.code not in (Code.NO_LOOP, Code.TOO_FEW_SAMPLES))
         about = [
             Note(Code.REVERSAL_CURVES, family.words()),
             *(warn(Code.REVERSAL_CURVES, text) for text in family.notes),
@@ -102,6 +119,11 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         notes = (*about, *notes)
         determined = tuple(_by_family(item, family) if item.model == "preisach" else item for item in determined)
     return QualityReport(dataset.name, records, notes, determined)
+
+
+def _coverage(dataset: Dataset, notes: tuple[Note, ...]) -> tuple[Note, ...]:
+    """Coverage of records in which there is a loop."""
+    return () if has(notes, Code.NO_LOOP, Code.SINGLE_VALUED) else coverage_notes(dataset)
 
 
 def _by_family(item: Determination, family: ReversalFamily) -> Determination:

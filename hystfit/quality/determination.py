@@ -6,11 +6,15 @@ import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
 
+from hystfit.outcome.note import Code, Note, Severity
 from hystfit.quality.needs import Needs
 from hystfit.quality.summary import LONG_HOLD, RecordQuality, distinct
 
-_ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
+ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
+_SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
+_FEWEST_SAMPLES = 16  # below which no loop is described
+_FEWEST_PER_BRANCH, _FEW_PER_BRANCH = 3, 6  # samples below which branches have no shape, or a coarse one
 
 
 class Verdict(enum.StrEnum):
@@ -35,46 +39,78 @@ class _Facts:
     """What a data set offers to a model.
 
     Attributes:
+        samples: number that count.
+        per_branch: mean number of them between reversals.
         reversals: number of turning points.
         branches_apart: there is an open loop, or no loop could be measured.
         amplitudes: number of different strokes.
         turning_pairs: number of different pairs of neighboring turning levels.
         asymmetry: largest departure from point symmetry [% of the stroke].
-        clockwise: most loops run clockwise.
+        clockwise, counter_clockwise: most loops run in this direction.
         longest_hold: of the input [samples].
         others: see `RecordQuality`; true where they hold for any record (`timed`: for all).
     """
 
+    samples: int
+    per_branch: float
     reversals: int
     branches_apart: bool
     amplitudes: int
     turning_pairs: int
     asymmetry: float
     clockwise: bool
+    counter_clockwise: bool
     longest_hold: int
     timed: bool
-    several_frequencies: bool
+    dynamic: bool
     degrading: bool
     speed_dependent: bool
     creeps: bool
     drifts_logarithmically: bool
     lags: bool
 
+    @property
+    def too_few(self) -> bool:
+        """Whether there are too few samples for any model."""
+        return self.samples < _FEWEST_SAMPLES or self.per_branch < _FEWEST_PER_BRANCH
+
+
+def few_samples(records: Sequence[RecordQuality]) -> Note | None:
+    """The objection to records with too few samples, or too few between reversals; None where there are enough."""
+    facts = _facts(records)
+    if not facts.too_few and facts.per_branch >= _FEW_PER_BRANCH:
+        return None
+    text = f"{_few_words(facts)}: sample more often, or drive the input more slowly"
+    return Note(Code.TOO_FEW_SAMPLES, text, Severity.ERROR if facts.too_few else Severity.WARNING)
+
+
+def _few_words(facts: _Facts) -> str:
+    size = f"{_count(facts.samples, 'sample')}, {facts.per_branch:.3g} between reversals on average"
+    if facts.too_few:
+        return f"{size}: too few for any model of hysteresis"
+    return f"{size}: turning points and the shape of branches are coarse (at least {_FEW_PER_BRANCH} are needed)"
+
 
 def _facts(records: Sequence[RecordQuality]) -> _Facts:
     span = max(r.u.high for r in records) - min(r.u.low for r in records)
     shapes = [r.shape for r in records if r.shape is not None]
     circulation = [shape.circulation for shape in shapes if shape.circulation]
+    dynamic = any(r.dynamic for r in records)
+    most = lambda direction: not dynamic and circulation.count(direction) > len(circulation) / 2
+    samples = sum(r.sampling.used for r in records)
     return _Facts(
+        samples=samples,
+        per_branch=samples / sum(r.motion.reversals + 1 for r in records),
         reversals=sum(r.motion.reversals for r in records),
         branches_apart=bool(circulation) or not shapes,
         amplitudes=len(distinct(s * r.u.range / span for r in records for s in r.motion.strokes if span > 0)),
         turning_pairs=sum(max(r.motion.turning_pairs, r.motion.reversals > 0) for r in records),
         asymmetry=max((shape.asymmetry_percent for shape in shapes), default=0.0),
-        clockwise=circulation.count("clockwise") > len(circulation) / 2,
+        clockwise=most("clockwise"),
+        counter_clockwise=most("counter-clockwise"),
         longest_hold=max(r.motion.longest_hold for r in records),
         timed=all(r.sampling.rate is not None for r in records),
-        several_frequencies=any(r.rate_effect is not None for r in records),
+        dynamic=dynamic,
         degrading=any(r.degrading for r in records),
         speed_dependent=any(r.speed_dependent for r in records),
         creeps=any(r.creeps for r in records),
@@ -105,6 +141,8 @@ def _judge(facts: _Facts, needs: Needs) -> tuple[Verdict, tuple[str, ...]]:
     lacking, remarks = _lacking(facts, needs)
     if facts.speed_dependent:
         lacking.append("the output depends on the input's speed: add a velocity term (viscous or saturating-rate)")
+    if facts.dynamic and not needs.dynamics:
+        lacking.append("the output resonates: add second-order")
     met = f"{_count(facts.amplitudes, 'amplitude')}, {_count(facts.turning_pairs, 'pair')} of turning levels, " + (
         f"asymmetry {facts.asymmetry:.1f} %"
     )
@@ -114,29 +152,47 @@ def _judge(facts: _Facts, needs: Needs) -> tuple[Verdict, tuple[str, ...]]:
 def _excluded(facts: _Facts, needs: Needs) -> list[str]:
     """Reasons for which the model cannot describe these data at all."""
     reasons = []
+    if facts.too_few:
+        return [_few_words(facts)]
     if needs.loop and facts.reversals == 0:
         return ["the input never turns back: without a loop, hysteresis cannot be distinguished from a curve"]
     if needs.time and not facts.timed:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
     if needs.loop and facts.degrading:
         reasons.append(
-            "the loop loses stiffness from cycle to cycle (damage): the model has no terms for degradation or pinching"
+            "the loop loses stiffness (damage or backlash): the model has no terms for degradation or pinching"
         )
     if needs.loop and not facts.branches_apart:
         reasons.append("the branches coincide within the noise: a single-valued curve explains the data")
+    if facts.clockwise and needs.direction == "counter-clockwise":
+        reasons.append("the loop runs clockwise (the output leads), and the model describes loops that lag")
+    if facts.counter_clockwise and needs.direction == "clockwise":
+        reasons.append("the loop runs counter-clockwise (the output lags), and the model describes loops that lead")
+    if facts.samples <= needs.parameters and not needs.regularized:
+        reasons.append(_outnumbered(facts, needs))
     return reasons
+
+
+def _outnumbered(facts: _Facts, needs: Needs) -> str:
+    return f"{_count(facts.samples, 'sample')} for {_count(needs.parameters, 'parameter')}"
 
 
 def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
     """Needs that the data do not meet, and remarks that do not change the verdict."""
     lacking, remarks = [], []
-    one_amplitude, asymmetric = facts.amplitudes < needs.amplitudes, facts.asymmetry > _ASYMMETRIC
+    one_amplitude, asymmetric = facts.amplitudes < needs.amplitudes, facts.asymmetry > ASYMMETRIC
     consequence = f": {needs.too_few}" if needs.too_few else ""
     some, enough = needs.turning_pairs
     if one_amplitude and (needs.symmetry != "generalized" or asymmetric):
         lacking.append(f"only {_count(facts.amplitudes, 'amplitude')}{consequence}")
-    if needs.frequencies > 1 and not facts.several_frequencies:
-        lacking.append(f"only one frequency{consequence}")
+    if needs.dynamics and not facts.dynamic:
+        lacking.append(f"no response that changes with frequency{consequence}")
+    if facts.samples <= needs.parameters:
+        lacking.append(f"{_outnumbered(facts, needs)}: the smoothing penalty decides between the weights")
+    elif facts.samples < _SAMPLES_PER_PARAMETER * needs.parameters and not needs.regularized:
+        lacking.append(f"{_outnumbered(facts, needs)}, at least {_SAMPLES_PER_PARAMETER} for each are needed")
+    if facts.per_branch < _FEW_PER_BRANCH:
+        lacking.append(f"{facts.per_branch:.3g} samples between reversals")
     if facts.turning_pairs < some:
         lacking.append(f"a major loop alone{consequence or ' does not determine the weights'}")
     elif facts.turning_pairs < enough:
@@ -150,14 +206,18 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
         lacking.append(
             f"the loop is symmetric within {max(facts.asymmetry, 0.1):.1f} %: the terms for asymmetry stay near 0"
         )
+    if needs.symmetry == "generalized" and one_amplitude and not asymmetric:
+        remarks.append("loops of other amplitudes follow from the model alone")
     if needs.symmetry == "generalized" and asymmetric:
         remarks.append(f"{facts.asymmetry:.1f} % asymmetry: use the generalized form")
-    if needs.direction == "counter-clockwise" and facts.clockwise:
-        remarks.append("the loop runs clockwise: use stop operators, or allow negative weights")
     return lacking, remarks
 
 
 def _judge_creep(facts: _Facts) -> tuple[Verdict, tuple[str, ...]]:
+    if facts.dynamic:
+        return Verdict.NO, ("the output resonates: creep cannot be distinguished from its response",)
+    if facts.clockwise:
+        return Verdict.NO, ("the loop runs clockwise: a force relaxes during holds, which creep does not describe",)
     if facts.creeps:
         return Verdict.YES, (f"the output creeps during holds of up to {facts.longest_hold} samples",)
     if facts.drifts_logarithmically:

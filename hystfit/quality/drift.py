@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 
+_VISIBLE = 1e-4  # least drift, as a fraction of the range of y
+
 
 @dataclasses.dataclass(frozen=True)
 class Drift:
@@ -17,8 +19,8 @@ class Drift:
         r2_linear: share of the variance of the means that this line explains.
         per_decade: slope against log10 of the time since the record began [unit of y per decade]; None without time.
         r2_log: share of the variance that it explains.
-        law: "linear", "logarithmic" or "none" (neither explains half of the variance,
-            nine tenths where there are fewer than eight cycles).
+        law: "linear", "logarithmic" or "none" (neither explains half of the variance, nine tenths where there are fewer than
+            eight cycles, or the drift is below a ten-thousandth of the range of y).
         skipped: cycles omitted at the start, as a transient, in both fits.
         total: change of the fitted law over the cycles compared [unit of y].
     """
@@ -79,6 +81,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         linear = _line(number[skip:], means[skip:])
         log = None if moment is None else _line(np.log10(moment[skip:]), means[skip:])
         fits.append((max(linear[1], log[1] if log else 0.0), -skip, linear, log))
+    least = _VISIBLE * float(np.nanmax(y) - np.nanmin(y))
     best, minus_skip, linear, log = max(fits)
     skip = -minus_skip
     law, total = "none", 0.0
@@ -86,6 +89,8 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         law, total = "linear", linear[0] * (number[-1] - skip)
         if log is not None and moment is not None and log[1] > linear[1]:
             law, total = "logarithmic", log[0] * np.log10(moment[-1] / moment[skip])
+        if abs(total) < least:
+            law, total = "none", 0.0
     slope, r2 = log or (None, None)
     return Drift(len(means), *linear, slope, r2, law, skip, float(total))
 

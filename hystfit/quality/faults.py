@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import math
 
 import numpy as np
@@ -56,18 +57,78 @@ def runs(mask: np.ndarray) -> np.ndarray:
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
 
 
-def holds(u: np.ndarray, tolerance: float, least: int = 5) -> np.ndarray:
+def bridged(y: np.ndarray, most: int = 3) -> np.ndarray:
+    """Output with gaps of at most this many missing samples filled by straight lines, shape (T,)."""
+    missing = np.isnan(y)
+    filled = np.interp(np.arange(y.size), np.flatnonzero(~missing), y[~missing])
+    for start, stop in runs(missing):
+        if stop - start > most or start == 0 or stop == y.size:
+            filled[start:stop] = np.nan
+    return filled
+
+
+def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
     """Holds of the input: first sample and end (exclusive), shape (K, 2).
+
+    A hold is a longest stretch within the tolerance whose input moves away soon outside it. The input may settle before it; the
+    tops of slow waves are no holds, because they grow with the tolerance.
 
     Args:
         u: input, shape (T,).
-        tolerance: largest step within a hold [unit of u].
+        tolerance: largest extent of the input within a hold, its noise included [unit of u].
         least: number of samples that make a hold.
     """
-    still = np.abs(np.diff(np.asarray(u, dtype=float))) <= tolerance
-    spans = runs(still)
-    spans[:, 1] += 1
-    return spans[(spans[:, 1] - spans[:, 0]) >= least]
+    values = np.asarray(u, dtype=float).tolist()
+    found: list[tuple[int, int]] = []
+    highs: collections.deque[int] = collections.deque()  # samples of the stretch that no later one exceeds
+    lows: collections.deque[int] = collections.deque()
+    start = 0
+    for now, value in enumerate(values):
+        if now < start:
+            continue
+        while highs and values[highs[-1]] <= value:
+            highs.pop()
+        while lows and values[lows[-1]] >= value:
+            lows.pop()
+        highs.append(now)
+        lows.append(now)
+        if values[highs[0]] - values[lows[0]] <= tolerance:
+            continue
+        if now - start >= least and _is_rest(values, start, now, tolerance):
+            stop = _end_of_rest(values, start, now, tolerance)
+            found.append((start, stop))
+            start = stop
+            highs.clear()
+            lows.clear()
+            continue
+        while values[highs[0]] - values[lows[0]] > tolerance:
+            start = min(highs[0], lows[0]) + 1
+            for ends in (highs, lows):
+                while ends[0] < start:
+                    ends.popleft()
+    if len(values) - start >= least and _is_rest(values, start, len(values), tolerance):
+        found.append((start, len(values)))
+    return np.array(found, dtype=int).reshape(-1, 2)
+
+
+def _end_of_rest(values: list[float], start: int, stop: int, tolerance: float) -> int:
+    """The end of a hold that an outlier of the noise, or the end of settling at its start, cut off at `stop`."""
+    middle = float(np.median(values[start:stop]))
+    while stop < len(values) and abs(values[stop] - middle) <= 0.75 * tolerance:
+        stop += 1
+    return stop
+
+
+def _is_rest(values: list[float], start: int, stop: int, tolerance: float) -> bool:
+    """Whether a stretch stays much the same where the tolerance is about six times as large.
+
+    The top of a parabola becomes twice as long, a ramp six times.
+    """
+    middle = 0.5 * (values[start] + values[stop - 1])
+    near = lambda k: 0 <= k < len(values) and abs(values[k] - middle) <= 3 * tolerance
+    length = stop - start
+    both, one = round(0.22 * length), round(0.43 * length)
+    return not (near(start - both) and near(stop - 1 + both)) and not (near(start - one) or near(stop - 1 + one))
 
 
 def clipped_samples(u: np.ndarray, y: np.ndarray) -> int:

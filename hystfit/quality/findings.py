@@ -5,17 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
+from hystfit.quality.determination import few_samples
+from hystfit.quality.resonance import Dynamics
 from hystfit.quality.summary import RecordQuality
 
 
 def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
-    """What is wrong with the data or worth knowing about them, with the record's name where there are several."""
-    several = len(records) > 1
-    return tuple(
-        Note(note.code, f"{record.name}: {note.text}" if several else note.text, note.severity)
-        for record in records
-        for note in (*_faults(record), *_traits(record))
-    )
+    """What is wrong with the data or worth knowing about them.
+
+    Equal notes are merged; a note names its records where it does not hold for all.
+    """
+    names: dict[Note, list[str]] = {}
+    for record in records:
+        for note in (*_faults(record), *_traits(record)):
+            names.setdefault(note, []).append(record.name)
+    merged = []
+    for note, of in names.items():
+        which = of[0] if len(of) == 1 else f"{len(of)} of {len(records)} records"
+        text = note.text if len(of) == len(records) else f"{which}: {note.text}"
+        merged.append(Note(note.code, text, note.severity))
+    few = few_samples(records)
+    return (*([few] if few else []), *merged)
 
 
 def _faults(record: RecordQuality) -> Iterator[Note]:
@@ -56,6 +66,8 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
 def _traits(record: RecordQuality) -> Iterator[Note]:
     """Properties of the loop that decide which models apply."""
     shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
+    if record.dynamics is not None and record.dynamic:
+        yield warn(Code.DYNAMICS, _resonance(record.dynamics, record.units["t"]))
     if record.motion.monotonic:
         yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
     if shape is not None and shape.circulation is None:
@@ -68,8 +80,8 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
         )
         yield warn(
             Code.DEGRADING,
-            f"damage: late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first stiffness at the same stroke"
-            f"{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this",
+            f"loss of stiffness (damage or backlash): late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first "
+            f"stiffness at the same stroke{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this",
         )
     if drift is not None and drift.law != "none":
         slope, per, r2 = drift.per_cycle, "cycle", drift.r2_linear
@@ -80,7 +92,7 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
         yield warn(Code.DRIFT, text + more)
-    if lag is not None and record.lags:
+    if lag is not None and record.lags and not record.dynamic:
         clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
         yield warn(
             Code.LAG,
@@ -92,3 +104,13 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
         if lag is not None and record.leads:
             reason = f"it turns {-lag.samples:.1f} samples before the input"
         yield warn(Code.SPEED_DEPENDENT, f"the output depends on the input's speed ({reason}): add a velocity term")
+
+
+def _resonance(found: Dynamics, unit: str) -> str:
+    rate = "Hz" if unit == "s" else f"per {unit or 'unit of time'}"
+    return (
+        f"the response changes with frequency: from {found.low:.3g} to {found.high:.3g} {rate} the gain changes by a factor of "
+        f"{found.gain_ratio:.2g} and the phase from {found.phase_low:.0f} to {found.phase_high:.0f} degrees. A resonance at "
+        f"{found.natural_frequency:.3g} {rate} (damping ratio {found.damping_ratio:.2g}) explains {100 * found.explained:.0f} % of the "
+        "variance that hysteresis, lag and velocity terms do not: use bouc-wen-oscillator, or second-order after a hysteresis"
+    )

@@ -15,21 +15,25 @@ class Needs:
         time: it depends on time.
         creep: holds of the input, or logarithmic drift of the mean of like cycles.
         amplitudes: number of different strokes.
-        frequencies: number of different frequencies.
+        dynamics: a response that changes with frequency.
         turning_pairs: (some, enough) different pairs of turning levels: below the first number only a major loop is described,
             below the second one part of the weights stays undetermined.
         symmetry: the loops that it describes: "symmetric", "asymmetric" (terms for asymmetry stay near zero otherwise), "any", or
             "generalized" (asymmetric loops need its generalized form).
         direction: of the loops that it describes with its default bounds.
         too_few: what remains undetermined where amplitudes, frequencies or turning pairs are too few.
+        regularized: a penalty decides between parameters that the data leave open, so that there may be more of them than samples.
+        parameters: number of free ones with default settings; 0 where unknown.
     """
 
     loop: bool = True
     time: bool = False
     creep: bool = False
     amplitudes: int = 1
-    frequencies: int = 1
+    dynamics: bool = False
     turning_pairs: tuple[int, int] = (0, 0)
     symmetry: Literal["any", "symmetric", "asymmetric", "generalized"] = "any"
-    direction: Literal["any", "counter-clockwise"] = "any"
+    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
     too_few: str = ""
+    regularized: bool = False
+    parameters: int = 0

@@ -11,9 +11,9 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
 from hystfit.quality.drift import Drift, drift
-from hystfit.quality.dynamics import Dynamics, estimate_dynamics
-from hystfit.quality.faults import clipped_samples, holds, noise_rms, resolution, spikes
+from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
+from hystfit.quality.resonance import Dynamics, estimate_dynamics
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
@@ -31,6 +31,11 @@ class Sampling:
     uniform: bool | None
     repeated_stamps: int
     gaps: int
+
+    @property
+    def used(self) -> int:
+        """Number of samples that count; at least that where missing samples are also left out."""
+        return max(self.n - self.missing - self.left_out, 0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +95,7 @@ class Motion:
 
 @dataclasses.dataclass(frozen=True)
 class RecordQuality:
-    """Everything measured on one record; None where it is unknown."""
+    """Everything measured on one record; None where it is unknown. `area`: signed, of the whole record, see `loops.loop_area`."""
 
     name: str
     units: dict[str, str]
@@ -99,6 +104,7 @@ class RecordQuality:
     y: Column
     motion: Motion
     shape: Shape | None
+    area: float
     drift: Drift | None
     lag: Lag | None
     velocity_gain: float | None
@@ -135,7 +141,7 @@ class RecordQuality:
     def speed_dependent(self) -> bool:
         """Whether the output turns early and velocity terms explain most of what is unexplained, or the area changes."""
         explained = self.velocity_gain is not None and self.velocity_gain > 0.5
-        widens = self.rate_effect is not None and abs(self.rate_effect) > 0.1
+        widens = self.rate_effect is not None and abs(self.rate_effect) > 0.1 and not self.degrading
         return not self.dynamic and ((self.leads and explained) or widens)
 
     @property
@@ -168,7 +174,8 @@ def summarize(record: Record) -> RecordQuality:
         u=u_column,
         y=y_column,
         motion=motion,
-        shape=loop_shape(u, y, loops, cycles),
+        area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
+        shape=loop_shape(u, bridged(y), loops, cycles),
         drift=drift(u, y, t, cycles) if moving else None,
         lag=lag,
         velocity_gain=gain,
@@ -229,10 +236,7 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     levels = u[turns]
     pairs = {tuple(sorted(pair)) for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / 0.05).tolist()}
     strokes = [float(abs(u[b] - u[a])) / span for a, b in (branches[1:-1] if len(branches) > 2 else branches)]
-    noise = 6 * (column.known_noise or 0.0)
-    rests = holds(u, 1e-4 * span + 0.5 * noise, least=10)
-    # the top of a slow sine is flat too, but its input moves further
-    rests = [(int(a), int(b)) for a, b in rests if np.ptp(u[a:b]) <= 2e-4 * span + noise]
+    rests = [(int(a), int(b)) for a, b in holds(u, 2e-4 * span + 10 * (column.known_noise or 0.0))]
     creep = [_change(y[a:b]) for a, b in rests]
     extent = float(np.nanmax(y) - np.nanmin(y))
     motion = Motion(

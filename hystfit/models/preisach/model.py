@@ -73,6 +73,8 @@ class Preisach(AbstractPlane):
     estimator: ClassVar[str] = "preisach"
     needs: ClassVar[Needs] = Needs(
         turning_pairs=(3, 10),
+        direction="counter-clockwise",
+        regularized=True,
         too_few="relays that they do not switch stay undetermined; regularize, or measure first-order reversal curves",
     )
 

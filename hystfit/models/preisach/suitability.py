@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hystfit.data.record import Record
+from hystfit.data.record import Dataset, Record
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.properties import (
@@ -21,11 +21,14 @@ from hystfit.models.preisach.properties import (
 )
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.models.preisach.staircase import Rest
+from hystfit.outcome.status import Status
+from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
 Outcome = Literal["holds", "fails", "untested"]
 _MAJOR = 0.95  # part of the input's range from which a loop is the major one
 _KNOWN = 0.9  # part of the higher orders' states from which the first-order ones determine them
 _FIRST = 1  # reversals that the memory holds on a first-order curve
+_MOST_GROUPS, _MOST_NAMES = 8, 5  # of equal texts, and of records in a line, in the text of a data set
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,6 +170,62 @@ def check_preisach(record: Record, limit: float = 2.0, *, model: bool = False) -
     names = ("wiping-out", "congruency", "higher-order")
     outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=False))
     return PreisachCheck(record.name, closures, loops, higher, outcomes, tuple(note for _, note in found))
+
+
+@dataclasses.dataclass(frozen=True)
+class PreisachChecks:
+    """Whether the records of a data set look like a Preisach model's.
+
+    Attributes:
+        checks: of the records.
+        family: the first-order reversal curves that the records are; None where they are not.
+    """
+
+    checks: tuple[PreisachCheck, ...]
+    family: ReversalFamily | None
+
+    @property
+    def outcome(self) -> Outcome:
+        """Over all records that test anything, and the family's curves, which should close and not cross."""
+        if self.family is not None and self.family.notes:
+            return "fails"
+        outcomes = [outcome for one in self.checks if one.tested for outcome in one.outcomes.values()]
+        if "fails" in outcomes:
+            return "fails"
+        return "holds" if outcomes or self.family is not None else "untested"
+
+    def text(self) -> str:
+        """As lines of text; records with the same text share it."""
+        tested, family = [one for one in self.checks if one.tested], self.family
+        lines = ["Preisach properties (limit: 2 % of the output's range)"]
+        if family is not None:
+            closes = ["the curves close and do not cross: weights >= 0 can reproduce them"]
+            lines += [f"  {family.words()}", *(f"    - {note}" for note in family.notes or closes)]
+        groups: dict[str, list[str]] = {}
+        for one in tested or self.checks:
+            groups.setdefault(one.text(), []).append(one.record)
+        for text, names in list(groups.items())[:_MOST_GROUPS]:
+            more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+            lines += [f"  {', '.join(names[:_MOST_NAMES])}{more}", text]
+        if self.outcome == "untested":
+            lines.append(f"  not tested: {Status.UNTESTED.advice('check')}")
+        if len(groups) > _MOST_GROUPS:
+            lines.append(f"  ({len(groups) - _MOST_GROUPS} more groups of records are in result.json)")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For result.json."""
+        return {"status": self.outcome, "records": {one.record: one.to_dict() for one in self.checks}}
+
+
+def check_family(data: Record | Dataset) -> PreisachChecks:
+    """Test the properties of a Preisach model on every record, and on the family of reversal curves that they may be.
+
+    Raises:
+        DataError: `data` holds no records.
+    """
+    dataset = Dataset.of(data)
+    return PreisachChecks(tuple(check_preisach(record, model=True) for record in dataset), recognize_family(dataset))
 
 
 def _outcome(value: float, limit: float) -> Outcome:

@@ -25,7 +25,8 @@ _VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the 
 _GAIN, _PHASE = (
     1.25,
     40.0,
-)  # least change of the gain (as a ratio) or of the phase [degrees] between the excited frequencies
+)  # least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency
+_FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,10 +38,11 @@ class Dynamics:
         damping_ratio: of the resonance.
         explained: share of the variance unexplained by hysteresis, lag and velocity terms that the resonance explains.
         error_without, error_with: rms error without and with the resonance, as fractions of the range of y.
-        low, high: excited frequencies that are compared: the lowest, and that at which the response differs most from there
+        low, high: excited frequencies that are compared: the lowest, and that at which the resonance changes the response most
             [cycles per unit of time].
-        gain_ratio: gain at `high` over gain at `low`.
-        phase_low, phase_high: phase of the output against the input there; negative where the output lags [degrees].
+        gain_ratio: measured gain at `high` over that at `low`.
+        phase_low, phase_high: measured phase of the output against the input; negative where the output lags [degrees].
+        filter_gain, filter_phase: gain and phase of the resonance alone at `high` [-, degrees].
     """
 
     natural_frequency: float
@@ -53,14 +55,13 @@ class Dynamics:
     gain_ratio: float
     phase_low: float
     phase_high: float
+    filter_gain: float
+    filter_phase: float
 
     @property
     def resonant(self) -> bool:
         """Whether a resonance explains most of the change of the response with frequency."""
-        changes = (
-            max(self.gain_ratio, 1 / max(self.gain_ratio, 1e-9)) > _GAIN
-            or abs(self.phase_high - self.phase_low) > _PHASE
-        )
+        changes = max(self.filter_gain, 1 / self.filter_gain) > _GAIN or abs(self.filter_phase) > _PHASE
         visible = self.error_without > _VISIBLE
         return changes and visible and self.explained > _EXPLAINED and self.damping_ratio < _UNDERDAMPED
 
@@ -85,7 +86,7 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     Returns:
         None with fewer than 200 samples, or where the input excites a single frequency only.
     """
-    u, y = np.asarray(u, dtype=float)[:_MOST], np.asarray(y, dtype=float)[:_MOST]
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     used = np.isfinite(y)
     if used.sum() < max(_LEAST, 0.5 * y.size) or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
         return None
@@ -95,21 +96,27 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     response = _frequency_response(x, bridged)
     if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
         return None
-    columns = _Columns.of(x, bridged, used)
+    stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // _LEAST))
+    columns = _Columns.of(*(part[::stride][:_MOST] for part in (x, bridged, used)))
+    coarse = dataclasses.replace(response, frequency=response.frequency * stride)
     without = columns.error_without()
-    error, frequency, damping = columns.best_resonance(response)
-    other = _most_different(response)
+    error, frequency, damping = columns.best_resonance(coarse)
+    ratio = coarse.frequency / frequency
+    alone = 1 / (1 - ratio**2 + 2j * damping * ratio)
+    high = int(np.argmax(np.abs(np.log(alone))))
     return Dynamics(
-        natural_frequency=frequency / interval,
+        natural_frequency=frequency / interval / stride,
         damping_ratio=damping,
         explained=1 - (error / without) ** 2 if without > 0 else 0.0,
         error_without=without,
         error_with=error,
         low=float(response.frequency[0]) / interval,
-        high=float(response.frequency[other]) / interval,
-        gain_ratio=float(response.gain[other] / response.gain[0]),
+        high=float(response.frequency[high]) / interval,
+        gain_ratio=float(response.gain[high] / response.gain[0]),
         phase_low=float(response.phase[0]),
-        phase_high=float(response.phase[other]),
+        phase_high=float(response.phase[high]),
+        filter_gain=float(np.abs(alone[high])),
+        filter_phase=float(np.degrees(np.angle(alone[high]))),
     )
 
 
@@ -127,12 +134,6 @@ def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
     excited = (power > _EXCITED * power.max()) & (np.abs(total) > 0)
     ratio = total[excited] / power[excited]
     return _Response(middle[excited], np.abs(ratio), np.degrees(np.unwrap(np.angle(ratio))))
-
-
-def _most_different(response: _Response) -> int:
-    """Band whose gain (in octaves) and phase (in quarter turns) differ most from those of the lowest band."""
-    gain = np.log2(np.maximum(response.gain, 1e-12) / response.gain[0])
-    return int(np.argmax(np.hypot(gain, (response.phase - response.phase[0]) / 90)))
 
 
 @dataclasses.dataclass(frozen=True)
