@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hystfit.control.online_inverse import InverseStep, Limits
-from hystfit.errors import ModelError
+from hystfit.errors import ModelError, NoInverseError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.registry import model_name
@@ -49,9 +49,7 @@ def export_c(
     _emit(part, f"{name}_model", blocks)
     try:
         inverse, obstacle = InverseStep.of(model, limits=limits), ""
-    except ModelError as error:
-        if exported.led() is None:
-            raise
+    except NoInverseError as error:
         inverse, obstacle = None, str(error)
     low, high = (-np.inf, np.inf) if inverse is None else (float(inverse.low), float(inverse.high))
     words = {

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record, median_interval
-from hystfit.errors import ModelError
+from hystfit.errors import ModelError, NoInverseError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, LinearStep, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.params.param import param
@@ -53,8 +53,8 @@ class Delay(AbstractHysteresis):
         return type(self)(lag=1.0, longest=self.longest)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `_no_inverse`."""
-        raise _no_inverse(self)
+        """Refused: see `no_inverse`."""
+        raise no_inverse(self)
 
 
 class Lag(AbstractHysteresis):
@@ -145,16 +145,17 @@ class SecondOrder(AbstractHysteresis):
         return Led(None, float(self.omega), float(self.zeta))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `_no_inverse`."""
-        raise _no_inverse(self)
+        """Refused: see `no_inverse`."""
+        raise no_inverse(self)
 
     def c_part(self) -> CPart:
         """The free decay of the deviation from the ramp response."""
         return CPart(template("second_order.c"), 2, {"OMEGA": self.omega, "ZETA": self.zeta})
 
 
-def _no_inverse(model: AbstractHysteresis) -> ModelError:
-    return ModelError(
+def no_inverse(model: AbstractHysteresis) -> NoInverseError:
+    """The error of a model whose output does not answer to the input of the same sample."""
+    return NoInverseError(
         f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
         "shift or lead the reference (hystfit.control.lead)"
     )
