@@ -111,6 +111,11 @@ class AbstractHysteresis(eqx.Module):
 
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
 
+    @property
+    def allows_thinning(self) -> bool:
+        """Whether a simulation on every k-th sample is near enough for starting values: no delay or resonance of a few samples."""
+        return self.rate_independent
+
     def prepared(self, record: Record) -> Record:
         """The record as it is fitted: samples that the model cannot describe have weight 0.
 
