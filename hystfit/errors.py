@@ -17,10 +17,6 @@ class ModelError(HystfitError):
     """A model is unknown, wrongly composed, or unsuitable for the data."""
 
 
-class NoInverseError(ModelError):
-    """A model has no causal inverse."""
-
-
 class PrecisionError(HystfitError):
     """Double precision is off."""
 

@@ -18,7 +18,7 @@ from scipy.signal import firwin
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.control import export_c
-from hystfit.errors import ModelError, NoInverseError
+from hystfit.errors import ModelError
 from hystfit.models.band_limited import upsample
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
@@ -210,13 +210,13 @@ def test_a_band_limited_force_is_not_causal() -> None:
 def test_it_is_neither_exported_nor_inverted(tmp_path: Any) -> None:
     with pytest.raises(ModelError):
         export_c(true_model(), tmp_path)
-    with pytest.raises(NoInverseError):
+    with pytest.raises(ModelError):
         hf.invert(true_model(between="linear"), np.zeros(5), 0.01)
 
 
 def test_a_band_limited_force_needs_even_sampling() -> None:
     record = multisine(1, 512)
-    t = record.t + 0.3 / RATE * (np.arange(512) % 2)
+    t = record.dt.cumsum() + 0.3 / RATE * (np.arange(512) % 2)
     uneven = record.replace(t=t)
     for attempt in (lambda: hf.fit("oscillator", uneven), lambda: true_model().free_run(record.u, uneven.dt)):
         with pytest.raises(ModelError):

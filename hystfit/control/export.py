@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hystfit.control.online_inverse import InverseStep, Limits
-from hystfit.errors import ModelError, NoInverseError
+from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.registry import model_name
@@ -27,7 +27,7 @@ def export_c(
     """Write a model and its inverse as C99: `name`.h, `name`.c and `name`_main.c, a test harness.
 
     No allocation, no library beyond math.h, fixed memory; one call a sample: `name`_step(&h, u, dt) forward, `name`_inverse(&h, y, dt, &u)
-    inverse. Same numbers as `simulate` and `InverseStep`. A model without a causal inverse (a resonance) is exported forward only.
+    inverse. Same numbers as `simulate` and `InverseStep`. A model without a causal inverse (a resonance, a delay) is exported forward only.
 
     Args:
         model: a model that has C code (method `c_part`), or a fit of one.
@@ -49,7 +49,9 @@ def export_c(
     _emit(part, f"{name}_model", blocks)
     try:
         inverse, obstacle = InverseStep.of(model, limits=limits), ""
-    except NoInverseError as error:
+    except ModelError as error:
+        if exported.led() is None and exported.obstacle("inverse") is None:
+            raise
         inverse, obstacle = None, str(error)
     low, high = (-np.inf, np.inf) if inverse is None else (float(inverse.low), float(inverse.high))
     words = {

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record, median_interval
-from hystfit.errors import ModelError, NoInverseError
+from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, LinearStep, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.params.param import param
@@ -56,6 +56,10 @@ class Delay(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""
         raise no_inverse(self)
+
+    def c_part(self) -> CPart:
+        """A line of fixed length."""
+        return CPart(template("delay.c"), self.longest + 1, {"LAG": self.lag, "LONGEST": self.longest})
 
 
 class Lag(AbstractHysteresis):
@@ -154,9 +158,9 @@ class SecondOrder(AbstractHysteresis):
         return CPart(template("second_order.c"), 2, {"OMEGA": self.omega, "ZETA": self.zeta})
 
 
-def no_inverse(model: AbstractHysteresis) -> NoInverseError:
+def no_inverse(model: AbstractHysteresis) -> ModelError:
     """The error of a model whose output does not answer to the input of the same sample."""
-    return NoInverseError(
+    return ModelError(
         f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
         "shift or lead the reference (hystfit.control.lead)"
     )
