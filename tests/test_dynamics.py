@@ -1,4 +1,4 @@
-"""Delay, lags, resonance, rate terms and the oscillator against interpolation, closed forms and ODE solvers."""
+"""Delay, lags, resonance and rate terms against interpolation, closed forms and ODE solvers."""
 
 import math
 from itertools import pairwise
@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
 from hystfit.errors import ModelError
-from hystfit.models import BoucWenOscillator, Delay, Lag, SaturatingRate, SecondOrder, Viscous, simulate
+from hystfit.models import Delay, Lag, SaturatingRate, SecondOrder, Viscous, simulate
 
 
 def path(seed: int, length: int = 50) -> tuple[np.ndarray, np.ndarray]:
@@ -140,77 +140,3 @@ def test_rate_derivatives_are_finite_over_repeated_time_stamps() -> None:
     for model in (Viscous(c=0.3), SaturatingRate(F=2.0, v0=4.0), SecondOrder(), Lag()):
         gradient = eqx.filter_grad(lambda m: jnp.sum(simulate(m, u, dt)[0]))(model)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree_util.tree_leaves(gradient))
-
-
-# -- oscillator ------------------------------------------------------------------------------------------------------------
-
-OSCILLATOR = dict(m=0.5, d=0.2, k=3.0, a=0.3, zy=0.4, beta=0.6, n=1.7, offset=0.05)
-
-
-def oscillator_law(force: Any) -> Any:
-    p = OSCILLATOR
-
-    def law(t: float, s: np.ndarray) -> list[float]:
-        y, v, z = s
-        spring = p["a"] * p["k"] * y + (1 - p["a"]) * p["k"] * z
-        yielding = (p["beta"] * np.sign(v * z) + 1 - p["beta"]) * abs(z / p["zy"]) ** p["n"]
-        return [v, (force(t) - p["d"] * v - spring) / p["m"], v * (1 - yielding)]
-
-    return law
-
-
-def test_the_oscillator_solves_its_differential_equation() -> None:
-    t = np.linspace(0.0, 8.0, 801)
-    u = 2.0 * np.sin(2.0 * t)
-    law = oscillator_law(lambda x: np.interp(x, t, u))
-    run = solve_ivp(law, (0.0, 8.0), [0.0, 0.0, 0.0], t_eval=t, method="DOP853", rtol=1e-10, atol=1e-12, max_step=0.01)
-    found = np.asarray(simulate(BoucWenOscillator(**OSCILLATOR, substeps=4), u, 0.01)[0])
-    np.testing.assert_allclose(found, 0.05 + run.y[0], atol=2e-6 * np.ptp(found))
-
-
-def test_the_oscillator_is_of_fourth_order_where_nothing_switches() -> None:
-    """A force that only grows: neither the velocity nor z changes sign."""
-    law = oscillator_law(lambda x: 4.0 * x)
-    exact = solve_ivp(law, (0.0, 1.5), [0.0, 0.1, 0.1], method="DOP853", rtol=1e-12, atol=1e-14).y[0, -1]
-    model = BoucWenOscillator(**OSCILLATOR, substeps=1)
-
-    def error(steps: int) -> float:
-        u = np.linspace(0.0, 6.0, steps + 1)
-        state, y = jnp.array([0.0, 0.1, 0.1]), 0.0
-        for a, b in pairwise(u):
-            state, y = STEP(model, state, jnp.asarray(a), jnp.asarray(b), jnp.asarray(1.5 / steps))
-        return abs(float(y) - 0.05 - exact)
-
-    assert 3.7 < math.log2(error(8) / error(32)) / 2 < 4.6
-
-
-STEP = eqx.filter_jit(lambda model, *args: model.step(*args))
-
-
-def test_more_substeps_are_finer_samples_of_the_same_force() -> None:
-    t = np.linspace(0.0, 3.0, 61)
-    u = np.sin(4 * t)
-    fine = np.interp(np.linspace(0.0, 3.0, 121), t, u)
-    two = simulate(BoucWenOscillator(**OSCILLATOR, substeps=2), u, 0.05)[0]
-    one = simulate(BoucWenOscillator(**OSCILLATOR, substeps=1), fine, 0.025)[0]
-    np.testing.assert_allclose(two, one[::2], atol=1e-13)
-
-
-def test_the_yielding_spring_is_bounded_and_the_oscillator_differentiable_at_rest() -> None:
-    t = np.linspace(0.0, 20.0, 2001)
-    model = BoucWenOscillator(**OSCILLATOR)
-    state = model.init(jnp.zeros(()))
-    force, yielding = jnp.asarray(30.0 * np.sin(t)), [0.0]
-    at, now = state, force[0]
-    for later in force[1:]:
-        at, _ = STEP(model, at, now, later, jnp.asarray(0.01))
-        now = later
-        yielding.append(float(at[2]))
-    # The spring yields fully in both directions, and never beyond.
-    assert np.max(yielding) == pytest.approx(OSCILLATOR["zy"], rel=1e-3)
-    assert np.min(yielding) == pytest.approx(-OSCILLATOR["zy"], rel=1e-3)
-    assert state.tolist() == [0.0, 0.0, 0.0]
-    gradient = eqx.filter_grad(lambda m: jnp.sum(simulate(m, jnp.zeros(5), 0.1)[0]))(model)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree_util.tree_leaves(gradient))
-    with pytest.raises(ModelError, match="at least one substep"):
-        BoucWenOscillator(substeps=0)

@@ -161,6 +161,16 @@ def test_names_and_models_without_c_are_refused(tmp_path: Path) -> None:
     assert not any(itertools.chain(tmp_path.iterdir()))
 
 
+@pytest.mark.parametrize(("between", "n"), [("linear", 1.0), ("hold", 1.7)])
+def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path: Path) -> None:
+    model = hf.BoucWenOscillator(m=0.02, c=0.1, r_load=0.6, r_unl=0.3, n=n, offset=0.2, between=between, substeps=3)
+    program, u = build(model, tmp_path), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u, 0.02)[0])
+    found = run(program, "f", float(u[0]), u, 0.02)[:, 0]
+    assert np.abs(found - expected).max() <= 1e-12 * np.ptp(expected)
+    assert subprocess.run([str(program), "i"], input="0.0", capture_output=True, text=True).returncode == 2
+
+
 @pytest.mark.parametrize(
     "model",
     [

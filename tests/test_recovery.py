@@ -50,8 +50,10 @@ CASES = {
         SWEEP,
     ),
     "bouc-wen-force": (hf.BoucWenForce(kappa_x=0.4, kappa_w=1.0, rho=4.0, sigma=0.9, n=2.0, offset=0.1), SWEEP),
-    "bouc-wen-oscillator": (
-        hf.BoucWenOscillator(m=0.02, d=0.15, k=2.0, a=0.4, zy=0.2, beta=0.6, offset=0.05),
+    "oscillator": (
+        hf.BoucWenOscillator(
+            m=0.02, c=0.15, K=2.0, a=0.4, r_load=1.0, r_unl=0.2, Z=0.24, offset=0.05, between="linear"
+        ),
         FORCE,
     ),
     "log-creep": (

@@ -133,7 +133,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
         errors: its standard errors.
     """
     notes = list(estimate.notes)
-    advice = dict.fromkeys(line for record in problem.data for line in model.advice(record.u))
+    advice = dict.fromkeys(line for record in problem.data for line in model.advice(record.u, record.dt))
     notes += [warn(Code.MODEL_ADVICE, line) for line in advice]
     notes += _bounds_reached(problem, estimate.x)
     notes += _undetermined(problem, errors)

@@ -71,7 +71,8 @@ def fit(
             the records where `start` is "data" and the model is given by name.
         free: parameters to fit that the model holds by default.
         start: "data" reads starting values off the records, "model" takes the model's own.
-        starts: number of starting points: the data-driven one, and a Latin hypercube about it.
+        starts: number of starting points: the data-driven one, and a Latin hypercube about it; at most so many of a model that
+            reads several off the records.
         seed: of the starting points.
         loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that bends at 1 % of the output's range.
         noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
@@ -108,14 +109,16 @@ def fit(
         raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
     _check_settings(method, starts, loss, noise, start)
     check_fittable(model, data)
+    points: tuple[AbstractHysteresis, ...] = (model,)
     if start == "data":
         fix = fix if named else _held(model, fix)
-        model = model.start(list(data))
+        points = model.starting_points(list(data.map(model.prepared)))
+        model = points[0]
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
     if name == "convex" and start == "data" and model.has_rest:
         problem, notes = _choose_rest(problem, fix, free, loss)
-    estimate = solve(problem, name, starts, seed)
+    estimate = solve(problem, name, starts, seed, points)
     if noise in ("auto", "iid"):
         errors = uncertainty(problem, estimate, correlated=noise == "auto")
         slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
@@ -203,14 +206,21 @@ def choose_method(problem: Problem) -> str:
     return "convex" if weights >= _MANY else "lm"
 
 
-def solve(problem: Problem, method: str | AbstractEstimator, starts: int, seed: int) -> Estimate:
-    """Run one estimator from the model's values and a hypercube about them.
+def solve(
+    problem: Problem,
+    method: str | AbstractEstimator,
+    starts: int,
+    seed: int,
+    points: Sequence[AbstractHysteresis],
+) -> Estimate:
+    """Run one estimator from several models, or from the values of one and a hypercube about them.
 
     Args:
         problem: what to fit.
         method: an estimator or its name.
         starts: number of starting points.
         seed: of the hypercube.
+        points: models to start from, the best first.
 
     Raises:
         ParameterError: nothing is free.
@@ -218,8 +228,9 @@ def solve(problem: Problem, method: str | AbstractEstimator, starts: int, seed: 
     if not len(problem.space):
         raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
     estimator = ESTIMATORS.make(method)
-    center = problem.space.unconstrained(_settled(problem, problem.space.vector(problem.model)))
-    return estimator.estimate(problem, spread_starts(problem, center, starts if estimator.needs_starts else 1, seed))
+    count = starts if estimator.needs_starts else 1
+    at = [problem.space.unconstrained(_settled(problem, problem.space.vector(point))) for point in points[:count]]
+    return estimator.estimate(problem, np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed))
 
 
 def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:

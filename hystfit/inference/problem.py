@@ -77,7 +77,7 @@ class Problem:
         require_x64()
         if not isinstance(model, AbstractHysteresis):
             raise ModelError(f"expected a hystfit model, got {type(model).__name__}")
-        self.data = Dataset.of(data)
+        self.data = Dataset.of(data).map(model.prepared)
         check_fittable(model, self.data)
         self.model = model
         self.scales = scales_of(self.data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -112,6 +112,11 @@ class AbstractHysteresis(eqx.Module):
         """Whether the output is linear in the signal that comes in, apart from a constant of the initial state: linear filters."""
         return False
 
+    @property
+    def causal(self) -> bool:
+        """Whether the output depends on no later sample, so that `step` works and a simulation can be resumed."""
+        return True
+
     def settings(self) -> dict[str, int | bool | str]:
         """Choices besides the values of parameters, as they follow a name (`preisach:n=60`): whole numbers, words and switches.
 
@@ -127,8 +132,29 @@ class AbstractHysteresis(eqx.Module):
         """Whether a simulation on every k-th sample is near enough for starting values: no delay or resonance of a few samples."""
         return self.rate_independent
 
-    def advice(self, u: np.ndarray) -> tuple[str, ...]:
-        """What a user should know before trusting this model on an input u of shape (T,); nothing by default."""
+    def prepared(self, record: Record) -> Record:
+        """The record as it is fitted: samples that the model cannot describe have weight 0.
+
+        Raises:
+            ModelError: a record that cannot drive the model.
+        """
+        return record
+
+    def starting_points(self, records: Sequence[Record]) -> tuple[AbstractHysteresis, ...]:
+        """Models with starting values estimated from measured records, the best first: by default that of `start` alone."""
+        return (self.start(records),)
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """What a user should know before trusting this model on an input; nothing by default.
+
+        Args:
+            u: input, shape (T,).
+            dt: time since the sample before, shape (T,) [s].
+        """
+        return ()
+
+    def derived(self) -> tuple[Derived, ...]:
+        """Quantities that follow from its parameters, which a fit reports with their standard errors."""
         return ()
 
     @property
@@ -228,6 +254,15 @@ class AbstractHysteresis(eqx.Module):
             ModelError: the model has no C code.
         """
         raise ModelError(f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)")
+
+
+class Derived(NamedTuple):
+    """A quantity that follows from the parameters of a model: name, unit expression in u, y and s, meaning, function of the model."""
+
+    name: str
+    unit: str
+    doc: str
+    value: Callable[[Any], Array]
 
 
 class Led(NamedTuple):
@@ -386,8 +421,12 @@ def simulate(
         Output, shape (T,), and where the run stopped. Running two halves in turn equals one run.
 
     Raises:
-        ModelError: no time for a model that needs it, or shapes that do not fit.
+        ModelError: no time for a model that needs it, shapes that do not fit, or a run of a model that is not causal to resume.
     """
+    if resume is not None and not model.causal:
+        raise ModelError(
+            f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
+        )
     u, dt = drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
     return _simulate(model, u, dt, resume, unroll)

@@ -84,7 +84,7 @@ class BoucWen(AbstractHysteresis):
             h = trapezoid(state[0], dv, m, up, down)
         return h[None], self.offset + self.c * u1 - h
 
-    def advice(self, u: np.ndarray) -> tuple[str, ...]:
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the cheap step."""
         return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))), u)
 

@@ -100,7 +100,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         )
         return h[None], self.offset + self.c * u1 + backbone - h
 
-    def advice(self, u: np.ndarray) -> tuple[str, ...]:
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the cheap step."""
         return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))) * max(1.0, float(self.n)), u)
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, SearchStep, drive, run, simulate
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Derived, Led, SearchStep, drive, run, simulate
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix
@@ -64,6 +64,20 @@ class AbstractComposition(AbstractHysteresis):
     def linear_in_input(self) -> bool:
         """Whether all parts are."""
         return all(part.linear_in_input for part in self.parts)
+
+    @property
+    def causal(self) -> bool:
+        """Whether all parts are."""
+        return all(part.causal for part in self.parts)
+
+    def prepared(self, record: Record) -> Record:
+        """As all parts need it."""
+        return functools.reduce(lambda prepared, part: part.prepared(prepared), self.parts, record)
+
+    def derived(self) -> tuple[Derived, ...]:
+        """Those of all parts."""
+        of_part = lambda k, value: lambda model: value(model.parts[k])
+        return tuple(d._replace(value=of_part(k, d.value)) for k, part in enumerate(self.parts) for d in part.derived())
 
     @property
     def estimator(self) -> str | None:
@@ -158,9 +172,9 @@ class Sum(AbstractComposition):
         u, dt = drive(self, u, dt)
         return np.sum([part.free_run(u, dt) for part in self.parts], axis=0)
 
-    def advice(self, u: np.ndarray) -> tuple[str, ...]:
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """That of all parts."""
-        return tuple(line for part in self.parts for line in part.advice(u))
+        return tuple(line for part in self.parts for line in part.advice(u, dt))
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all parts, one row a sample."""
@@ -234,7 +248,7 @@ class Series(AbstractComposition):
         states, between, signal = [], [], u0
         for part in self.parts:
             states.append(part.init(signal))
-            _, signal = part.step(states[-1], signal, signal, jnp.zeros_like(u0))
+            signal = part.sweep(states[-1], signal, signal[None], jnp.zeros((1,)))[1][0]
             between.append(signal)
         return jnp.concatenate([*states, jnp.stack(between[:-1])])
 
@@ -294,10 +308,10 @@ class Series(AbstractComposition):
             signal = part.free_run(signal, steps)
         return signal[1:]
 
-    def advice(self, u: np.ndarray) -> tuple[str, ...]:
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """That of the first part, and of the others where it only filters the input."""
         others = self.parts[1:] if self.parts[0].linear_in_input else ()
-        return tuple(line for part in (self.parts[0], *others) for line in part.advice(u))
+        return tuple(line for part in (self.parts[0], *others) for line in part.advice(u, dt))
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of the first part that only linear filters follow, through these filters."""

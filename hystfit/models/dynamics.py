@@ -54,8 +54,8 @@ class Delay(AbstractHysteresis):
         return type(self)(lag=1.0, longest=self.longest)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `_no_inverse`."""
-        raise _no_inverse(self)
+        """Refused: see `no_inverse`."""
+        raise no_inverse(self)
 
     def c_part(self) -> CPart:
         """A line of fixed length."""
@@ -150,15 +150,16 @@ class SecondOrder(AbstractHysteresis):
         return Led(None, float(self.omega), float(self.zeta))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `_no_inverse`."""
-        raise _no_inverse(self)
+        """Refused: see `no_inverse`."""
+        raise no_inverse(self)
 
     def c_part(self) -> CPart:
         """The free decay of the deviation from the ramp response."""
         return CPart(template("second_order.c"), 2, {"OMEGA": self.omega, "ZETA": self.zeta})
 
 
-def _no_inverse(model: AbstractHysteresis) -> ModelError:
+def no_inverse(model: AbstractHysteresis) -> ModelError:
+    """The error of a model whose output does not answer to the input of the same sample."""
     return ModelError(
         f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
         "shift or lead the reference (hystfit.control.lead)"

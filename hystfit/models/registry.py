@@ -99,10 +99,10 @@ MODELS: dict[str, Entry] = {
         "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
         compared_on=("leading",),
     ),
-    "bouc-wen-oscillator": Entry(
+    "oscillator": Entry(
         BoucWenOscillator,
         "core",
-        "mass, damper and Bouc-Wen spring; force in, displacement out; needs time",
+        "mass, damper and Bouc-Wen spring that softens or hardens; force in, displacement out; needs time",
         compared_on=("dynamic",),
     ),
     "preisach": Entry(

@@ -140,6 +140,11 @@ class FitResult:
         """The fitted model, of the type that went in; with several records, that of the first."""
         return self.models[0]
 
+    @functools.cached_property
+    def derived(self) -> tuple[ParameterEstimate, ...]:
+        """Quantities that follow from the parameters (stiffnesses of the oscillator), with standard errors to first order."""
+        return _view("derived_estimates:derived_estimates")(self)
+
     @property
     def usable(self) -> bool:
         """Whether the status is `Status.OK`."""
@@ -192,7 +197,7 @@ class FitResult:
 
     def metrics(self, data: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> Metrics:
         """Metrics of the prediction on the samples that count."""
-        records = list(Dataset.of(data))
+        records = list(Dataset.of(data).map(self.model.prepared))
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
@@ -219,6 +224,7 @@ class FitResult:
             "advice": self.advice,
             "notes": [note.to_dict() for note in self.notes],
             "parameters": {p.name: p.to_dict() for p in self.parameters},
+            "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
             "free_names": list(self.free_names),
             "covariance": [[float(v) if np.isfinite(v) else None for v in row] for row in self.covariance],
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},

@@ -232,7 +232,7 @@ class Preisach(AbstractPlane):
         model = dataclasses.replace(self, initial=initial)
         return eqx.tree_at(lambda m: (m.w, m.levels, m.slopes, m.b, m.offset, m.center, m.half), model, arrays)
 
-    def advice(self, u: np.ndarray) -> tuple[str, ...]:
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the input leaves the levels, beyond which the model has no relays."""
         low, high = float(self.levels[0]), float(self.levels[-1])
         slack = 1e-9 * (high - low)

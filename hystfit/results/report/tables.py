@@ -12,7 +12,7 @@ from hystfit.results.result import FitResult, ParameterEstimate
 
 
 def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
-    """The free parameters with their standard errors; arrays of many weights in one row each.
+    """The free parameters with their standard errors, arrays of many weights in one row each, and what follows from them.
 
     Args:
         result: the fit.
@@ -21,6 +21,7 @@ def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
     left = lambda head: Column(head, left=True)
     columns = [left("name"), Column("value"), Column("+- stderr"), left("unit"), left("bounds"), left("")]
     rows = [_row(name, family) for name, family in grouped([p for p in result.parameters if not p.fixed])]
+    rows += [[p.name, *rounded(p.value, p.stderr), p.unit, "", "derived", p.doc] for p in result.derived]
     return Table([*columns, left("meaning")], rows) if meaning else Table(columns, [row[:-1] for row in rows])
 
 

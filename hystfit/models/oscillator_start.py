@@ -1,0 +1,115 @@
+"""Starting values of the oscillator: a linear fit to the transfer function, then a grid over the shape of the loop."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.optimize import nnls
+
+from hystfit.data.batch import Batch
+from hystfit.data.record import Dataset, Record
+from hystfit.models.base import AbstractHysteresis, run
+from hystfit.models.starting import output_range
+
+_EXCITED = 1e-3  # part of the largest power of the input from which a spectral line counts as excited
+_SHAPES = tuple(itertools.product((0.2, 0.5, 0.8), (-0.6, 0.0, 0.6), (0.0, 0.6, 1.5)))
+_BEST = 3
+_LONGEST = 2**15  # samples of each record that the grid simulates
+
+
+class Started(NamedTuple):
+    """Starting values of the parameters of these names."""
+
+    m: Any
+    c: Any
+    K: Any
+    a: Any
+    r_load: Any
+    r_unl: Any
+    Z: Any
+    offset: Any
+
+
+def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
+    """The oscillator with the best starting values that were found, the best first.
+
+    Args:
+        model: an oscillator; it keeps its exponent.
+        records: measured; they have time.
+    """
+    mass, damping, stiffness = _linear(records)
+    force = 0.5 * stiffness * output_range(records).half
+    linear = Started(mass, damping, stiffness, 0.5, 0.0, 0.0, force, 0.0)
+    points = [linear._replace(a=a, r_load=load, r_unl=unload) for a, load, unload in _SHAPES]
+    batch = Batch.of(Dataset(tuple(record.take(slice(0, _LONGEST)) for record in records)))
+    table = jnp.asarray(points, dtype=jnp.result_type(float))
+    costs, offsets = (np.asarray(v) for v in _costs(model, table, batch))
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")[:_BEST]
+    return tuple(_placed(model, points[k]._replace(offset=np.nan_to_num(offsets[k]))) for k in order)
+
+
+def _placed(model: Any, values: Started) -> Any:
+    fields = lambda m: tuple(getattr(m, name) for name in Started._fields)
+    return eqx.tree_at(fields, model, tuple(jnp.asarray(value, dtype=jnp.result_type(float)) for value in values))
+
+
+@eqx.filter_jit
+def _costs(model: AbstractHysteresis, table: Array, batch: Batch) -> tuple[Array, Array]:
+    """Sum of squared residuals less the mean of each record, and that mean of the first record, for each row of the table."""
+
+    def one(row: Array) -> tuple[Array, Array]:
+        def of(record: tuple[Array, ...]) -> tuple[Array, Array]:
+            u, y, dt, weight = record
+            rest = y - run(_placed(model, Started(*row)), u, dt)[0]
+            mean = jnp.sum(weight * rest) / jnp.maximum(jnp.sum(weight), 1e-300)
+            return jnp.sum(weight * (rest - mean) ** 2), mean
+
+        squares, means = jax.lax.map(of, (batch.u, batch.y, batch.dt, batch.weight))
+        return jnp.sum(squares), means[0]
+
+    return jax.lax.map(one, table)
+
+
+def _linear(records: Sequence[Record]) -> tuple[float, float, float]:
+    """Mass, damping and stiffness of U = (K - m w^2 + i w c) Y by non-negative least squares on the excited lines."""
+    rows, right, highest, lowest = [], [], 0.0, np.inf
+    for record in records:
+        w, U, Y = _spectra(record)
+        columns = np.stack([-(w**2) * Y, 1j * w * Y, Y], axis=1)
+        rows += [columns.real, columns.imag]
+        right += [U.real, U.imag]
+        highest, lowest = max(highest, w.max()), min(lowest, w.min())
+    A, b = np.concatenate(rows), np.concatenate(right)
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0] = 1.0
+    m, c, K = nnls(A / size, b)[0] / size
+    # What the data leave at zero: a resonance outside the excited band, and little damping.
+    m, K = (m or K / (3 * highest) ** 2), (K or m * (lowest / 3) ** 2)
+    if not m > 0:
+        K = 1.0
+        m = K / highest**2
+    return float(m), float(max(c, 1e-3 * np.sqrt(m * K))), float(K)
+
+
+def _spectra(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angular frequencies [1/s] of the excited lines, and the spectra of input and output there, under a Hann window."""
+    t = np.arange(len(record), dtype=float) if record.t is None else record.t
+    even = np.linspace(t[0], t[-1], len(record))
+    window = np.hanning(len(record))
+    used = record.used
+    u, y = np.interp(even, t, record.u), np.interp(even, t[used], record.y[used])
+    spectrum = lambda values: np.fft.rfft((values - values.mean()) * window)
+    U, Y = spectrum(u), spectrum(y)
+    power = np.abs(U) ** 2
+    power[0] = 0.0
+    kept = power >= _EXCITED * power.max()
+    kept[0] = False
+    w = 2 * np.pi * np.fft.rfftfreq(len(record), (even[-1] - even[0]) / (len(record) - 1) or 1.0)
+    return w[kept], U[kept], Y[kept]
