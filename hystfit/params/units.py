@@ -1,4 +1,4 @@
-"""Units of parameters as expressions in the units of the data: "y/u" is um/V on a piezo record.
+"""Units of parameters as expressions in the units of the data: "y/u" is um/V on a piezo record; quantities of data units.
 
 One expression gives both the printed unit and the natural size of a parameter: with u in V over 100 V and y in um
 over 10 um, "y/u" prints as "um/V" and scales as 0.1. Symbols: u input, y output, s time; "1" has no unit.
@@ -13,6 +13,42 @@ import re
 from hystfit.errors import ParameterError
 
 _FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample)(?:\^(?P<power>-?\d+(?:\.\d+)?))?$")
+
+# Physical quantities by the units of their data, as `_plain` writes them. Where a unit serves two quantities, the first is taken.
+_QUANTITIES = {
+    "time": r"[munp]?s|secs?|seconds?|min|hr?",
+    "frequency": r"[kMG]?Hz|rpm",
+    "voltage": r"[mukM]?V|volts?",
+    "electric field": r"[kM]?V/(?:[cmu]?m)",
+    "field": r"[mk]?Oe|[mkM]?A/c?m",
+    "current": r"[pnumk]?A|amps?|amperes?",
+    "pressure": r"m?bar|psi|[Tt]orr|hPa",
+    "displacement": r"[pnumc]?m|[Aa]ngstrom|in|inch|ft|m?rad|deg|°",
+    "velocity": r"(?:[numc]?m|in|inch|ft|m?rad|deg|°)/s2?",
+    "force": r"[mukM]?N|kips?|lbs?|lbf|k?gf|[mk]?Nc?m?m",
+    "stress": r"[kMG]?Pa|ksi|k?N/m?m2",
+    "moment": r"[mu]?emu|[mu]?Am2|[mu]?A\*m2|[mu]?J/T|erg/G",
+    "magnetization": r"[mu]?emu/(?:g|cm3|cc|mol)|[mk]?Am2/k?g|A\*m2/kg",
+    "induction": r"[mu]?T|[mk]?G|gauss|tesla|Wb/m2",
+    "charge": r"[pnum]?C",
+    "polarization": r"[num]?C/c?m2",
+    "strain": r"[mu]?strain|mm/mm|um/m|m/m",
+    "temperature": r"°C|degC|K|[kK]elvin|°F",
+}
+
+
+def quantity(unit: str) -> str:
+    """Physical quantity of a unit of data such as "kA/m" or "µC/cm^2": "field", "polarization", ...; "" if unknown."""
+    plain = _plain(unit)
+    return next((name for name, pattern in _QUANTITIES.items() if re.fullmatch(pattern, plain)), "")
+
+
+def _plain(unit: str) -> str:
+    """A unit with u for micro, one slash, powers without marks, and no blanks: "A m^-1" and "A·m⁻¹" are "A/m"."""
+    plain = unit.strip().translate(str.maketrans("µμ²³⋅·⁻¹", "uu23**-1")).replace("^", "").replace("**", "*")
+    plain = re.sub(r"\s*([*/])\s*", r"\1", plain)
+    plain = re.sub(r"[* ]([A-Za-z]+)-(\d)", lambda m: f"/{m[1]}{'' if m[2] == '1' else m[2]}", plain)
+    return plain.replace(" ", "*")
 
 
 def exponents(unit: str) -> dict[str, float]:
