@@ -1,16 +1,20 @@
-"""Units of parameters as expressions in the units of the data: "y/u" is um/V on a piezo record.
+"""Units: of parameters, as expressions in the units of the data ("y/u" is um/V on a piezo record), and of measured columns.
 
 One expression gives both the printed unit and the natural size of a parameter: with u in V over 100 V and y in um
 over 10 um, "y/u" prints as "um/V" and scales as 0.1. Symbols: u input, y output, s time; "1" has no unit.
+
+The units of columns are a table of sizes and dimensions. General packages treat Oe and emu as units of another system, which they
+do not convert to A/m and A m^2, and those are the units of magnetic loops.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 
-from hystfit.errors import ParameterError
+from hystfit.errors import DataError, ParameterError
 
 _FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample)(?:\^(?P<power>-?\d+(?:\.\d+)?))?$")
 
@@ -83,3 +87,122 @@ def axis_label(name: str, unit: str) -> str:
         return f"{name} {unit}"
     base = re.sub(rf"[\s_]*[\[(]?{re.escape(unit)}[\])]?$", "", name) or name
     return f"{base} [{unit}]"
+
+
+@dataclasses.dataclass(frozen=True)
+class Unit:
+    """A unit of a measured column.
+
+    Attributes:
+        factor: its size in SI base units.
+        powers: of the base units, sorted by name; the dimension.
+    """
+
+    factor: float
+    powers: tuple[tuple[str, float], ...]
+
+    @property
+    def quantity(self) -> str:
+        """The physical quantity, such as "voltage"; the base units where it has no name."""
+        for name, symbol in _QUANTITIES.items():
+            if (unit := parse_unit(symbol)) is not None and unit.powers == self.powers:
+                return name
+        return "*".join(f"{base}^{power:g}" for base, power in self.powers)
+
+
+# Size in the units behind it, and whether SI prefixes are put before it.
+_SYMBOLS: dict[str, tuple[float, str, bool]] = {
+    "m": (1.0, "", True), "g": (1e-3, "kg", True), "s": (1.0, "", True), "A": (1.0, "", True), "K": (1.0, "", True),
+    "rad": (1.0, "", True), "count": (1.0, "", False), "counts": (1.0, "count", False),
+    "N": (1.0, "kg*m/s^2", True), "Pa": (1.0, "N/m^2", True), "J": (1.0, "N*m", True), "W": (1.0, "J/s", True),
+    "C": (1.0, "A*s", True), "V": (1.0, "W/A", True), "Ohm": (1.0, "V/A", True), "ohm": (1.0, "V/A", True),
+    "Ω": (1.0, "V/A", True), "F": (1.0, "C/V", True), "H": (1.0, "V*s/A", True), "Wb": (1.0, "V*s", True),
+    "T": (1.0, "V*s/m^2", True), "Hz": (1.0, "1/s", True), "strain": (1.0, "1", True), "%": (1e-2, "1", False),
+    "G": (1e-4, "T", True), "Oe": (1e3 / (4 * math.pi), "A/m", True), "emu": (1e-3, "A*m^2", True),
+    "erg": (1e-7, "J", False), "cc": (1e-6, "m^3", False), "bar": (1e5, "Pa", True),
+    "sec": (1.0, "s", True), "second": (1.0, "s", False), "seconds": (1.0, "s", False), "min": (60.0, "s", False),
+    "h": (3600.0, "s", False), "hr": (3600.0, "s", False), "deg": (math.pi / 180, "rad", True),
+    "°": (math.pi / 180, "rad", False), "rpm": (math.pi / 30, "rad/s", False),
+    "in": (0.0254, "m", False), "inch": (0.0254, "m", False), "ft": (0.3048, "m", False),
+    "meter": (1.0, "m", False), "meters": (1.0, "m", False), "volt": (1.0, "V", False), "volts": (1.0, "V", False),
+    "newton": (1.0, "N", False), "newtons": (1.0, "N", False), "gf": (9.80665e-3, "N", True),
+    "lb": (4.4482216152605, "N", False), "lbs": (4.4482216152605, "N", False), "lbf": (4.4482216152605, "N", False),
+    "kip": (4448.2216152605, "N", False), "kips": (4448.2216152605, "N", False),
+    "psi": (6894.757293168, "Pa", False), "ksi": (6894757.293168, "Pa", False),
+    "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+}  # fmt: skip
+_PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
+_QUANTITIES = {
+    "length": "m", "time": "s", "mass": "kg", "current": "A", "temperature": "K", "angle": "rad", "count": "count",
+    "force": "N", "stress": "Pa", "torque": "N*m", "power": "W", "charge": "C", "polarization": "C/m^2",
+    "voltage": "V", "electric field": "V/m", "resistance": "Ohm", "capacitance": "F", "inductance": "H",
+    "magnetic flux": "Wb", "magnetic flux density": "T", "magnetic field or magnetization": "A/m",
+    "magnetic moment": "A*m^2", "moment per mass": "A*m^2/kg", "current density": "A/m^2", "frequency": "Hz",
+    "velocity": "m/s", "acceleration": "m/s^2", "angular velocity": "rad/s", "stiffness": "N/m", "strain": "1",
+}  # fmt: skip
+_SPELLINGS = str.maketrans(
+    {"\u00b5": "u", "\u03bc": "u", "\u2126": "\u03a9", "\u00b7": "*", "\u22c5": "*", "\u00b2": "2", "\u00b3": "3"}
+)
+_TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-zΩ%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
+
+
+@functools.cache
+def parse_unit(text: str) -> Unit | None:
+    """The unit that a column is in, such as "um", "kA/m", "uC/cm2" or "emu/g"; None if it is not known.
+
+    lb is a force here, as in load cells; degrees Celsius, whose zero is not that of kelvin, are not known.
+    """
+    text = re.sub(r"(?<=A)m\^?2", "*m^2", text.strip().translate(_SPELLINGS))  # Am2
+    factor, powers, place = 1.0, dict[str, float](), 0
+    while place < len(text):
+        term = _TERM.match(text, place)
+        if term is None or (part := _symbol(term["symbol"])) is None:
+            return None
+        mark = term["mark"].strip()
+        if mark not in ("", "*", "/", ".") or (place == 0) != (term["mark"] == ""):
+            return None
+        power = (-1 if mark == "/" else 1) * int(term["power"] or 1)
+        factor *= part.factor**power
+        for base, exponent in part.powers:
+            powers[base] = powers.get(base, 0.0) + power * exponent
+        place = term.end()
+    return Unit(factor, tuple(sorted((b, p) for b, p in powers.items() if p))) if text else None
+
+
+def _symbol(symbol: str) -> Unit | None:
+    """One symbol with or without a prefix."""
+    if symbol in ("1", "kg"):
+        return Unit(1.0, (("kg", 1.0),) if symbol == "kg" else ())
+    size, base = 1.0, symbol
+    if symbol not in _SYMBOLS:
+        size, base = _PREFIXES.get(symbol[0], 0.0), symbol[1:]
+        if not size or base not in _SYMBOLS or not _SYMBOLS[base][2]:
+            return None
+    factor, behind, _ = _SYMBOLS[base]
+    if not behind:
+        return Unit(size * factor, ((base, 1.0),))
+    inner = parse_unit(behind)
+    return None if inner is None else Unit(size * factor * inner.factor, inner.powers)
+
+
+def conversion(source: str, target: str) -> float | None:
+    """Factor from values in one unit to values in another; None where the units differ and one of them is not known.
+
+    Raises:
+        DataError: they are units of different quantities.
+    """
+    if source == target:
+        return 1.0
+    one, other = parse_unit(source), parse_unit(target)
+    if one is None or other is None:
+        return None
+    if one.powers != other.powers:
+        raise DataError(f"{source!r} is a unit of {one.quantity}, and {target!r} one of {other.quantity}")
+    return float(f"{one.factor / other.factor:.15g}")
+
+
+def integral_unit(unit: str) -> str:
+    """Unit of the integral over seconds: "uC" for "uA", "uC/cm2" for "uA/cm2", else the unit times s; "" if unknown."""
+    if unit and (match := re.match(r"[pnuµμmk]?A(?![A-Za-z])", unit)):
+        return match[0][:-1] + "C" + unit[match.end() :]
+    return unit and f"{unit}*s"
