@@ -313,7 +313,9 @@ class Record:
             except DataError as error:
                 raise DataError(f"record {self.name!r}: the {role} has another unit: {error}") from error
             if factor is None and old:
-                text = f"the {role} is in {old!r}, which cannot be converted to {unit!r}: its numbers are used unchanged"
+                text = (
+                    f"the {role} is in {old!r}, which cannot be converted to {unit!r}: its numbers are used unchanged"
+                )
                 record = record.noted(Code.UNITS, text, Severity.WARNING)
                 continue
             changes: dict[str, Any] = {f"{symbol}_unit": unit}

@@ -104,58 +104,66 @@ class Unit:
     @property
     def quantity(self) -> str:
         """The physical quantity, such as "voltage"; the base units where it has no name."""
-        for name, symbol in _QUANTITIES.items():
-            if (unit := parse_unit(symbol)) is not None and unit.powers == self.powers:
-                return name
-        return "*".join(f"{base}^{power:g}" for base, power in self.powers)
+        return _named().get(self.powers) or "*".join(f"{base}^{power:g}" for base, power in self.powers) or "a number"
 
 
 # Size in the units behind it, and whether SI prefixes are put before it.
 _SYMBOLS: dict[str, tuple[float, str, bool]] = {
-    "m": (1.0, "", True), "g": (1e-3, "kg", True), "s": (1.0, "", True), "A": (1.0, "", True), "K": (1.0, "", True),
-    "rad": (1.0, "", True), "count": (1.0, "", False), "counts": (1.0, "count", False),
+    "m": (1.0, "", True), "g": (1e-3, "kg", True), "s": (1.0, "", True), "A": (1.0, "", True), "mol": (1.0, "", True),
+    "K": (1.0, "", True), "degC": (1.0, "", False), "degF": (1.0, "", False), "rad": (1.0, "", True),
+    "counts": (1.0, "", False), "strain": (1.0, "1", True), "%": (1e-2, "1", False),
     "N": (1.0, "kg*m/s^2", True), "Pa": (1.0, "N/m^2", True), "J": (1.0, "N*m", True), "W": (1.0, "J/s", True),
-    "C": (1.0, "A*s", True), "V": (1.0, "W/A", True), "Ohm": (1.0, "V/A", True), "ohm": (1.0, "V/A", True),
-    "Ω": (1.0, "V/A", True), "F": (1.0, "C/V", True), "H": (1.0, "V*s/A", True), "Wb": (1.0, "V*s", True),
-    "T": (1.0, "V*s/m^2", True), "Hz": (1.0, "1/s", True), "strain": (1.0, "1", True), "%": (1e-2, "1", False),
+    "C": (1.0, "A*s", True), "V": (1.0, "W/A", True), "Ohm": (1.0, "V/A", True), "F": (1.0, "C/V", True),
+    "H": (1.0, "V*s/A", True), "Wb": (1.0, "V*s", True), "T": (1.0, "V*s/m^2", True), "Hz": (1.0, "1/s", True),
     "G": (1e-4, "T", True), "Oe": (1e3 / (4 * math.pi), "A/m", True), "emu": (1e-3, "A*m^2", True),
-    "erg": (1e-7, "J", False), "cc": (1e-6, "m^3", False), "bar": (1e5, "Pa", True),
-    "sec": (1.0, "s", True), "second": (1.0, "s", False), "seconds": (1.0, "s", False), "min": (60.0, "s", False),
-    "h": (3600.0, "s", False), "hr": (3600.0, "s", False), "deg": (math.pi / 180, "rad", True),
-    "°": (math.pi / 180, "rad", False), "rpm": (math.pi / 30, "rad/s", False),
-    "in": (0.0254, "m", False), "inch": (0.0254, "m", False), "ft": (0.3048, "m", False),
-    "meter": (1.0, "m", False), "meters": (1.0, "m", False), "volt": (1.0, "V", False), "volts": (1.0, "V", False),
-    "newton": (1.0, "N", False), "newtons": (1.0, "N", False), "gf": (9.80665e-3, "N", True),
-    "lb": (4.4482216152605, "N", False), "lbs": (4.4482216152605, "N", False), "lbf": (4.4482216152605, "N", False),
-    "kip": (4448.2216152605, "N", False), "kips": (4448.2216152605, "N", False),
-    "psi": (6894.757293168, "Pa", False), "ksi": (6894757.293168, "Pa", False),
-    "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+    "erg": (1e-7, "J", False), "cc": (1e-6, "m^3", False), "bar": (1e5, "Pa", True), "hPa": (100.0, "Pa", False),
+    "Torr": (133.322368421053, "Pa", True), "min": (60.0, "s", False), "h": (3600.0, "s", False),
+    "deg": (math.pi / 180, "rad", True), "rpm": (math.pi / 30, "rad/s", False), "in": (0.0254, "m", False),
+    "ft": (0.3048, "m", False), "Angstrom": (1e-10, "m", False), "gf": (9.80665e-3, "N", True),
+    "lbf": (4.4482216152605, "N", False), "kip": (4448.2216152605, "N", False), "psi": (6894.757293168, "Pa", False),
+    "ksi": (6894757.293168, "Pa", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+}  # fmt: skip
+_SPELLINGS = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "hr": "h", "inch": "in", "°": "deg", "°C": "degC", "°F": "degF",
+    "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "newton": "N", "newtons": "N",
+    "meter": "m", "meters": "m", "kelvin": "K", "Kelvin": "K", "tesla": "T", "gauss": "G", "torr": "Torr", "ohm": "Ohm",
+    "ohms": "Ohm", "Ohms": "Ohm", "\u03a9": "Ohm", "lb": "lbf", "lbs": "lbf", "kips": "kip", "angstrom": "Angstrom",
+    "count": "counts", "msec": "ms",
 }  # fmt: skip
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
 _QUANTITIES = {
-    "length": "m", "time": "s", "mass": "kg", "current": "A", "temperature": "K", "angle": "rad", "count": "count",
-    "force": "N", "stress": "Pa", "torque": "N*m", "power": "W", "charge": "C", "polarization": "C/m^2",
-    "voltage": "V", "electric field": "V/m", "resistance": "Ohm", "capacitance": "F", "inductance": "H",
-    "magnetic flux": "Wb", "magnetic flux density": "T", "magnetic field or magnetization": "A/m",
-    "magnetic moment": "A*m^2", "moment per mass": "A*m^2/kg", "current density": "A/m^2", "frequency": "Hz",
-    "velocity": "m/s", "acceleration": "m/s^2", "angular velocity": "rad/s", "stiffness": "N/m", "strain": "1",
+    "time": "s", "frequency": "Hz", "voltage": "V", "electric field": "V/m", "field": "A/m", "current": "A",
+    "current density": "A/m^2", "displacement": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s",
+    "acceleration": "m/s^2", "force": "N", "torque": "N*m", "stiffness": "N/m", "stress": "Pa", "power": "W", "mass": "kg",
+    "moment": "A*m^2", "magnetization": "A*m^2/kg", "molar moment": "A*m^2/mol", "induction": "T", "flux": "Wb",
+    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "temperature": "K", "temperature in degC": "degC",
+    "temperature in degF": "degF", "counts": "counts",
 }  # fmt: skip
-_SPELLINGS = str.maketrans(
-    {"\u00b5": "u", "\u03bc": "u", "\u2126": "\u03a9", "\u00b7": "*", "\u22c5": "*", "\u00b2": "2", "\u00b3": "3"}
-)
-_TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-zΩ%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
+# What a column with such a unit is, where that is more or less than the dimension says.
+_AS_COLUMN = {
+    "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
+    "molar moment": "magnetization", "temperature in degC": "temperature", "temperature in degF": "temperature",
+}  # fmt: skip
+_BY_SYMBOL = {r"emu/.*": "magnetization", r"m?bar|psi|[tT]orr|hPa": "pressure", r".*strain|([mun]?m)/m?m": "strain"}
+_MARKS = str.maketrans("\u00b5\u03bc\u2126\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu\u03a9**231-")
+_TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
+
+
+def _plain(text: str) -> str:
+    """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
+    return re.sub(r"(?<=A)m(?=\^?2)", "*m", text.strip().translate(_MARKS))
 
 
 @functools.cache
 def parse_unit(text: str) -> Unit | None:
-    """The unit that a column is in, such as "um", "kA/m", "uC/cm2" or "emu/g"; None if it is not known.
+    """The unit of a column, such as "um", "kA/m", "uC/cm2" or "emu/g"; None if it is not known.
 
-    lb is a force here, as in load cells; degrees Celsius, whose zero is not that of kelvin, are not known.
+    lb is a force here, as in load cells.
     """
-    text = re.sub(r"(?<=A)m\^?2", "*m^2", text.strip().translate(_SPELLINGS))  # Am2
+    plain = _plain(text)
     factor, powers, place = 1.0, dict[str, float](), 0
-    while place < len(text):
-        term = _TERM.match(text, place)
+    while place < len(plain):
+        term = _TERM.match(plain, place)
         if term is None or (part := _symbol(term["symbol"])) is None:
             return None
         mark = term["mark"].strip()
@@ -166,11 +174,12 @@ def parse_unit(text: str) -> Unit | None:
         for base, exponent in part.powers:
             powers[base] = powers.get(base, 0.0) + power * exponent
         place = term.end()
-    return Unit(factor, tuple(sorted((b, p) for b, p in powers.items() if p))) if text else None
+    return Unit(factor, tuple(sorted((b, p) for b, p in powers.items() if p))) if plain else None
 
 
 def _symbol(symbol: str) -> Unit | None:
     """One symbol with or without a prefix."""
+    symbol = _SPELLINGS.get(symbol, symbol)
     if symbol in ("1", "kg"):
         return Unit(1.0, (("kg", 1.0),) if symbol == "kg" else ())
     size, base = 1.0, symbol
@@ -185,8 +194,29 @@ def _symbol(symbol: str) -> Unit | None:
     return None if inner is None else Unit(size * factor * inner.factor, inner.powers)
 
 
+@functools.cache
+def _named() -> dict[tuple[tuple[str, float], ...], str]:
+    """Quantities by the dimension of their unit."""
+    units = {name: parse_unit(unit) for name, unit in _QUANTITIES.items()}
+    return {unit.powers: name for name, unit in units.items() if unit is not None}
+
+
+def quantity(unit: str) -> str:
+    """Physical quantity of a column with this unit: "field" for "kA/m", "polarization" for "uC/cm2", ...; "" if unknown."""
+    for pattern, name in _BY_SYMBOL.items():
+        if re.fullmatch(pattern, _plain(unit)):
+            return name
+    known = parse_unit(unit)
+    name = "" if known is None else _named().get(known.powers, "")
+    return _AS_COLUMN.get(name, name)
+
+
 def conversion(source: str, target: str) -> float | None:
     """Factor from values in one unit to values in another; None where the units differ and one of them is not known.
+
+    Args:
+        source: unit of the values.
+        target: unit wanted.
 
     Raises:
         DataError: they are units of different quantities.
@@ -197,12 +227,12 @@ def conversion(source: str, target: str) -> float | None:
     if one is None or other is None:
         return None
     if one.powers != other.powers:
-        raise DataError(f"{source!r} is a unit of {one.quantity}, and {target!r} one of {other.quantity}")
+        raise DataError(f"{source!r} is a unit of {one.quantity}, and {target!r} a unit of {other.quantity}")
     return float(f"{one.factor / other.factor:.15g}")
 
 
 def integral_unit(unit: str) -> str:
     """Unit of the integral over seconds: "uC" for "uA", "uC/cm2" for "uA/cm2", else the unit times s; "" if unknown."""
-    if unit and (match := re.match(r"[pnuµμmk]?A(?![A-Za-z])", unit)):
+    if match := re.match(r"[pnuµμmk]?A(?![A-Za-z])", unit):
         return match[0][:-1] + "C" + unit[match.end() :]
     return unit and f"{unit}*s"
