@@ -82,10 +82,10 @@ class Treatment:
 def _untimed(record: Record, clock: CoarseClock) -> Record:
     """The record without time stamps that repeat, with a warning that says how to give the sampling rate."""
     seconds = clock.step * (conversion(record.t_unit, "s") or 1.0)
+    rate = f"{clock.samples / seconds:.6g}"
     text = (
         f"time stamps advance by {clock.step:g} {record.t_unit} every {clock.samples:g} samples: the time of each sample is "
-        f"unknown, and the record is used without time. If the samples are evenly spaced, rate={clock.samples / seconds:.6g} "
-        "gives it"
+        f"unknown, and the record is used without time. If the samples are evenly spaced, --rate {rate} (rate={rate}) gives it"
     )
     return record.replace(t=None, t_unit="s").noted(Code.COARSE_CLOCK, text, Severity.WARNING)
 
@@ -100,15 +100,19 @@ def _relabeled(record: Record, u: str, y: str) -> Record:
     return record.in_units(u, y)
 
 
-def check_sigma_unit(unit: str, y_unit: str, sigma: np.ndarray) -> np.ndarray:
-    """Standard deviations in the unit of the output.
+def weighted(record: Record, sigma: np.ndarray, unit: str) -> Record:
+    """The record with weights from the standard deviations in another column.
 
     Args:
-        unit: of the column of standard deviations, "" if unknown.
-        y_unit: of the output.
-        sigma: shape (T,) [unit].
+        record: without weights of its own.
+        sigma: standard deviation of the output of each sample, shape (T,) [unit].
+        unit: of that column; "" for that of the output.
 
     Raises:
-        DataError: a unit of another quantity.
+        DataError: a standard deviation that is not positive, or a unit of another quantity.
     """
-    return sigma * ((conversion(unit, y_unit) or 1.0) if unit and y_unit else 1.0)
+    factor = conversion(unit, record.y_unit) if unit and record.y_unit else 1.0
+    return record.with_sigma(sigma * (1.0 if factor is None else factor))
+
+
+UNTREATED = Treatment()
