@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _MOST_GROUPS, _MOST_NAMES = 8, 5  # of Preisach properties and of records in a line, in the text
 
 
-def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
+def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
     """Check the quality of a record and which models it can determine.
 
     Args:
@@ -27,7 +27,7 @@ def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_R
     from hystfit.results.result import provenance
 
     output.check()
-    data = load(loop, reading)
+    data = load(loops, reading)
     with progress("checking"):
         report = judge(data)
     determined = any(item.verdict != "no" and item.model != "creep" for item in report.determines)

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 @lists(methods=ESTIMATORS, sequential=IDENTIFIERS, noises=NOISES)
 def fit(
-    loop: Loop,
-    /,
-    *,
+    *loops: Loop,
     model: str = "auto",
     method: str = "auto",
     fix: list[str] | None = None,
@@ -59,7 +57,7 @@ def fit(
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
     }  # fmt: skip
-    train, test = train_and_test(loop, reading, split)
+    train, test = train_and_test(loops, reading, split)
     sequential = is_sequential(method)
     if sequential and (unused := _changed(options)):
         raise ParameterError(f"--{unused[0]} has no effect with --method {method}: leave it out")
@@ -117,9 +115,7 @@ def _winner(train: Dataset, method: str, options: dict[str, Any], seed: int) -> 
 
 
 def compare(
-    loop: Loop,
-    /,
-    *,
+    *loops: Loop,
     models: list[str] | None = None,
     left_out: Literal["blocks", "future"] = "blocks",
     seed: int = 0,
@@ -141,7 +137,7 @@ def compare(
 
     output.check()
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
-    train, test = train_and_test(loop, reading, split)
+    train, test = train_and_test(loops, reading, split)
     with progress("comparing models") as update:
         comparison = compare_models(train, names or None, left_out=left_out, seed=seed, progress=update)
     text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner

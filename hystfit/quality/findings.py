@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
+from hystfit.params.units import quantity
+from hystfit.quality.chatter import MOST
 from hystfit.quality.summary import RecordQuality
+
+WITHOUT_TIME = (
+    "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
+    "the time of evenly spaced samples"
+)
 
 
 def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
@@ -22,9 +29,7 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
     """Faults of single samples and of the time axis."""
     sampling, unit = record.sampling, record.units["y"]
     if sampling.rate is None:
-        yield warn(
-            Code.NO_TIME, "no usable time: only rate-independent models can be fitted; lag and creep are unknown"
-        )
+        yield warn(Code.NO_TIME, f"no usable time: lag and creep are unknown, and {WITHOUT_TIME}")
     elif not sampling.uniform:
         yield warn(Code.TIME_STEPS, "uneven time steps: the lag is not estimated")
     if sampling.repeated_stamps:
@@ -41,11 +46,17 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
         )
     if record.spikes:
         yield warn(Code.SPIKES, f"outliers (spikes) in the output: {record.spikes}; fit with a robust loss")
-    if record.motion.chatter_percent > 5:
+    if record.motion.chatter_percent > MOST:
+        length = record.motion.smoothing
+        remedy = (
+            f"--smooth {length} (smooth={length}) reduces them below {MOST:g} %"
+            if length
+            else "measure the input with less noise"
+        )
         yield warn(
             Code.CHATTER,
-            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise: smooth the input, "
-            "otherwise models produce loops from noise",
+            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and models produce "
+            f"loops from them: {remedy}",
         )
     noise, span = record.y.known_noise, record.y.range
     if noise and span > 0 and noise > 0.02 * span:
@@ -56,6 +67,15 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
 def _traits(record: RecordQuality) -> Iterator[Note]:
     """Properties of the loop that decide which models apply."""
     shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
+    if quantity(unit) in ("current", "current density") and quantity(record.units["u"]) in (
+        "voltage",
+        "electric field",
+    ):
+        yield Note(
+            Code.RATE,
+            f"the output is a {quantity(unit)} against a {quantity(record.units['u'])}: for a loop of charge or polarization, "
+            "--integrate (integrate=True) integrates it over time",
+        )
     if record.motion.monotonic:
         yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
     if shape is not None and shape.circulation is None:

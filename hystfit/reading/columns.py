@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
@@ -264,10 +265,16 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     for k in free[:2]:
         if named and table.names[k] != f"column {k}":
             return None
-        if not bool((np.diff(table.columns[k]) > 0).all()):
+        steps = np.diff(table.columns[k])
+        if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
         if not _counts(table, k):
-            notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it always increases"))
+            notes.append(
+                Note(
+                    Code.COLUMN_CHOICE,
+                    f"time: column {k}, because it {'always increases' if (steps > 0).all() else 'never decreases'}",
+                )
+            )
             return k
         notes.append(
             Note(

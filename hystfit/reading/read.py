@@ -2,52 +2,69 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Dataset, Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
+from hystfit.reading.several import combined, files_of, pair_of, pair_table
 from hystfit.reading.text import read_table
+from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 TEXT_SUFFIXES = frozenset({"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".data"})
 Column = str | int
 
 
 def read(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     time: Column | bool | None = None,
     input: Column | None = None,
     output: Column | None = None,
+    sigma: Column | None = None,
     by: Column | None = None,
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
+    rate: float | None = None,
+    dt: float | None = None,
+    units: str | Sequence[str] | None = None,
+    integrate: bool = False,
+    smooth: int | None = None,
     sheet: Column | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
     name: str | None = None,
 ) -> Record | Dataset:
-    """A record, or a data set where the file holds several curves, from a file of any kind that hystfit reads.
+    """A record, or a data set where there are several curves or files, from files of any kind that hystfit reads.
 
     Args:
-        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5.
+        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5; or several of them: a list, or a pattern such
+            as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and its output in the second.
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
             `time=False` reads without time.
+        sigma: column with the standard deviation of the output of each sample, from which the weights follow.
         by: column whose values separate curves.
         only: which curves: values ("3,4" or [3, 4]) or positions from 0 as a slice ("1::4").
         where: rows to read, {"kind": "forc"} or "kind=forc".
         gaps: "error" refuses a missing input within a record, "split" makes a data set of the pieces.
+        rate: sampling rate [Hz], for files without a usable clock.
+        dt: sampling interval [s], instead of the rate.
+        units: of input and output ("V,um" or a pair); values in other units of the same quantity are converted.
+        integrate: replace the output by its integral over time (the charge of a current).
+        smooth: smooth the input by a zero-phase filter of so many samples (odd).
         sheet: sheet of a workbook, by name or number from 0.
         delimiter, decimal, encoding: of a text file; detected where None.
         name: name of the record or data set; the file's name by default.
@@ -56,8 +73,11 @@ def read(
         DataError: the file cannot be read as requested; the message names the remedy.
         MissingExtraError: a package for this kind of file is not installed.
     """
-    table = table_of(path, sheet=sheet, delimiter=delimiter, decimal=decimal, encoding=encoding)
-    return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
+    layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding}
+    columns = {"time": time, "input": input, "output": output}
+    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    treatment = Treatment(rate, dt, units, integrate, smooth)
+    return _read_all(path, lambda file: table_of(file, **layout), columns, rows | {"treatment": treatment}, name)
 
 
 def table_of(
@@ -80,23 +100,51 @@ def table_of(
 
 
 def read_csv(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     time: Column | bool | None = None,
     input: Column | None = None,
     output: Column | None = None,
+    sigma: Column | None = None,
     by: Column | None = None,
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
+    rate: float | None = None,
+    dt: float | None = None,
+    units: str | Sequence[str] | None = None,
+    integrate: bool = False,
+    smooth: int | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
     name: str | None = None,
 ) -> Record | Dataset:
-    """Like `read`, for a text file whatever its suffix."""
-    table = read_table(path, delimiter=delimiter, decimal=decimal, encoding=encoding)
-    return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
+    """Like `read`, for text files whatever their suffix."""
+    layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding}
+    columns = {"time": time, "input": input, "output": output}
+    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    treatment = Treatment(rate, dt, units, integrate, smooth)
+    return _read_all(path, lambda file: read_table(file, **layout), columns, rows | {"treatment": treatment}, name)
+
+
+def _read_all(
+    path: str | Path | Sequence[str | Path],
+    open_one: Callable[[str | Path], Table],
+    columns: dict[str, Any],
+    options: dict[str, Any],
+    name: str | None,
+) -> Record | Dataset:
+    """Every file of a path, list or pattern; `columns` and `options` are those of `assemble`."""
+    parts = []
+    files = files_of(path)
+    for file in files:
+        pair = pair_of(file)
+        table, chosen = (open_one(file), columns) if pair is None else pair_table(pair, open_one, columns)
+        label = Path(file if pair is None else pair[0]).stem if name is None or len(files) > 1 else name
+        parts.append((str(file if pair is None else pair[0]), assemble(table, **chosen, **options, name=label)))
+    data = combined(parts)
+    return data if name is None else dataclasses.replace(data, name=name)
 
 
 def assemble(
@@ -105,20 +153,30 @@ def assemble(
     time: Column | bool | None = None,
     input: Column | None = None,
     output: Column | None = None,
+    sigma: Column | None = None,
     by: Column | None = None,
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
     name: str | None = None,
+    treatment: Treatment = UNTREATED,
 ) -> Record | Dataset:
-    """Record or data set from a table; arguments as for `read`."""
+    """Record or data set from a table.
+
+    Args:
+        table: the columns.
+        time, input, output, sigma, by, only, where, gaps, name: as for `read`.
+        treatment: clock, units, integration and smoothing of every record.
+    """
     if gaps not in ("error", "split"):
         raise DataError(f"gaps must be 'error' or 'split', got {gaps!r}")
     stem = name or Path(table.source).stem or "record"
     notes = list(table.notes)
     table, taken = _filter(table, where, notes)
     divider = None if by is None else find(table, by, "by")
-    choice = choose(table, time, input, output, taken if divider is None else [*taken, divider])
+    spread = None if sigma is None else find(table, sigma, "sigma")
+    others = [*taken, *(position for position in (divider, spread) if position is not None)]
+    choice = choose(table, time, input, output, others)
     notes += choice.notes
     groups, several = _groups(table, choice, divider, notes)
     if only is not None:
@@ -131,7 +189,8 @@ def assemble(
     for label, rows in groups:
         part = table.take(rows)
         title = label if several else stem
-        records += _records_of(part, choice, title, [*notes, *_before(table, choice, rows)], gaps)
+        parts = _records_of(part, choice, title, [*notes, *_before(table, choice, rows)], gaps, spread, treatment)
+        records += parts
     if not several and len(records) == 1:
         return records[0]
     return Dataset(tuple(records), name=stem)
@@ -304,7 +363,15 @@ def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> l
     return [groups[values.index(value)] for value in wanted]
 
 
-def _records_of(table: Table, choice: Choice, title: str, notes: list[Note], gaps: str) -> list[Record]:
+def _records_of(
+    table: Table,
+    choice: Choice,
+    title: str,
+    notes: list[Note],
+    gaps: str,
+    sigma: int | None,
+    treatment: Treatment,
+) -> list[Record]:
     """One record of the rows of a curve, or its pieces where the input is missing and `gaps` is "split"."""
     columns = {"input": choice.input, "output": choice.output}
     if choice.time is not None:
@@ -326,10 +393,13 @@ def _records_of(table: Table, choice: Choice, title: str, notes: list[Note], gap
     for number, (start, stop) in enumerate(spans):
         part = {role: values[start:stop] for role, values in data.items()}
         piece_notes = [*notes]
-        if "time" in part:
+        if "time" in part and not (treatment.interval and np.ptp(part["time"]) == 0):
             _check_time(part["time"], table.line[start:stop], table, piece_notes)
         name = title if len(spans) == 1 else f"{title} piece={number}"
-        records.append(_record(table, choice, part, name, piece_notes))
+        record = _record(table, choice, part, name, piece_notes)
+        if sigma is not None:
+            record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
+        records.append(treatment.of(record))
     return records
 
 
@@ -373,7 +443,11 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
             "between them; time=False reads without time"
         )
     if not (step > 0).any():
-        raise DataError(f"{table.source}: time is constant ({time[0]:g}); choose another column or time=False")
+        raise DataError(
+            f"{table.source}: time is constant ({time[0]:g}); choose another column, time=False to read without time, or rate="
+        )
+    if CoarseClock.of(time) is not None:
+        return
     if repeated := int((step == 0).sum()):
         notes.append(
             Note(Code.TIME_STEPS, f"repeated time stamps: {repeated}, first in line {line[1:][step == 0][0]}; kept")

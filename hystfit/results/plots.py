@@ -81,7 +81,7 @@ class _Trace:
 
 def _traces(result: FitResult, data: Any, refit_offset: bool) -> list[_Trace]:
     """Records one after another along one axis."""
-    records = list(result.data if data is None else Dataset.of(data))
+    records = list(result.data if data is None else Dataset.of(data).map(result.in_own_units))
     traces, start = [], 0.0
     for record in records:
         predicted = result.predict(record, refit_offset=refit_offset and data is not None)
