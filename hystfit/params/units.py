@@ -85,7 +85,7 @@ def axis_label(name: str, unit: str) -> str:
         return name
     if unit.startswith("["):
         return f"{name} {unit}"
-    base = re.sub(rf"[\s_]*[\[(]?{re.escape(unit)}[\])]?$", "", name) or name
+    base = re.sub(rf"[\s_]*[\[(（［]?{re.escape(unit)}[\])）］]?$", "", name) or name
     return f"{base} [{unit}]"
 
 

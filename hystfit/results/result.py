@@ -331,6 +331,7 @@ def provenance(data: Dataset, seed: int | None, **more: Any) -> dict[str, Any]:
                 "data_sha256": r.digest(),
                 "samples": len(r),
                 "units": {"u": r.u_unit or None, "y": r.y_unit or None, "t": None if r.t is None else r.t_unit},
+                "metadata": dict(r.metadata),
                 "changes": [note.text for note in r.notes if note.code in _CHANGES],
             }
             for r in data
