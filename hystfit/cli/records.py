@@ -72,7 +72,7 @@ def _load_one(loop: str, reading: Reading) -> Dataset:
 def _by_name(name: str, reading: Reading) -> Dataset:
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
-    from hystfit.reading.read import select_curves
+    from hystfit.reading.curves import select_curves
     from hystfit.reading.treatment import Treatment
 
     chosen = {field: getattr(reading, field) for field in (*_TREATMENT, "only")}

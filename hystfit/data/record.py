@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
 
-_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma")
+_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma", "metadata")
 
 
 def median_interval(steps: np.ndarray) -> float | None:
@@ -51,6 +51,7 @@ class Record:
         source: origin (a path, a data set, "simulated").
         sha256: checksum of the file that it was read from; None if it was not read from a file.
         sigma: standard deviation of the output of a sample of weight 1 [y_unit]; None if unknown (see `with_sigma`).
+        metadata: properties of the sample as the header of its file states them, by name (size, mass, ...).
         notes: what was assumed, left out or changed when the record was read or prepared.
 
     Raises:
@@ -70,6 +71,7 @@ class Record:
     source: str = ""
     sha256: str | None = None
     sigma: float | None = None
+    metadata: Mapping[str, str] = dataclasses.field(default_factory=dict)
     notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
@@ -160,7 +162,8 @@ class Record:
 
     def labels(self) -> dict[str, Any]:
         """All fields but the arrays, for JSON; `labels_of` reads them back."""
-        return {field: getattr(self, field) for field in _LABELS} | {"notes": [note.to_dict() for note in self.notes]}
+        fields = {field: getattr(self, field) for field in _LABELS} | {"metadata": dict(self.metadata)}
+        return fields | {"notes": [note.to_dict() for note in self.notes]}
 
     @staticmethod
     def labels_of(stored: dict[str, Any]) -> dict[str, Any]:

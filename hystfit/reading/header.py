@@ -25,6 +25,19 @@ _NOT_SUFFIX = frozenset({"min", "h", "counts"})  # x_min is a minimum, not minut
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 
 
+_SAMPLE = re.compile(
+    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
+    r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
+    r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
+    re.IGNORECASE,
+)
+_NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
+_SETTINGS = (
+    re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
+    re.compile(r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=,;\t]|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"),
+)
+_MOST_METADATA = 40
+
 _COMMENT = r"(?:[#%!*]+|//|--)"
 
 
@@ -58,6 +71,26 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
             return name, ""  # v_in is an input voltage
         return base, unit
     return name, ""
+
+
+def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Size, mass and other properties of the sample, by their name in the header, as text.
+
+    Args:
+        lines: lines above the numbers.
+        names: of the columns, which are no properties.
+    """
+    known: dict[str, str] = {}
+    for line in lines:
+        text = re.sub(rf"^\s*{_COMMENT}\s*", "", line).strip()
+        match = next((m for pattern in _SETTINGS if (m := pattern.fullmatch(text))), None)
+        if match is None or not _SAMPLE.match(match["key"]) or "sampl" in match["value"].lower():
+            continue
+        value = cells.clean(match["value"])
+        column = {match["key"].strip(), value}.intersection(names)
+        if not column and value.lower() not in _NO_VALUE and len(known) < _MOST_METADATA:
+            known.setdefault(match["key"].strip(), value)
+    return known
 
 
 def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:

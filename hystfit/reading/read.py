@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,15 +14,19 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Dataset, Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.reading.calibration import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.header import split_unit
+from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Table
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
 from hystfit.reading.text import read_table
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
-TEXT_SUFFIXES = frozenset({"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".data"})
+TEXT_SUFFIXES = frozenset(
+    {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
+)
 Column = str | int
+_RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
 
 def read(
@@ -176,9 +179,13 @@ def assemble(
     divider = None if by is None else find(table, by, "by")
     spread = None if sigma is None else find(table, sigma, "sigma")
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
-    choice = choose(table, time, input, output, others)
+    marked, dividers = marked_by_kind(table, others)
+    choice = choose(table, time, input, output, [*others, *dividers])
     notes += choice.notes
-    groups, several = _groups(table, choice, divider, notes)
+    if marked is None and divider is None:
+        marked = marked_by_place(table, choice)
+    table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
+    groups, several = split_curves(table, choice, divider, notes)
     if only is not None:
         if not several:
             raise DataError(
@@ -189,7 +196,7 @@ def assemble(
     for label, rows in groups:
         part = table.take(rows)
         title = label if several else stem
-        parts = _records_of(part, choice, title, [*notes, *_before(table, choice, rows)], gaps, spread, treatment)
+        parts = _records_of(part, choice, title, notes, gaps, spread, treatment)
         records += parts
     if not several and len(records) == 1:
         return records[0]
@@ -207,160 +214,31 @@ def _filter(table: Table, where: str | Mapping[str, object] | None, notes: list[
     positions = []
     for key, value in where.items():
         position = find(table, key, "where")
-        labels = _labels(table, position)
-        hit = labels == _text(value)
+        labels = labels_of(table, position)
+        hit = labels == text_of(value)
         if not hit.any():
-            raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {_shown(labels)}")
+            raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {shown(labels)}")
         notes.append(Note(Code.LEFT_OUT, f"left out: {int((~hit).sum())} rows where {key} is not {value}"))
         table = table.take(hit)
         positions.append(position)
     return table, positions
 
 
-def _text(value: object) -> str:
-    try:
-        return f"{float(value):.12g}"  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return str(value).strip()
-
-
-def _labels(table: Table, position: int) -> np.ndarray:
-    """The values of a column as text, "" where missing, shape (rows,)."""
-    if position in table.labels:
-        return np.array([_text(value) for value in table.labels[position]])
-    values, back = np.unique(table.columns[position], return_inverse=True)
-    return np.array(["" if np.isnan(value) else f"{value:.12g}" for value in values])[back]
-
-
-def _shown(values: Sequence[str] | np.ndarray) -> str:
-    distinct = list(dict.fromkeys(str(value) for value in values))
-    return ", ".join(distinct[:12]) + (f", ... ({len(distinct)} in all)" if len(distinct) > 12 else "")
-
-
-def _groups(
-    table: Table, choice: Choice, divider: int | None, notes: list[Note]
-) -> tuple[list[tuple[str, np.ndarray]], bool]:
-    """Label and rows of every curve, and whether the file holds several."""
-    if divider is not None:
-        labels = _labels(table, divider)
-        blank = int((labels == "").sum())
-        if blank:
-            notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
-        order = [value for value in dict.fromkeys(labels.tolist()) if value]
-        if len(order) > 1000 and len(order) > table.rows / 2:
-            raise DataError(
-                f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not separate curves"
-            )
-        title = split_unit(table.names[divider])[0]
-        groups = [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
-        return _apart(groups, table, choice, notes), True
-    block = table.curve + 0
-    restart = np.flatnonzero(np.diff(table.section) > 0) + 1
-    if choice.time is not None:  # a header repeated while time goes on is a page break
-        clock = table.columns[choice.time]
-        runs_on = [k for k in restart if clock[k] > clock[k - 1]]
-        if runs_on:
-            notes.append(
-                Note(Code.CURVES, f"{len(runs_on)} repeated header rows do not begin a curve: time continues there")
-            )
-        restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
-    new = np.zeros(table.rows, dtype=bool)
-    new[restart] = True
-    new[1:] |= np.diff(block) > 0
-    number = np.cumsum(new)
-    if number[-1] == 0:
-        _suggest(table, choice, notes)
-        return [("", np.arange(table.rows))], False
-    bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
-    pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
-    single = sum(piece.size == 1 for piece in pieces)
-    pieces = [piece for piece in pieces if piece.size > 1]
-    if single:
-        notes.append(
-            Note(Code.CURVES, f"{single} blocks of a single row (calibration points) are not part of the curves")
+def _without_comments(table: Table, choice: Choice, notes: list[Note]) -> Table:
+    """The table without rows that hold a comment, and in files with a [Data] section any rows, without a measurement."""
+    empty = np.isnan(table.columns[choice.input]) & np.isnan(table.columns[choice.output])
+    if not table.sectioned:
+        filled = [labels != "" for labels in table.labels.values()]
+        comments = [cells for cells in filled if cells.mean() < _RARE]  # not a column of states, which every row has
+        empty &= np.any(comments, axis=0) if comments else False
+    if not empty.any():
+        return table
+    notes.append(
+        Note(
+            Code.LEFT_OUT, f"left out: {int(empty.sum())} rows without input and output (comments, other measurements)"
         )
-    if len(pieces) < 2:
-        if not pieces:
-            raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
-        return [("", pieces[0])], False
-    notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
-    return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
-
-
-def _apart(
-    groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
-) -> list[tuple[str, np.ndarray]]:
-    """Curves of at least two rows; the others are named in the notes."""
-    short = [(label, rows) for label, rows in groups if rows.size < 2]
-    for label, rows in short[:5]:
-        u, y = table.columns[choice.input][rows[0]], table.columns[choice.output][rows[0]]
-        notes.append(Note(Code.LEFT_OUT, f"left out: {label} has a single row ({u:g}, {y:g})"))
-    if len(short) > 5:
-        notes.append(Note(Code.LEFT_OUT, f"left out: {len(short) - 5} more curves of a single row"))
-    kept = [(label, rows) for label, rows in groups if rows.size > 1]
-    if not kept:
-        raise DataError(f"{table.source}: every curve that by= makes has a single row; choose another column")
-    return kept
-
-
-def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
-    for position, name in enumerate(table.names):
-        if position in (choice.time, choice.input, choice.output) or name.lower() not in (
-            "loop",
-            "curve",
-            "cycle",
-            "segment",
-            "run",
-        ):
-            continue
-        count = len(set(_labels(table, position).tolist()))
-        if 1 < count <= table.rows / 2:
-            notes.append(
-                Note(
-                    Code.CURVES, f"column {name!r} has {count} values: --by {name} (by={name!r}) reads each as a record"
-                )
-            )
-
-
-def _before(table: Table, choice: Choice, rows: np.ndarray) -> list[Note]:
-    """A note on the calibration point (a block of one row) right before a curve."""
-    k = int(rows[0]) - 1
-    single = k >= 0 and table.curve[k] != table.curve[rows[0]] and (k == 0 or table.curve[k - 1] != table.curve[k])
-    if not single:
-        return []
-    u, y = table.columns[choice.input][k], table.columns[choice.output][k]
-    text = f"calibration point before this curve (line {table.line[k]}): input {u:.9g}, output {y:.9g}"
-    return [Note(Code.CURVES, text)]
-
-
-def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:
-    """The (label, curve) pairs that `only` selects, by value ("3,4") or position from 0 ("1::4").
-
-    Args:
-        groups: label ("loop=3") and curve of each.
-        only: the selection.
-        source: path of the file, for messages.
-
-    Raises:
-        DataError: there is no such curve.
-    """
-    values = [label.partition("=")[2] or label for label, _ in groups]
-    if isinstance(only, str) and (found := re.fullmatch(r"\s*(-?\d*):(-?\d*)(?::(-?\d*))?\s*", only)):
-        limits = [int(part) if part else None for part in found.groups()]
-        if limits[2] == 0:
-            raise DataError(f"only={only!r}: the step of a slice must not be 0")
-        chosen = groups[slice(*limits)]
-        if not chosen:
-            raise DataError(f"{source}: only={only!r} chooses none of {len(groups)} curves (positions from 0)")
-        return chosen
-    parts = only.split(",") if isinstance(only, str) else only if isinstance(only, Sequence) else [only]
-    wanted = list(dict.fromkeys(_text(part) for part in parts))
-    unknown = [value for value in wanted if value not in values]
-    if unknown or not wanted:
-        raise DataError(
-            f"{source}: there is no curve {', '.join(unknown) or 'in an empty only='}; there are {_shown(values)}"
-        )
-    return [groups[values.index(value)] for value in wanted]
+    )
+    return table.take(~empty)
 
 
 def _records_of(
@@ -397,6 +275,8 @@ def _records_of(
             _check_time(part["time"], table.line[start:stop], table, piece_notes)
         name = title if len(spans) == 1 else f"{title} piece={number}"
         record = _record(table, choice, part, name, piece_notes)
+        if table.calibration is not None:
+            record = record.replace(weight=np.where(table.calibration[start:stop], 0.0, record.weight))
         if sigma is not None:
             record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
         records.append(treatment.of(record))
@@ -479,6 +359,7 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             name=title,
             source=table.source,
             sha256=table.sha256,
+            metadata=table.metadata,
             notes=tuple(notes),
         )
     except DataError as error:
