@@ -12,7 +12,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
-from hystfit.reading import datasets, instruments, published
+from hystfit.reading import datasets, published
 
 MEASURED = {name: entry for name, entry in published.ENTRIES.items() if isinstance(entry, published.Measured)}
 BUNDLED = {name: entry for name, entry in published.ENTRIES.items() if isinstance(entry, published.Bundled)}
@@ -176,18 +176,6 @@ def test_every_bundled_record_is_there_and_a_changed_one_is_refused(tmp_path):
         datasets.load("stage-step", folder=tmp_path)
 
 
-def test_micromag_blocks_are_apart(tmp_path):
-    file = tmp_path / "curves"
-    file.write_text(
-        "MicroMag 2900\nHb1 = 1\n\n+5.0,+1.0\n\n-1.0,-0.5\n+1.0,+0.5\n\n+5.0,+1.1\n\n-2.0,-0.9\n+2.0,+0.9\n\nends\n"
-    )
-    blocks = list(instruments.micromag_blocks(file))
-    assert [len(block) for block in blocks] == [1, 2, 1, 2]
-    curves = instruments.reversal_curves((file,))
-    np.testing.assert_array_equal(curves["curve-2"].u, [5, -2, 2])
-    np.testing.assert_array_equal(curves["curve-2"].weight, [0, 1, 1])
-
-
 @needs_data
 @pytest.mark.parametrize("name", sorted(MEASURED))
 def test_every_published_file_is_read(name):
@@ -238,7 +226,8 @@ def test_reversal_curves_agree_with_the_converted_file():
     assert sum(int(record.used.sum()) for record in curves) == 30476
     for number in (1, 76, 152):
         rows = (table["curve"] == number) & (table["kind"] == "forc")
-        record = curves[f"curve-{number}"]
+        record = curves[f"curve={number - 1}"]
+        assert (record.u_unit, record.y_unit) == ("Oe", "emu")
         np.testing.assert_array_equal(record.u[1:], table["H_Oe"][rows])
         np.testing.assert_array_equal(record.y[1:], table["M_emu"][rows])
 

@@ -17,7 +17,7 @@ from hystfit.errors import ParameterError
 from hystfit.models import BoucWen, Duhem, LogCreep, Offset, Series, Sum, Viscous, simulate
 from hystfit.params.param import leaves_of, param, short_names
 from hystfit.params.space import ParameterSpace
-from hystfit.params.units import Scales, exponents
+from hystfit.params.units import Scales, exponents, quantity
 
 FEW = settings(max_examples=40, deadline=None, derandomize=True)
 
@@ -361,6 +361,27 @@ def test_unit_expressions(unit: str, powers: dict[str, float], size: float, labe
 
 def test_unknown_units_keep_their_symbols() -> None:
     assert Scales().label("y/u") == "[y]/[u]"
+
+
+@pytest.mark.parametrize(
+    ("expected", "units"),
+    [
+        ("field", "Oe kOe A/m kA/m kA*m^-1 A·m⁻¹"),
+        ("moment", "emu Am2 Am² A·m² A*m^2 memu"),
+        ("magnetization", "emu/g emu/cm3 emu/cm³ Am2/kg A·m²/kg"),
+        ("induction", "T mT G kG"),
+        ("polarization", "uC/cm2 µC/cm² μC/cm^2 C/m2 C/m^2"),
+        ("electric field", "kV/cm V/m MV/m kV*cm^-1"),
+        ("displacement", "m mm um µm μm nm in deg"),
+        ("velocity", "m/s mm/s m·s⁻¹ m/s2"),
+        ("stress", "MPa GPa N/mm2 N/mm²"),
+        ("time", "s ms us µs min h"),
+        ("frequency", "Hz kHz"),
+        ("", "parsec code 1 N/A"),
+    ],
+)
+def test_quantities_of_units(expected: str, units: str) -> None:
+    assert [quantity(unit) for unit in units.split(" ")] == [expected] * len(units.split(" "))
 
 
 def test_every_declared_parameter_of_the_models_has_a_meaning() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,10 @@ from hypothesis import strategies as st
 
 from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
-from hystfit.outcome.note import Code, has
+from hystfit.outcome.note import Code, Severity, has
+from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading import read, read_csv
-from hystfit.reading.columns import quantity
+from hystfit.reading.columns import column_quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.text import read_table
 
@@ -346,16 +349,191 @@ def test_curves_by_a_column(tmp_path: Path) -> None:
             read(path, by="loop", only=only)
 
 
-def test_curves_between_blank_lines_keep_single_points_apart(tmp_path: Path) -> None:
+def test_single_rows_between_blank_lines_are_calibration_points(tmp_path: Path) -> None:
     path = _write(tmp_path, "H,M\n9,1.5\n\n0,1\n1,2\n\n9,1.25\n\n0,3\n2,4\n3,5\n")
     data = read(path)
     assert isinstance(data, Dataset)
-    assert [record.u.tolist() for record in data] == [[0, 1], [0, 2, 3]]
-    assert any("line 7): input 9, output 1.25" in note.text for note in data["curve=1"].notes)
-    assert (
-        sum(note.code is Code.CURVES for note in data["curve=1"].notes) == 3
-    )  # single blocks, curves, calibration point
-    assert [len(record) for record in read(path, only="1")] == [3]  # type: ignore[union-attr]
+    assert [record.u.tolist() for record in data] == [[9, 0, 1], [9, 0, 2, 3]]
+    assert [record.weight.tolist() for record in data] == [[0, 1, 1], [0, 1, 1, 1]]
+    assert sum(note.code is Code.CURVES for note in data["curve=1"].notes) == 2  # the curves, and their calibration
+    assert [len(record) for record in read(path, only="1")] == [4]  # type: ignore[union-attr]
+    apart = read(_write(tmp_path, "H,M\n9,1.5\n\n0,1\n1,2\n\n1,1.25\n\n0,3\n2,4\n3,5\n"))  # at no common input
+    assert [record.u.tolist() for record in apart] == [[0, 1], [0, 2, 3]]  # type: ignore[union-attr]
+
+
+def _reversal_rows(curves: int = 6) -> list[tuple[int, str, float, float]]:
+    """Number, kind, field and moment of the rows of reversal curves, a calibration point at 100 before each."""
+    rows = []
+    for k in range(curves):
+        rows.append((k + 1, "cal", 100.0 + 0.1 * (k % 2), 5.0 + 0.01 * k))
+        rows += [
+            (k + 1, "forc", field, 0.01 * field - 0.1 * k)
+            for field in np.linspace(40.0 - 9 * k, 60.0 + 2 * k, 12).round(3)
+        ]
+    return rows
+
+
+MICROMAG = """MicroMag 2900/3900 Data File (Series 0015)
+First-order reversal curves
+Configuration   :  VSM
+Units of measure:  {system}
+Temperature in  :  Kelvin
+
+HCal           = +1.000000E+02
+NCrv           = 6
+
+"""
+NEW_MICROMAG = """MicroMag 2900/3900 Data File (Series 0016.002)
+First-order reversal curves
+
+INSTRUMENT
+Configuration                   VSM
+Units of measure                Hybrid SI
+
+SAMPLE
+Mass                           +12.50000E-03
+Volume                          N/A
+
+    Field        Moment
+     (T)         (A\u00b7m\u00b2)
+
+"""
+
+
+def _reversal_file(layout: str) -> tuple[str, str]:
+    """Name and content of a file of reversal curves."""
+    rows, blocks = _reversal_rows(), []
+    for _, curve in itertools.groupby(rows, key=lambda row: row[:2]):
+        blocks.append("".join(f"{u:+.6E},{y:+.6E}\n" for _, _, u, y in curve))
+    if layout in ("a.forc", "a.frc", "a"):
+        return layout, MICROMAG.format(system="cgs") + "\n".join(blocks) + "\nMicroMag 2900/3900 Data File ends\n"
+    if layout == "new.frc":
+        return layout, NEW_MICROMAG + "\n".join(blocks) + "\nMicroMag 2900/3900 Data File ends\n"
+    lines = {
+        "kinds and numbers": ["curve,kind,H_Oe,M_emu"] + [f"{k},{kind},{u},{y}" for k, kind, u, y in rows],
+        "kinds": ["kind,H_Oe,M_emu"]
+        + [f"{'Calibration' if kind == 'cal' else 'curve'},{u},{y}" for _, kind, u, y in rows],
+        "flags": ["H_Oe,M_emu,is_cal"] + [f"{u},{y},{int(kind == 'cal')}" for _, kind, u, y in rows],
+        "no marks": ["H_Oe,M_emu"] + [f"{u},{y}" for _, _, u, y in rows],
+    }[layout]
+    return "file.csv", "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("layout", "units"),
+    [(name, ("Oe", "emu")) for name in ("a.forc", "a.frc", "a", "kinds and numbers", "kinds", "flags", "no marks")]
+    + [("new.frc", ("T", "Am2"))],
+)
+def test_reversal_curves_with_calibration_points_in_every_layout(
+    layout: str, units: tuple[str, str], tmp_path: Path
+) -> None:
+    name, content = _reversal_file(layout)
+    data = read(_write(tmp_path, content.encode("cp1252"), name))
+    assert isinstance(data, Dataset)
+    rows = _reversal_rows()
+    assert len(data) == 6
+    for number, record in enumerate(data, 1):
+        expected = np.array([row[2:] for row in rows if row[0] == number])
+        np.testing.assert_allclose(np.column_stack([record.u, record.y]), expected, rtol=1e-6)
+        assert record.weight.tolist() == [0.0] + [1.0] * 12
+        assert (record.u_unit, record.y_unit) == units
+        assert sum(note.code is Code.CURVES for note in record.notes) <= 3
+    assert all(record.notes == data[0].notes for record in data)  # no note for each curve
+    assert recognize_family(data) is not None
+    if layout == "kinds and numbers":
+        assert [record.name for record in data] == [f"curve={k}" for k in range(1, 7)]
+        assert [len(record) for record in read(tmp_path / name, where="kind=forc", by="curve")] == [12] * 6  # type: ignore[union-attr]
+    if layout == "new.frc":
+        assert data[0].metadata == {"Mass": "+12.50000E-03"}
+
+
+def test_a_loop_with_a_text_column_of_states_has_no_calibration_points(tmp_path: Path) -> None:
+    lines = ["state,H,M"] + [
+        f"{'sat' if k < 20 else 'sweep'},{u:.3f},{u:.3f}" for k, u in enumerate(np.sin(np.arange(60) / 4))
+    ]
+    assert isinstance(read(_write(tmp_path, "\n".join(lines))), Record)
+    noisy = np.random.default_rng(0).normal(size=(60, 2)).round(4).tolist()
+    assert isinstance(read(_write(tmp_path, "H,M\n" + "".join(f"{u},{y}\n" for u, y in noisy))), Record)
+
+
+SECTIONS = """[Header]
+; a magnetometer
+TITLE,film 7
+INFO,12.5,SAMPLE_MASS
+INFO,,SAMPLE_MATERIAL
+INFO,"(1.0, 2.0, 0.5)",SAMPLE_SIZE
+DATATYPE,TIME,2
+[Data]
+Comment,Time Stamp (sec),Temperature (K),Magnetic Field (Oe),Moment (emu),M. Std. Err. (emu),Coil Signal (mV)
+touchdown,0,300.1,,,,
+,1,300.2,-2,0.25,0.001,3.5
+,2,300.1,1,0.5,0.002,3.75
+new range,3,300.3,,,,
+,4,300.1,2.5,,,3.25
+,5,300.1,3,0.75,0.001,4.5
+,6,300.0,,,,
+"""
+
+
+def test_files_of_sections_keep_sizes_and_masses_and_omit_rows_without_a_measurement(tmp_path: Path) -> None:
+    record = read(_write(tmp_path, SECTIONS, "a.dat"))
+    assert isinstance(record, Record)
+    np.testing.assert_array_equal(record.u, [-2, 1, 2.5, 3])
+    np.testing.assert_array_equal(record.y, [0.25, 0.5, np.nan, 0.75])
+    assert (record.u_unit, record.y_unit) == ("Oe", "emu")
+    assert record.metadata == {"SAMPLE_MASS": "12.5", "SAMPLE_SIZE": "(1.0, 2.0, 0.5)"}
+    assert Record.labels_of(json.loads(json.dumps(record.labels())))["metadata"] == record.metadata
+    assert all(note.severity is Severity.INFO for note in record.notes)
+    assert sum("without input and output" in note.text for note in record.notes) == 1
+    other = read(_write(tmp_path, "# Gauge length: 25 mm\n# Sample rate: 200\nwidth,height\n1,2\n2,3\n1,4\n", "b.csv"))
+    assert other.metadata == {"Gauge length": "25 mm"}  # type: ignore[union-attr]
+    plain = SECTIONS.partition("[Data]\n")[2]  # without sections only rows with a comment are no samples
+    with pytest.raises(DataError, match="missing"):
+        read(_write(tmp_path, plain.replace("new range", "")))
+
+
+HEADERS = {  # encoding: headers of a time, an input and an output
+    "gbk": [
+        "时间(s),电压(V),位移(μm)",
+        "时间（秒）,输入电压（V）,输出位移（μm）",
+        "时间,磁场强度(Oe),磁矩(emu)",
+        "t_s,位移(mm),力(kN)",
+    ],
+    "shift_jis": [
+        "時間(s),電圧(V),変位(μm)",
+        "時間[秒],ひずみ,応力[MPa]",
+        "t_s,変位[mm],荷重[kN]",
+        "t_s,x_mm,力[N]",
+        "ﾃﾞｰﾀ時間,電圧,変位",
+    ],
+    "big5": ["時間(s),電壓(V),位移(mm)", "時間,應變,應力"],
+    "euc_kr": ["시간(s),전압(V),변위(mm)"],
+    "euc_jp": ["時間(s),電圧(V),変位(μm)"],
+    "cp1251": ["Время (с);Напряжение (В);Перемещение (мкм)", "время;ход;сила"],
+    "utf-16-le": ["时间(s),电压(V),位移(μm)", "時間一二三四五六七八九十十一十二十三,電圧,変位"],
+    "utf-16-be": ["時間(s),電圧(V),変位(μm)"],
+    "cp1252": ["t_s;Spannung_V;y_µm", "Größe (s),Kraft (N),Höhe (mm)", "Temps (s),Déplacement (µm),Température (°C)"],
+}
+
+
+@pytest.mark.parametrize("encoding", HEADERS)
+@pytest.mark.parametrize("rows", [3, 40, 2000])
+def test_encodings_are_recognized_from_short_headers(encoding: str, rows: int, tmp_path: Path) -> None:
+    values = np.column_stack([np.arange(rows) * 0.5, np.sin(np.arange(rows)), np.cos(np.arange(rows) / 3.0)]).round(6)
+    for header in HEADERS[encoding]:
+        mark = ";" if ";" in header else ","
+        text = header + "\n" + "".join(mark.join(map(repr, row)) + "\n" for row in values.tolist())
+        table = read_table(_write(tmp_path, text.encode(encoding)))
+        assert list(table.names) == header.split(mark)
+        assert sum("encoding" in note.text for note in table.notes) == 1
+        np.testing.assert_array_equal(np.column_stack(table.columns), values)
+
+
+def test_an_encoding_that_cannot_be_recognized_is_refused_and_can_be_given(tmp_path: Path) -> None:
+    path = _write(tmp_path, "编组甲,编组乙\n1,2\n2,3\n3,1\n".encode("gbk"))
+    with pytest.raises(DataError, match="--encoding"):
+        read(path)
+    assert read(path, encoding="gbk").u_name == "编组甲"  # type: ignore[union-attr]
 
 
 def test_header_repeated_where_time_starts_again_begins_a_curve(tmp_path: Path) -> None:
@@ -381,7 +559,27 @@ def test_gaps_split_into_pieces(tmp_path: Path) -> None:
         ("x_in", ("x", "in")),
         ("Kraft / kN", ("Kraft", "kN")),
         ("x[0]", ("x[0]", "")),
+        ("x[1]", ("x[1]", "")),
+        ("strain [1]", ("strain", "")),
+        ("电压（V）", ("电压", "V")),
+        ("変位 [μm]", ("変位", "μm")),
         ("P (µC/cm^2)", ("P", "µC/cm^2")),
+        ("P_uC_cm2", ("P", "uC/cm2")),
+        ("H_kA_m", ("H", "kA/m")),
+        ("H_A_m", ("H", "A/m")),
+        ("E_kV_cm", ("E", "kV/cm")),
+        ("M_emu_g", ("M", "emu/g")),
+        ("M_emu_cm3", ("M", "emu/cm3")),
+        ("sigma_Am2_kg", ("sigma", "Am2/kg")),
+        ("J_A_m2", ("J", "A/m2")),
+        ("d33_pm_V", ("d33", "pm/V")),
+        ("v_mm_s", ("v", "mm/s")),
+        ("tau_N_mm2", ("tau", "N/mm2")),
+        ("x_um", ("x", "um")),
+        ("x_A_m", ("x_A", "m")),
+        ("loop_id_a", ("loop_id_a", "")),
+        ("stage_a_b", ("stage_a_b", "")),
+        ("Moment (A·m²)", ("Moment", "A·m²")),
     ],
 )
 def test_units_in_names(header: str, expected: tuple[str, str]) -> None:
@@ -390,11 +588,64 @@ def test_units_in_names(header: str, expected: tuple[str, str]) -> None:
 
 @pytest.mark.parametrize(
     ("header", "kind"),
-    [("V", "voltage"), ("v_in_per_s", "velocity"), ("BmeasT", "magnetization"), ("Lead Actuator Displacment", "displacement"),
-     ("e_true", "strain"), ("MeasResult1_time", "time"), ("loop", "index"), ("foo", "")],
+    [("V", "voltage"), ("v_in_per_s", "velocity"), ("BmeasT", "induction"), ("Lead Actuator Displacment", "displacement"),
+     ("e_true", "strain"), ("MeasResult1_time", "time"), ("loop", "index"), ("foo", ""),
+     ("Magnetic Field (Oe)", "field"), ("Moment (emu)", "moment"), ("Moment (kNm)", "force"), ("M. Std. Err. (emu)", "error"),
+     ("Coil Signal' (mV)", "voltage"), ("Position (V)", "displacement"), ("M_kA_m", "magnetization"), ("mu0 H field (T)", "field"),
+     ("H_T", "field"), ("P_uC_cm2", "polarization"), ("E_kV_cm", "electric field"), ("Frequency (Hz)", "frequency"),
+     ("Temp_C", "temperature"), ("电压 (V)", "voltage"), ("荷重[kN]", "force"), ("напряжение_кВ", "voltage"),
+     ("VSM Status (code)", "status")],
 )  # fmt: skip
 def test_quantities_of_names(header: str, kind: str) -> None:
-    assert quantity(header) == kind
+    assert column_quantity(header) == kind
+
+
+COLUMNS = {  # header: (input, output) among all columns of changing numbers
+    "Coil (mV),Field (Oe),Moment (emu)": (1, 2),
+    "T_K,M_emu,H_Oe,M. Std. Err. (emu)": (2, 1),
+    "Min. Field (Oe),Field (Oe),M. Raw' (emu),Moment (emu)": (1, 3),
+    "Frequency (Hz),Field (Oe),DC Moment Fixed Ctr (emu),DC Moment Free Ctr (emu)": (1, 2),
+    "sequence,T_degC,B_T,H_A_m,known": (3, 2),
+    "E_kV_cm,P_uC_cm2,I_mA": (0, 1),
+    "I_mA,P_uC_cm2,U_V": (2, 1),
+    "F_kN,x_mm,eps,sigma_MPa": (2, 3),
+    "F_kN,T_degC,x_mm": (2, 0),
+    "Position (V),Voltage (V)": (1, 0),
+    "Temp_C,Status,Voltage (V),Displacement (um)": (2, 3),
+    "I_A,x_mm,F_N": (1, 2),
+    "I_A,B_T": (0, 1),
+    "温度（℃）,位移（μm）,电压（V）": (2, 1),
+    "荷重(kN),変位(mm)": (1, 0),
+    "y,x": (1, 0),
+    "foo,bar": (0, 1),
+    "T_degC,foo,bar": (1, 2),
+}
+
+
+@pytest.mark.parametrize("header", COLUMNS)
+def test_columns_are_guessed_by_their_quantities(header: str, tmp_path: Path) -> None:
+    count = header.count(",") + 1
+    rows = np.random.default_rng(1).normal(size=(20, count)).round(6).tolist()
+    record = read(_write(tmp_path, header + "\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)))
+    chosen = COLUMNS[header]
+    np.testing.assert_array_equal(np.column_stack([record.u, record.y]), np.array(rows)[:, chosen])  # type: ignore[union-attr]
+    assert sum(note.code is Code.COLUMN_CHOICE for note in record.notes) == 2  # type: ignore[union-attr]
+    other = read(tmp_path / "file.csv", input=chosen[1], output=chosen[0], time=False)
+    np.testing.assert_array_equal(np.column_stack([other.u, other.y]), np.array(rows)[:, chosen[::-1]])  # type: ignore[union-attr]
+
+
+def test_columns_of_one_matrix_are_guessed_like_columns_without_names(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", {"data": np.column_stack([T, U, Y])})
+    record = read(tmp_path / "a.mat")
+    np.testing.assert_array_equal(np.stack([record.t, record.u, record.y]), [T, U, Y])  # type: ignore[union-attr]
+
+
+def test_a_column_that_is_the_rate_of_the_input_is_not_taken_for_the_output(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 4.0, 201)
+    x, v, f = np.sin(t**2), 2 * t * np.cos(t**2), np.sin(t**2 - 0.4) + 0.3 * np.cos(t**2)
+    np.savetxt(tmp_path / "a.txt", np.column_stack([t, x, v, f]))
+    record = read(tmp_path / "a.txt")
+    np.testing.assert_array_equal(np.stack([record.t, record.u, record.y]), [t, x, f])  # type: ignore[union-attr]
 
 
 def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
@@ -404,7 +655,7 @@ def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
     t, u, y = (np.array(values) for values in (T, U, Y))
     np.savez(tmp_path / "a.npz", t_s=t, u_V=u, y_um=y, gain=np.array(3.0), other=np.arange(7.0))
     np.save(tmp_path / "a.npy", np.column_stack([t, u, y]))
-    scipy.io.savemat(tmp_path / "a.mat", {"run": {"t_s": t, "u_V": u, "y_um": y}, "who": "Kim"})
+    scipy.io.savemat(tmp_path / "a.mat", {"data": {"t_s": t, "u_V": u, "y_um": y}, "who": "Kim"})
     for name in ("a.h5", "b.mat"):
         with h5py.File(tmp_path / name, "w", userblock_size=512 if name == "b.mat" else 0) as file:
             for key, values in (("t_s", t), ("u_V", u), ("y_um", y)):
@@ -501,12 +752,15 @@ def test_measured_magnetics(measured: Path) -> None:
         if kind == "forc":
             curves.setdefault(curve, []).append([float(field), float(moment)])
     raw = read(measured / "mag_forc_pyforc" / "hchb_forc")
-    tidy = read(measured / "tidy" / "mag_forc_FeCo.csv", by="curve", where="kind=forc")
-    for data in (raw, tidy):
+    tidy = read(measured / "tidy" / "mag_forc_FeCo.csv")
+    chosen = read(measured / "tidy" / "mag_forc_FeCo.csv", by="curve", where="kind=forc")
+    for data in (raw, tidy, chosen):
         assert isinstance(data, Dataset)
         assert len(data) == len(curves) == 152
+        assert all(len(record) == record.used.sum() + (data is not chosen) for record in data)
         for record, points in zip(data, curves.values(), strict=True):
-            np.testing.assert_array_equal(np.column_stack([record.u, record.y]), points)
+            np.testing.assert_array_equal(np.column_stack([record.u, record.y])[record.used], points)
+            assert (record.u_unit, record.y_unit) == ("Oe", "emu")
     assert has(raw[0].notes, Code.CURVES)  # type: ignore[union-attr]
     for name in ("M130_27s", "MnZn_ferrite", "MnZn_HP_ferrite"):
         data = read(measured / "tidy" / f"mag_bh_{name}.csv", by="loop")
@@ -565,6 +819,21 @@ def test_measured_dampers(measured: Path) -> None:
         record = read(path)
         np.testing.assert_array_equal(np.column_stack([record.t, record.u, record.y]), _plain(path)[:, :3])  # type: ignore[union-attr]
         assert (record.t_unit, record.u_unit, record.y_unit) == ("s", "in", "kip")  # type: ignore[union-attr]
+
+
+def test_measured_vibrating_sample_magnetometer(measured: Path) -> None:
+    path = measured / "vsm_magmeas" / "VSM_MH.DAT"
+    lines = path.read_text(encoding="cp1252").splitlines()
+    names = lines[lines.index("[Data]") + 1].split(",")
+    field, moment = names.index("Magnetic Field (Oe)"), names.index("Moment (emu)")
+    rows = [line.split(",") for line in lines[lines.index("[Data]") + 2 :]]
+    record = read(path)
+    assert isinstance(record, Record)
+    np.testing.assert_array_equal(record.u, [float(row[field]) for row in rows])
+    np.testing.assert_array_equal(record.y, [float(row[moment] or "nan") for row in rows])
+    assert (record.u_unit, record.y_unit) == ("Oe", "emu")
+    assert record.metadata == {"SAMPLE_MASS": "54.86", "SAMPLE_SIZE": "(1.98, 1.99, 2.70)"}
+    assert all(note.severity is Severity.INFO for note in record.notes)
 
 
 def test_measured_ferroelectric(measured: Path) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import html.parser
 import math
 import re
+import warnings
 
 import matplotlib
 import matplotlib.figure
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib import font_manager
 
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.fit import fit, with_test
+from hystfit.inference.problem import Problem
 from hystfit.models import BoucWen, simulate
 from hystfit.outcome import Status
 from hystfit.outcome.table import rounded
@@ -265,6 +268,20 @@ def test_thinning_keeps_ends_and_extremes(seed, size, most):
     assert at.size <= max(most, 8) + 2
     assert (a[at].min(), a[at].max()) == (a.min(), a.max())
     assert (np.nanmin(b[at]), np.nanmax(b[at])) == (np.nanmin(b), np.nanmax(b))
+
+
+def test_a_report_with_names_in_other_scripts_has_them_in_the_text_and_no_warnings(result, tmp_path, monkeypatch):
+    fonts = [entry for entry in font_manager.fontManager.ttflist if "mpl-data" in entry.fname]
+    monkeypatch.setattr(font_manager.fontManager, "ttflist", fonts)
+    record = result.data[0].replace(u_name="电压_V", y_name="перемещение", y_unit="微米", name="記録")
+    renamed = dataclasses.replace(result, problem=Problem(result.problem.model, record))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        report.write(renamed, tmp_path / "report", test=record)
+    text = (tmp_path / "report" / "report.txt").read_text(encoding="utf-8")
+    assert all(name in text for name in ("电压_V", "перемещение", "微米", "記録"))
+    ax = plots.fit(renamed, "loop", matplotlib.figure.Figure().subplots())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("input [V]", "output")
 
 
 def test_labels_show_a_unit_once():

@@ -54,10 +54,7 @@ def run(arguments: Sequence[str]) -> int:
         return status if isinstance(status, int) else 0
     except UnusedCliTokensError as error:
         extra = " ".join(error.unused_tokens or ())
-        return _refuse(
-            f"unexpected argument {extra!r}: one file is read at a time (--by separates the loops in a file), and an option "
-            "with several values is repeated (--fix rho --fix mu)"
-        )
+        return _refuse(f"unexpected argument {extra!r}: an option with several values is repeated (--aim rho --aim mu)")
     except CycloptsError as error:
         return _refuse(str(error))
     except HystfitError as error:

@@ -11,7 +11,7 @@ from hystfit.cli.write import finish, items, progress
 from hystfit.outcome import Status
 
 
-def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
+def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
     """Check the quality of a record and which models it can determine.
 
     Args:
@@ -22,7 +22,7 @@ def check(loop: Loop, /, *, preisach: bool = False, reading: Reading = DEFAULT_R
     from hystfit.results.result import provenance
 
     output.check()
-    data = load(loop, reading)
+    data = load(loops, reading)
     with progress("checking"):
         report = judge(data)
     determined = any(item.verdict != "no" and item.model != "creep" for item in report.determines)

@@ -41,7 +41,7 @@ def invert(
 
     sampled = (fitdir / "posterior.nc").is_file()
     result = open_fit(fitdir / "fit" if sampled else fitdir, output)
-    target = _target(reference, reading)
+    target = result.in_own_units(_target(reference, reading))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span) if sampled else None
@@ -67,7 +67,7 @@ def invert(
     )
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
     lines = [f"{result.name} inverted for {target.name}: input {reach}", *summary.lines("  "), *items(notes)]
-    lines += items(note for note in target.notes if note.code is Code.LEFT_OUT)
+    lines += items(note for note in target.notes if note.code in (Code.LEFT_OUT, Code.UNITS))
     if bands is not None:
         lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
@@ -78,7 +78,7 @@ def _target(path: str, reading: Reading) -> Record:
     """The one record of a file with a reference."""
     if reading.input is not None:
         raise DataError("a reference has no input: name its column with --output")
-    data = load_one_sided(path, reading, "input")
+    data = load_one_sided([path], reading, "input")
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
     return data[0]

@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 
 @lists(methods=ESTIMATORS, sequential=IDENTIFIERS, noises=NOISES)
 def fit(
-    loop: Loop,
-    /,
-    *,
+    *loops: Loop,
     model: str = "auto",
     purpose: Purpose = "prediction",
     method: str = "auto",
@@ -73,7 +71,7 @@ def fit(
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
     }  # fmt: skip
-    train, test = train_and_test(loop, reading, split)
+    train, test = train_and_test(loops, reading, split)
     sequential = is_sequential(method)
     if sequential and (unused := _changed(options)):
         raise ParameterError(f"--{unused[0]} has no effect with --method {method}: leave it out")
@@ -136,9 +134,7 @@ def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, 
 
 
 def compare(
-    loop: Loop,
-    /,
-    *,
+    *loops: Loop,
     models: list[str] | None = None,
     left_out: Literal["blocks", "future"] = "blocks",
     purpose: Purpose = "prediction",
@@ -162,7 +158,7 @@ def compare(
 
     output.check()
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
-    train, test = train_and_test(loop, reading, split)
+    train, test = train_and_test(loops, reading, split)
     comparison = compare_models(train, names or None, left_out=left_out, purpose=purpose, seed=seed)
     text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner
     if test is not None:

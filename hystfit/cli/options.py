@@ -18,7 +18,13 @@ Text = Annotated[str | None, Parameter(group=FILE)]
 Part = Annotated[str | None, Parameter(group=SPLIT)]
 Flag = Annotated[bool, Parameter(group=SPLIT)]
 FitFolder = Annotated[Path, Parameter(help="folder written by `hystfit fit --out`")]
-Loop = Annotated[str, Parameter(help="file or name of a data set")]
+Loop = Annotated[
+    str,
+    Parameter(
+        help="file, pattern ('loops/*.csv'), input+output files (u.csv+y.csv) or name of a data set; several make several records"
+    ),
+]
+Number = Annotated[float | None, Parameter(group=FILE)]
 Limits = Annotated[str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fit")]
 
 Purpose = Annotated[
@@ -49,6 +55,12 @@ class Reading:
         time: column of the time, by name or number from 0; "none" reads without time. Recognized by name or unit by default.
         input: column of the input.
         output: column of the output.
+        sigma: column with the standard deviation of the output of each sample, which gives the weights.
+        rate: sampling rate in Hz, for a file without a usable clock.
+        dt: sampling interval in seconds, instead of --rate.
+        units: units of input and output, such as V,um; other units of the same quantity in the file are converted.
+        integrate: replace the output by its integral over time (the charge of a current).
+        smooth: smooth the input by a zero-phase filter of this many samples (odd).
         by: column whose values separate several curves in one file.
         only: which curves: values (3,4) or positions from 0 (1::4).
         where: rows to read, as column=value.
@@ -62,6 +74,12 @@ class Reading:
     time: Text = None
     input: Text = None
     output: Text = None
+    sigma: Text = None
+    rate: Number = None
+    dt: Number = None
+    units: Text = None
+    integrate: Annotated[bool, Parameter(group=FILE)] = False
+    smooth: Annotated[int | None, Parameter(group=FILE)] = None
     by: Text = None
     only: Text = None
     where: Text = None

@@ -38,9 +38,8 @@ def report(folder: FitFolder, /, *, output: Output = STDOUT) -> int:
 
 def predict(
     fitdir: FitFolder,
-    loop: Loop,
     /,
-    *,
+    *loops: Loop,
     input_only: Annotated[bool, Parameter(group=SPLIT)] = False,
     window: Part = None,
     refit_offset: Annotated[bool, Parameter(group=SPLIT)] = False,
@@ -59,7 +58,8 @@ def predict(
     result = open_fit(fitdir, output)
     if input_only and reading.output is not None:
         raise DataError("--output and --input-only exclude each other")
-    data = load_one_sided(loop, reading, "output") if input_only else load(loop, reading)
+    data = load_one_sided(loops, reading, "output") if input_only else load(loops, reading)
+    data = data.map(result.in_own_units)
     part = bounds_of(window)
     if part is not None:
         data = data.map(lambda record: record.window(*part))
@@ -91,7 +91,8 @@ def _compared(
     if measured and finite:
         metrics = Metrics.of([r.y[r.used] for r, _ in measured], [run[r.used] for r, run in measured])
     weighted = [r if r.used.any() else r.replace(weight=np.ones(len(r))) for r in data]
-    notes = [note for record in weighted if (note := result.extrapolation(record))]
+    notes = list(dict.fromkeys(note for record in data for note in record.notes if note.code is Code.UNITS))
+    notes += [note for record in weighted if (note := result.extrapolation(record))]
     if not finite:
         text = "the prediction is not finite: the model is unstable on this input"
         notes.append(Note(Code.NOT_FINITE, text, Severity.ERROR))

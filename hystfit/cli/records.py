@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -28,19 +29,38 @@ def open_fit(folder: Path, output: Output) -> FitResult:
     return result
 
 
-def load(loop: str, reading: Reading) -> Dataset:
-    """The records of a LOOP argument.
+_LAYOUT = ("sheet", "delimiter", "decimal", "encoding")
+_TREATMENT = ("rate", "dt", "units", "integrate", "smooth")
+
+
+def load(loops: Sequence[str], reading: Reading) -> Dataset:
+    """The records of LOOP arguments, in the units of the first.
 
     Raises:
         DataError: neither a file nor a data set, or it cannot be read with these options.
     """
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
+    from hystfit.reading.several import combined, files_of
+
+    if not loops:
+        raise DataError("name the file of a measured loop, or a data set (hystfit datasets lists them)")
+    known = [loop for loop in loops if loop in datasets.names() and not Path(loop).exists()]
+    files = [str(file) for loop in loops for file in ([loop] if loop in known else files_of(loop))]
+    if twice := sorted({file for file in files if files.count(file) > 1}):
+        raise DataError(f"{twice[0]!r} is given twice")
+    return Dataset.of(combined([(file, _load_one(file, reading)) for file in files]))
+
+
+def _load_one(loop: str, reading: Reading) -> Dataset:
+    from hystfit.data.record import Dataset
+    from hystfit.reading import datasets
     from hystfit.reading.read import read
+    from hystfit.reading.several import pair_of
 
     if Path(loop).is_dir():
-        raise DataError(f"{loop!r} is a folder; name a file in it")
-    if Path(loop).exists():
+        raise DataError(f"{loop!r} is a folder; name a file in it, or give a pattern ('{loop}/*.csv')")
+    if Path(loop).exists() or pair_of(loop):
         return Dataset.of(read(loop, **dataclasses.asdict(reading)))
     if loop in datasets.names():
         return _by_name(loop, reading)
@@ -52,65 +72,79 @@ def load(loop: str, reading: Reading) -> Dataset:
 def _by_name(name: str, reading: Reading) -> Dataset:
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
-    from hystfit.reading.read import select_curves
+    from hystfit.reading.curves import select_curves
+    from hystfit.reading.treatment import Treatment
 
-    default = Reading(only=reading.only)
+    chosen = {field: getattr(reading, field) for field in (*_TREATMENT, "only")}
+    default = Reading(**chosen)
     changed = [field for field, value in vars(reading).items() if value != getattr(default, field)]
     if changed:
         raise DataError(f"{name!r} is a data set whose columns are known: leave out --{' --'.join(changed)}")
-    data = Dataset.of(datasets.load(name))
+    treatment = Treatment(**{field: chosen[field] for field in _TREATMENT})
+    data = Dataset.of(datasets.load(name)).map(treatment.of)
     if reading.only is None:
         return data
     if len(data) == 1:
         raise DataError(f"{name!r} holds one curve, so that --only {reading.only} has nothing to choose from")
-    chosen = select_curves([(record.name, record) for record in data], reading.only, name)
-    return Dataset(tuple(record for _, record in chosen), name=data.name)
+    curves = select_curves([(record.name, record) for record in data], reading.only, name)
+    return Dataset(tuple(record for _, record in curves), name=data.name)
 
 
-def load_one_sided(path: str, reading: Reading, missing: Literal["input", "output"]) -> Dataset:
-    """Records of a file that has no input (a reference) or no output (an excitation).
+def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["input", "output"]) -> Dataset:
+    """Records of files that have no input (a reference) or no output (an excitation).
 
     The missing input is the number of the sample; the missing output is 0 with weight 0.
 
     Args:
-        path: of the file.
-        reading: how it is read; names no column for what is missing.
-        missing: the quantity that the file does not have.
+        files: paths or patterns.
+        reading: how they are read; names no column for what is missing.
+        missing: the quantity that the files do not have.
 
     Raises:
         DataError: no such file, or it cannot be read with these options.
     """
+    from hystfit.data.record import Dataset
+    from hystfit.reading.several import combined, files_of
+
+    unused = ("integrate", "sigma", *(["smooth"] if missing == "input" else []))
+    if senseless := [name for name in unused if getattr(reading, name)]:
+        raise DataError(f"--{senseless[0]} does not apply to a file without {missing}: leave it out")
+    paths = [str(path) for path in files_of(files)]
+    return Dataset.of(combined([(path, _one_sided(path, reading, missing)) for path in paths]))
+
+
+def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"]) -> Dataset:
     import numpy as np
 
     from hystfit.data.record import Dataset
     from hystfit.reading.read import assemble, table_of
+    from hystfit.reading.several import with_column
+    from hystfit.reading.treatment import Treatment
 
     if not Path(path).is_file():
         raise DataError(f"no file {path!r} with the {'reference' if missing == 'input' else 'input'}")
     options = dataclasses.asdict(reading)
-    table = table_of(path, **{key: options.pop(key) for key in ("sheet", "delimiter", "decimal", "encoding")})
-    name = f"no {missing}"
+    treatment = Treatment(**{key: options.pop(key) for key in _TREATMENT})
+    table = table_of(path, **{key: options.pop(key) for key in _LAYOUT})
     column = np.arange(float(table.rows)) * (missing == "input")
-    table = dataclasses.replace(
-        table, names=(*table.names, name), units=(*table.units, ""), columns=(*table.columns, column)
-    )
-    data = Dataset.of(assemble(table, **{**options, missing: name}))
+    options[missing] = len(table.names)
+    data = Dataset.of(assemble(with_column(table, f"no {missing}", column), **options, treatment=treatment))
     return data if missing == "input" else data.map(lambda record: record.replace(weight=np.zeros(len(record))))
 
 
-def train_and_test(loop: str, reading: Reading, split: Split) -> tuple[Dataset, Dataset | None]:
+def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tuple[Dataset, Dataset | None]:
     """Records to fit and records to test on; without a window or curves to fit, all that are not tested are fitted.
 
     Raises:
         DataError: as `load`, an empty window, or a test that shares samples with the fit.
     """
     train_window, test_window = bounds_of(split.window), bounds_of(split.test_window)
-    train = load(loop, reading)
+    train = load(loops, reading)
     test = None
     if split.test is not None:
-        test = _renamed(load(split.test, dataclasses.replace(reading, only=split.test_only)), train)
+        test = _renamed(load([split.test], dataclasses.replace(reading, only=split.test_only)), train)
     elif split.test_only is not None:
-        test = load(loop, dataclasses.replace(reading, only=split.test_only))
+        test = load(loops, dataclasses.replace(reading, only=split.test_only))
         names = {record.name for record in test}
         if reading.only is None:
             rest = tuple(record for record in train if record.name not in names)

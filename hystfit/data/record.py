@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from hystfit.data.preparation import integral, interval_of, smooth
 from hystfit.errors import DataError
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Severity
+from hystfit.params.units import conversion, integral_unit
 
-_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256")
+_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma", "metadata")
 
 
 def median_interval(steps: np.ndarray) -> float | None:
@@ -42,12 +44,14 @@ class Record:
         u: input, shape (T,), finite.
         y: output, shape (T,); NaN marks a missing measurement (it is simulated, never fitted).
         t: time of each sample [t_unit], shape (T,), non-decreasing; None where there is none.
-        weight: shape (T,), 1 where the sample counts in a fit or a metric and 0 where it does not.
+        weight: shape (T,), 0 where the sample does not count in a fit or a metric; else 1, or relative to `sigma`.
         u_unit, y_unit, t_unit: units as written in reports; "" if unknown.
         u_name, y_name: names of the columns.
         name: name of the record in reports and per-record parameters.
         source: origin (a path, a data set, "simulated").
         sha256: checksum of the file that it was read from; None if it was not read from a file.
+        sigma: standard deviation of the output of a sample of weight 1 [y_unit]; None if unknown (see `with_sigma`).
+        metadata: properties of the sample as the header of its file states them, by name (size, mass, ...).
         notes: what was assumed, left out or changed when the record was read or prepared.
 
     Raises:
@@ -66,6 +70,8 @@ class Record:
     name: str = "record"
     source: str = ""
     sha256: str | None = None
+    sigma: float | None = None
+    metadata: Mapping[str, str] = dataclasses.field(default_factory=dict)
     notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
@@ -105,6 +111,8 @@ class Record:
                 )
         if not np.isfinite(self.weight).all() or (self.weight < 0).any():
             raise DataError(f"record {self.name!r}: weights must be finite and not negative")
+        if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise DataError(f"record {self.name!r}: sigma must be a positive number, got {self.sigma}")
 
     def __len__(self) -> int:
         return self.u.size
@@ -147,13 +155,15 @@ class Record:
         """Copy with some fields changed."""
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
-    def noted(self, code: Code, text: str) -> Record:
-        """Copy with one more note."""
-        return self.replace(notes=(*self.notes, Note(code, text)))
+    def noted(self, code: Code, text: str, severity: Severity = Severity.INFO) -> Record:
+        """Copy with one more note, which is not repeated."""
+        note = Note(code, text, severity)
+        return self if note in self.notes else self.replace(notes=(*self.notes, note))
 
     def labels(self) -> dict[str, Any]:
         """All fields but the arrays, for JSON; `labels_of` reads them back."""
-        return {field: getattr(self, field) for field in _LABELS} | {"notes": [note.to_dict() for note in self.notes]}
+        fields = {field: getattr(self, field) for field in _LABELS} | {"metadata": dict(self.metadata)}
+        return fields | {"notes": [note.to_dict() for note in self.notes]}
 
     @staticmethod
     def labels_of(stored: dict[str, Any]) -> dict[str, Any]:
@@ -202,6 +212,125 @@ class Record:
         level = f"{u0:g} {self.u_unit}".rstrip()
         return longer.noted(Code.PREPARED, f"assumed in equilibrium at an input of {level} before the record begins")
 
+    def sampled(self, rate: float | None = None, dt: float | None = None) -> Record:
+        """Copy whose samples are evenly spaced in time from 0 s on; any other time is replaced.
+
+        Args:
+            rate: sampling rate [Hz].
+            dt: sampling interval [s]; give one of the two.
+
+        Raises:
+            DataError: neither or both are given, or the value is not positive.
+        """
+        interval = interval_of(rate, dt)
+        if interval is None:
+            raise DataError("a sampling rate or a sampling interval is needed")
+        timed = self.replace(t=interval * np.arange(len(self)), t_unit="s")
+        text = f"time from a sampling rate of {1 / interval:.6g} Hz (interval {interval:.6g} s), which was chosen by the user"
+        return timed.noted(Code.PREPARED, text)
+
+    def with_sigma(self, sigma: Any) -> Record:
+        """Copy whose samples have the weight 1/sigma^2, relative to the median of sigma.
+
+        Only the ratios matter to a fit; the size of the noise is estimated from the residuals.
+
+        Args:
+            sigma: standard deviation of the output of each sample, shape (T,) [y_unit].
+
+        Raises:
+            DataError: a standard deviation is not a positive number where the sample counts.
+        """
+        sigma = _column("sigma", sigma)
+        if sigma.size != len(self):
+            raise DataError(f"record {self.name!r}: {sigma.size} standard deviations for {len(self)} samples")
+        bad = self.used & ~(np.isfinite(sigma) & (sigma > 0))
+        if bad.any():
+            raise DataError(
+                f"record {self.name!r}: {int(bad.sum())} standard deviations are not positive numbers, the first "
+                f"({sigma[bad][0]:g}) at sample {int(np.argmax(bad))}"
+            )
+        known = sigma[self.used]
+        middle = float(np.median(known))
+        weight = np.where(self.used, self.weight, 0.0)
+        weight[self.used] *= (middle / known) ** 2
+        weighted = self.replace(weight=weight, sigma=middle)
+        unit = f" {self.y_unit}".rstrip()
+        text = f"samples are weighted by standard deviations of {known.min():.4g} to {known.max():.4g}{unit}"
+        return weighted.noted(Code.WEIGHTED, text)
+
+    def smoothed(self, length: int) -> Record:
+        """Copy with a smoothed input (zero phase: it is not delayed), see `hystfit.data.preparation.smooth`.
+
+        Args:
+            length: number of samples, odd and at least 5.
+
+        Raises:
+            DataError: the length is even, too small, or larger than the record.
+        """
+        u = smooth(self.u, length)
+        changed = f"{np.sqrt(np.mean((u - self.u) ** 2)):.3g} {self.u_unit}".rstrip()
+        text = f"input smoothed by a zero-phase Savitzky-Golay filter of {length} samples (changes it by {changed} rms)"
+        return self.replace(u=u).noted(Code.PREPARED, text)
+
+    def integrated(self) -> Record:
+        """Copy whose output is the integral of the output over time (the charge of a current), by the trapezoidal rule.
+
+        It begins at 0, and no mean is subtracted.
+
+        Raises:
+            DataError: no time, a missing output, or standard deviations, which do not apply to an integral.
+        """
+        if self.t is None:
+            raise DataError(f"record {self.name!r} has no time, which an integral needs: give rate= or dt=")
+        if self.sigma is not None:
+            raise DataError(f"record {self.name!r}: standard deviations of the output do not apply to its integral")
+        if missing := int(np.isnan(self.y).sum()):
+            raise DataError(f"record {self.name!r}: {missing} outputs are missing, which cannot be integrated over")
+        factor = conversion(self.t_unit, "s")
+        unit = f"{self.y_unit}*{self.t_unit}" if factor is None else integral_unit(self.y_unit)
+        y = integral(self.y, self.t * (factor or 1.0))
+        drift = f"{y[-1]:.4g} {unit}".rstrip()
+        text = (
+            f"output {self.y_name!r} integrated over time; its mean was not subtracted, and the integral ends {drift} "
+            "above its start"
+        )
+        whole = self.replace(y=y, y_unit=unit, y_name=f"integral of {self.y_name}")
+        return whole.noted(Code.PREPARED, text)
+
+    def in_units(self, u: str = "", y: str = "", t: str = "") -> Record:
+        """Copy in other units of the same quantities; a column whose unit is unknown is assumed to be in the new unit.
+
+        Args:
+            u, y, t: new units of input, output and time; "" keeps the unit.
+
+        Raises:
+            DataError: a new unit belongs to another quantity.
+        """
+        record = self
+        for role, symbol, unit in (("input", "u", u), ("output", "y", y), ("time", "t", t)):
+            values, old = getattr(record, symbol), getattr(record, f"{symbol}_unit")
+            if not unit or unit == old or values is None:
+                continue
+            try:
+                factor = conversion(old, unit)
+            except DataError as error:
+                raise DataError(f"record {self.name!r}: the {role} has another unit: {error}") from error
+            if factor is None and old:
+                text = (
+                    f"the {role} is in {old!r}, which cannot be converted to {unit!r}: its numbers are used unchanged"
+                )
+                record = record.noted(Code.UNITS, text, Severity.WARNING)
+                continue
+            changes: dict[str, Any] = {f"{symbol}_unit": unit}
+            text = f"the unit of the {role} is unknown: {unit} is assumed"
+            if factor is not None:
+                changes[symbol] = values * factor
+                text = f"{role} converted from {old} to {unit}"
+                if symbol == "y" and record.sigma is not None:
+                    changes["sigma"] = record.sigma * factor
+            record = record.replace(**changes).noted(Code.UNITS, text)
+        return record
+
     def segment(self, start: int, stop: int) -> Record:
         """Samples start <= i < stop as a separate record, without the input before them."""
         return self.take(slice(start, stop))
@@ -227,8 +356,10 @@ class Record:
 class Dataset:
     """Several records with distinct names, for one model.
 
+    They are converted to the units of the first record that has one, and their weights refer to one standard deviation.
+
     Raises:
-        DataError: no records, or two of the same name.
+        DataError: no records, two of the same name, units of different quantities, or standard deviations for some only.
     """
 
     records: tuple[Record, ...]
@@ -242,6 +373,9 @@ class Dataset:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise DataError(f"data set {self.name!r}: record names must differ, found {twice} more than once")
+        alike = [record.in_units(**self.units) for record in self.records]
+        sigma = _common_sigma(alike)
+        object.__setattr__(self, "records", tuple(_referred(record, sigma) for record in alike))
 
     @classmethod
     def of(cls, data: Record | Dataset | Iterable[Record]) -> Dataset:
@@ -302,3 +436,19 @@ class Dataset:
     def sampling_interval(self) -> float | None:
         """Median of the positive time steps of all records [t_unit]; None where no record has time."""
         return median_interval(np.concatenate([record.dt[1:] for record in self.records]))
+
+
+def _common_sigma(records: Sequence[Record]) -> float | None:
+    """Standard deviation of the first record at weight 1; None where no record has one."""
+    known = [record for record in records if record.sigma is not None]
+    if known and len(known) < len(records):
+        without = next(record.name for record in records if record.sigma is None)
+        raise DataError(f"record {without!r} has no standard deviations, and others have: give them for all or none")
+    return known[0].sigma if known else None
+
+
+def _referred(record: Record, sigma: float | None) -> Record:
+    """The record with its weights relative to another standard deviation [y_unit]."""
+    if sigma is None or record.sigma is None or record.sigma == sigma:
+        return record
+    return record.replace(weight=record.weight * (sigma / record.sigma) ** 2, sigma=sigma)

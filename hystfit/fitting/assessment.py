@@ -14,6 +14,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
+from hystfit.quality.findings import WITHOUT_TIME
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.metrics import Metrics
@@ -133,6 +134,8 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
         errors: its standard errors.
     """
     notes = list(estimate.notes)
+    if all(record.t is None for record in problem.data):
+        notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))
     advice = dict.fromkeys(line for record in problem.data for line in model.advice(record.u, record.dt))
     notes += [warn(Code.MODEL_ADVICE, line) for line in advice]
     notes += _bounds_reached(problem, estimate.x)

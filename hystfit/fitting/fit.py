@@ -328,12 +328,14 @@ def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, r
         test: the records.
         refit_offset: shift each prediction to the mean of the record.
     """
-    records = list(Dataset.of(test))
     try:
+        records = list(Dataset.of(test).map(result.in_own_units))
         metrics = result.metrics(records, refit_offset=refit_offset)
     except HystfitError as error:
         raise type(error)(f"test data: {error}") from error
-    notes = [note for record in records if (note := result.extrapolation(record))]
+    notes = list(dict.fromkeys(note for record in records for note in record.notes if note.code is Code.UNITS))
+    notes = [dataclasses.replace(note, text=f"test data: {note.text}") for note in notes]
+    notes += [note for record in records if (note := result.extrapolation(record))]
     if refit_offset:
         notes.append(Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted"))
     return dataclasses.replace(result.with_notes(*notes), test=metrics)

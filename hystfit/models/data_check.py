@@ -77,7 +77,7 @@ def _advice(report: QualityReport) -> Advice | None:
         return None
     if "dynamic" in kinds:
         if all(record.units["u"] in _FORCES for record in report.records):
-            return Advice("bouc-wen-oscillator", "the displacement resonates under a force")
+            return Advice("oscillator", "the displacement resonates under a force")
         return Advice("bouc-wen+second-order", "the output resonates")
     if kinds[0] == "leading":
         if "leading-with-rate" in kinds:

@@ -73,8 +73,12 @@ class Code(enum.StrEnum):
     TIME_STEPS = "time-steps"  # uneven or repeated time stamps
     CURVES = "curves"  # how the rows of a file were divided into records
     PREPARED = "prepared"  # how a record was made or changed after it was measured
+    UNITS = "units"  # a column was converted, or its unit assumed
+    WEIGHTED = "weighted"  # samples are weighted by their standard deviations
+    COARSE_CLOCK = "coarse-clock"  # time stamps repeat, so that the time of each sample is unknown
     # data quality
     NO_TIME = "no-time"  # no usable time stamps
+    RATE = "rate"  # an output that is the rate of another quantity (a current)
     CLIPPED = "clipped"  # the output saturates
     SPIKES = "spikes"  # isolated outliers in the output
     CHATTER = "chatter"  # noise reverses the input

@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
+from hystfit.params.units import quantity
+from hystfit.quality.chatter import MOST
 from hystfit.quality.determination import few_samples
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.summary import RecordQuality
+
+WITHOUT_TIME = (
+    "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
+    "the time of evenly spaced samples"
+)
 
 
 def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
@@ -32,9 +39,7 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
     """Faults of single samples and of the time axis."""
     sampling, unit = record.sampling, record.units["y"]
     if sampling.rate is None:
-        yield warn(
-            Code.NO_TIME, "no usable time: only rate-independent models can be fitted; lag and creep are unknown"
-        )
+        yield warn(Code.NO_TIME, f"no usable time: lag and creep are unknown, and {WITHOUT_TIME}")
     elif not sampling.uniform:
         yield warn(Code.TIME_STEPS, "uneven time steps: the lag is not estimated")
     if sampling.repeated_stamps:
@@ -51,11 +56,17 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
         )
     if record.spikes:
         yield warn(Code.SPIKES, f"outliers (spikes) in the output: {record.spikes}; fit with a robust loss")
-    if record.motion.chatter_percent > 5:
+    if record.motion.chatter_percent > MOST:
+        length = record.motion.smoothing
+        remedy = (
+            f"--smooth {length} (smooth={length}) reduces them below {MOST:g} %"
+            if length
+            else "measure the input with less noise"
+        )
         yield warn(
             Code.CHATTER,
-            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise: smooth the input, "
-            "otherwise models produce loops from noise",
+            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and models produce "
+            f"loops from them: {remedy}",
         )
     noise, span = record.y.known_noise, record.y.range
     if noise and span > 0 and noise > 0.02 * span:
@@ -68,6 +79,15 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
     shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
     if record.dynamics is not None and record.dynamic:
         yield warn(Code.DYNAMICS, _resonance(record.dynamics, record.units["t"]))
+    if quantity(unit) in ("current", "current density") and quantity(record.units["u"]) in (
+        "voltage",
+        "electric field",
+    ):
+        yield Note(
+            Code.RATE,
+            f"the output is a {quantity(unit)} against a {quantity(record.units['u'])}: for a loop of charge or polarization, "
+            "--integrate (integrate=True) integrates it over time",
+        )
     if record.motion.monotonic:
         yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
     if shape is not None and shape.circulation is None:
@@ -112,5 +132,5 @@ def _resonance(found: Dynamics, unit: str) -> str:
         f"the response changes with frequency: from {found.low:.3g} to {found.high:.3g} {rate} the gain changes by a factor of "
         f"{found.gain_ratio:.2g} and the phase from {found.phase_low:.0f} to {found.phase_high:.0f} degrees. A resonance at "
         f"{found.natural_frequency:.3g} {rate} (damping ratio {found.damping_ratio:.2g}) explains {100 * found.explained:.0f} % of the "
-        "variance that hysteresis, lag and velocity terms do not: use bouc-wen-oscillator, or second-order after a hysteresis"
+        "variance that hysteresis, lag and velocity terms do not: use oscillator, or second-order after a hysteresis"
     )

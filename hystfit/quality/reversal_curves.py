@@ -34,11 +34,11 @@ class ReversalFamily:
 
     def words(self) -> str:
         """One line for a report."""
-        start = [r.u[0] for r in self.curves]
+        start, unit = [r.u[0] for r in self.curves], f" {self.curves[0].u_unit}".rstrip()
         direction, side = ("rising", "positive") if self.rising else ("falling", "negative")
         return (
-            f"{len(self.curves)} first-order reversal curves, {direction} from reversals at {min(start):.4g} to {max(start):.4g} "
-            f"to {side} saturation"
+            f"{len(self.curves)} first-order reversal curves, {direction} from reversals at {min(start):.4g} to {max(start):.4g}"
+            f"{unit} to {side} saturation"
         )
 
 
@@ -109,8 +109,9 @@ def _notes(curves: list[Record], rising: bool) -> list[str]:
     end = min(r.u.max() for r in curves) if rising else max(r.u.min() for r in curves)
     ends = [float(at_inputs(r, np.array([end]))[0]) for r in curves]
     if np.ptp(ends) > _CLOSE * span:
+        level = f"{end:g} {curves[0].u_unit}".rstrip()
         notes.append(
-            f"at {end:g} the curves differ by {100 * np.ptp(ends) / span:.1f} % of the range: they do not close, because the "
+            f"at {level} the curves differ by {100 * np.ptp(ends) / span:.1f} % of the range: they do not close, because the "
             "largest input does not saturate"
         )
     return notes

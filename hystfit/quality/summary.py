@@ -8,8 +8,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
+from hystfit.quality.chatter import chatter, smoothing_length
 from hystfit.quality.drift import Drift, drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
@@ -67,6 +69,7 @@ class Motion:
         threshold: change of u by which a turning point must stand out [unit of u].
         reversals: number of turning points.
         chatter_percent: share of the samples at which the input steps back against its branch.
+        smoothing: length of the smoothing filter that removes the chatter [samples]; None if none is needed or helps.
         closed_loops, major, minor, nested: loops that close; those within 5 % of the largest stroke; the others; those inside
             another.
         cycles: pairs of branches, closed or not.
@@ -80,6 +83,7 @@ class Motion:
     threshold: float
     reversals: int
     chatter_percent: float
+    smoothing: int | None
     closed_loops: int
     major: int
     minor: int
@@ -154,7 +158,9 @@ class RecordQuality:
 
 
 def summarize(record: Record) -> RecordQuality:
-    """Measure one record."""
+    """Measure one record; time stamps that repeat are no time."""
+    if record.t is not None and CoarseClock.of(record.t):
+        record = record.replace(t=None)
     u, y, t = record.u, record.y, record.t
     u_column, y_column = _column(u), _column(y)
     motion, turns, cycles, loops = _motion(record, u_column)
@@ -230,9 +236,6 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     largest = max((loop.stroke for loop in loops), default=0.0)
     major = sum(loop.stroke >= 0.95 * largest for loop in loops)
     branches = geometry.branches(u, threshold)
-    backward = sum(
-        int((np.sign(u[b] - u[a]) * np.diff(u[a : b + 1]) < 0).sum()) for a, b in branches if b > a and u[b] != u[a]
-    )
     levels = u[turns]
     pairs = {tuple(sorted(pair)) for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / 0.05).tolist()}
     strokes = [float(abs(u[b] - u[a])) / span for a, b in (branches[1:-1] if len(branches) > 2 else branches)]
@@ -242,7 +245,8 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     motion = Motion(
         threshold=float(threshold),
         reversals=int(turns.size),
-        chatter_percent=100 * backward / max(u.size - 1, 1),
+        chatter_percent=chatter(u, branches),
+        smoothing=smoothing_length(u, branches),
         closed_loops=len(loops),
         major=int(major),
         minor=len(loops) - int(major),

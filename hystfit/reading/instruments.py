@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,50 +34,20 @@ def shaking_table(paths: tuple[Path, ...]) -> Record:
     return record.noted(Code.LEFT_OUT, "left out: the measured velocity (second column of x_F)")
 
 
-def micromag_blocks(path: Path) -> Iterator[np.ndarray]:
-    """Blocks of (field, moment) rows of a MicroMag text file, each of shape (N, 2)."""
-    rows: list[list[float]] = []
-    for line in path.read_text(encoding="latin-1").splitlines():
-        cells = line.split(",")
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            row = []
-        if len(row) == 2:
-            rows.append(row)
-        elif rows:
-            yield np.array(rows)
-            rows = []
-    if rows:
-        yield np.array(rows)
+_MICROMAG_UNITS = {"cgs": ("Oe", "emu"), "hybrid si": ("T", "Am2"), "si": ("A/m", "Am2")}
 
 
-def reversal_curves(paths: tuple[Path, ...]) -> Dataset:
-    """One record per curve: the calibration point at saturation (weight 0) before it, then the curve."""
-    records: list[Record] = []
-    calibration: np.ndarray | None = None
-    for block in micromag_blocks(paths[0]):
-        if len(block) == 1:
-            calibration = block
-            continue
-        if calibration is None:
-            raise DataError(f"{paths[0]}: a curve of {len(block)} points comes before any calibration point")
-        table = np.concatenate([calibration, block])
-        weight = np.append(0.0, np.ones(len(block)))
-        records.append(
-            Record(
-                table[:, 0],
-                table[:, 1],
-                weight=weight,
-                u_unit="Oe",
-                y_unit="emu",
-                u_name="H",
-                y_name="M",
-                name=f"curve-{len(records) + 1}",
-            ).noted(Code.CURVES, "the calibration point at saturation is the first sample, with weight 0")
-        )
-        calibration = None
-    return Dataset(tuple(records))
+def micromag_columns(above: Sequence[str]) -> list[tuple[str, str]] | None:
+    """Names and units of field and moment in a MicroMag text file; None if it is none.
+
+    Args:
+        above: lines above the numbers.
+    """
+    if not any(line.startswith("MicroMag") for line in above[:3]):
+        return None
+    stated = (re.match(r"Units of measure\s*:?\s*(.+)", line) for line in above)
+    system = next((match[1].strip().lower() for match in stated if match), "")
+    return list(zip(("H", "M"), _MICROMAG_UNITS.get(system, ("", "")), strict=True))
 
 
 def pulse_train(paths: tuple[Path, ...]) -> Dataset:

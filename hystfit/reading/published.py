@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code
-from hystfit.reading.instruments import magnetic_loops, pulse_train, reversal_curves, shaking_table
+from hystfit.reading.instruments import magnetic_loops, pulse_train, shaking_table
 from hystfit.reading.read import read_csv
 
 Reader = Callable[[tuple[Path, ...]], Record | Dataset]
@@ -219,7 +219,7 @@ ENTRIES: Mapping[str, Bundled | Measured] = {
     **_single(
         FORC,
         ("mag_forc_pyforc/FeCo", "one record per curve",
-         "19e98501633124e00276f2f1472e006de1897aabc0632dd7caa3b2bdba228245", reversal_curves,
+         "19e98501633124e00276f2f1472e006de1897aabc0632dd7caa3b2bdba228245", lambda paths: read_csv(paths[0]),
          "tests/fixtures/hchb_forc",
          "tests/hchb_forc",
          "tests/data/hchb_forc"),

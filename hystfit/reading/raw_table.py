@@ -26,6 +26,9 @@ class Table:
         source: path; sha256: checksum of the file's bytes.
         notes: what was assumed and left out.
         left_out: rows or lines that are not in the columns, counted by reason.
+        metadata: properties of the sample in the header (size, mass, ...), as written there.
+        sectioned: the file has sections [Header] and [Data], in which rows without a measurement are ordinary.
+        calibration: which rows are calibration points, shape (rows,), bool; None where that is unknown or there are none.
     """
 
     names: tuple[str, ...]
@@ -41,6 +44,9 @@ class Table:
     stamps: frozenset[int] = frozenset()
     notes: tuple[Note, ...] = ()
     left_out: dict[str, int] = dataclasses.field(default_factory=dict)
+    metadata: dict[str, str] = dataclasses.field(default_factory=dict)
+    sectioned: bool = False
+    calibration: np.ndarray | None = None
 
     @property
     def rows(self) -> int:
@@ -62,6 +68,7 @@ class Table:
             curve=self.curve[rows],
             section=self.section[rows],
             line=self.line[rows],
+            calibration=None if self.calibration is None else self.calibration[rows],
         )
 
     def describe(self) -> str:

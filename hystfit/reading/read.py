@@ -2,52 +2,72 @@
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Dataset, Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.reading.calibration import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.header import split_unit
+from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Table
+from hystfit.reading.several import combined, files_of, pair_of, pair_table
 from hystfit.reading.text import read_table
+from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
-TEXT_SUFFIXES = frozenset({"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".data"})
+TEXT_SUFFIXES = frozenset(
+    {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
+)
 Column = str | int
+_RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
 
 def read(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     time: Column | bool | None = None,
     input: Column | None = None,
     output: Column | None = None,
+    sigma: Column | None = None,
     by: Column | None = None,
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
+    rate: float | None = None,
+    dt: float | None = None,
+    units: str | Sequence[str] | None = None,
+    integrate: bool = False,
+    smooth: int | None = None,
     sheet: Column | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
     name: str | None = None,
 ) -> Record | Dataset:
-    """A record, or a data set where the file holds several curves, from a file of any kind that hystfit reads.
+    """A record, or a data set where there are several curves or files, from files of any kind that hystfit reads.
 
     Args:
-        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5.
+        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5; or several of them: a list, or a pattern such
+            as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and its output in the second.
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
             `time=False` reads without time.
+        sigma: column with the standard deviation of the output of each sample, from which the weights follow.
         by: column whose values separate curves.
         only: which curves: values ("3,4" or [3, 4]) or positions from 0 as a slice ("1::4").
         where: rows to read, {"kind": "forc"} or "kind=forc".
         gaps: "error" refuses a missing input within a record, "split" makes a data set of the pieces.
+        rate: sampling rate [Hz], for files without a usable clock.
+        dt: sampling interval [s], instead of the rate.
+        units: of input and output ("V,um" or a pair); values in other units of the same quantity are converted.
+        integrate: replace the output by its integral over time (the charge of a current).
+        smooth: smooth the input by a zero-phase filter of so many samples (odd).
         sheet: sheet of a workbook, by name or number from 0.
         delimiter, decimal, encoding: of a text file; detected where None.
         name: name of the record or data set; the file's name by default.
@@ -56,8 +76,11 @@ def read(
         DataError: the file cannot be read as requested; the message names the remedy.
         MissingExtraError: a package for this kind of file is not installed.
     """
-    table = table_of(path, sheet=sheet, delimiter=delimiter, decimal=decimal, encoding=encoding)
-    return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
+    layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding}
+    columns = {"time": time, "input": input, "output": output}
+    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    treatment = Treatment(rate, dt, units, integrate, smooth)
+    return _read_all(path, lambda file: table_of(file, **layout), columns, rows | {"treatment": treatment}, name)
 
 
 def table_of(
@@ -80,23 +103,51 @@ def table_of(
 
 
 def read_csv(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     time: Column | bool | None = None,
     input: Column | None = None,
     output: Column | None = None,
+    sigma: Column | None = None,
     by: Column | None = None,
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
+    rate: float | None = None,
+    dt: float | None = None,
+    units: str | Sequence[str] | None = None,
+    integrate: bool = False,
+    smooth: int | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
     name: str | None = None,
 ) -> Record | Dataset:
-    """Like `read`, for a text file whatever its suffix."""
-    table = read_table(path, delimiter=delimiter, decimal=decimal, encoding=encoding)
-    return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
+    """Like `read`, for text files whatever their suffix."""
+    layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding}
+    columns = {"time": time, "input": input, "output": output}
+    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    treatment = Treatment(rate, dt, units, integrate, smooth)
+    return _read_all(path, lambda file: read_table(file, **layout), columns, rows | {"treatment": treatment}, name)
+
+
+def _read_all(
+    path: str | Path | Sequence[str | Path],
+    open_one: Callable[[str | Path], Table],
+    columns: dict[str, Any],
+    options: dict[str, Any],
+    name: str | None,
+) -> Record | Dataset:
+    """Every file of a path, list or pattern; `columns` and `options` are those of `assemble`."""
+    parts = []
+    files = files_of(path)
+    for file in files:
+        pair = pair_of(file)
+        table, chosen = (open_one(file), columns) if pair is None else pair_table(pair, open_one, columns)
+        label = Path(file if pair is None else pair[0]).stem if name is None or len(files) > 1 else name
+        parts.append((str(file if pair is None else pair[0]), assemble(table, **chosen, **options, name=label)))
+    data = combined(parts)
+    return data if name is None else dataclasses.replace(data, name=name)
 
 
 def assemble(
@@ -105,22 +156,36 @@ def assemble(
     time: Column | bool | None = None,
     input: Column | None = None,
     output: Column | None = None,
+    sigma: Column | None = None,
     by: Column | None = None,
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
     name: str | None = None,
+    treatment: Treatment = UNTREATED,
 ) -> Record | Dataset:
-    """Record or data set from a table; arguments as for `read`."""
+    """Record or data set from a table.
+
+    Args:
+        table: the columns.
+        time, input, output, sigma, by, only, where, gaps, name: as for `read`.
+        treatment: clock, units, integration and smoothing of every record.
+    """
     if gaps not in ("error", "split"):
         raise DataError(f"gaps must be 'error' or 'split', got {gaps!r}")
     stem = name or Path(table.source).stem or "record"
     notes = list(table.notes)
     table, taken = _filter(table, where, notes)
     divider = None if by is None else find(table, by, "by")
-    choice = choose(table, time, input, output, taken if divider is None else [*taken, divider])
+    spread = None if sigma is None else find(table, sigma, "sigma")
+    others = [*taken, *(position for position in (divider, spread) if position is not None)]
+    marked, dividers = marked_by_kind(table, others)
+    choice = choose(table, time, input, output, [*others, *dividers])
     notes += choice.notes
-    groups, several = _groups(table, choice, divider, notes)
+    if marked is None and divider is None:
+        marked = marked_by_place(table, choice)
+    table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
+    groups, several = split_curves(table, choice, divider, notes)
     if only is not None:
         if not several:
             raise DataError(
@@ -131,7 +196,8 @@ def assemble(
     for label, rows in groups:
         part = table.take(rows)
         title = label if several else stem
-        records += _records_of(part, choice, title, [*notes, *_before(table, choice, rows)], gaps)
+        parts = _records_of(part, choice, title, notes, gaps, spread, treatment)
+        records += parts
     if not several and len(records) == 1:
         return records[0]
     return Dataset(tuple(records), name=stem)
@@ -148,163 +214,42 @@ def _filter(table: Table, where: str | Mapping[str, object] | None, notes: list[
     positions = []
     for key, value in where.items():
         position = find(table, key, "where")
-        labels = _labels(table, position)
-        hit = labels == _text(value)
+        labels = labels_of(table, position)
+        hit = labels == text_of(value)
         if not hit.any():
-            raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {_shown(labels)}")
+            raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {shown(labels)}")
         notes.append(Note(Code.LEFT_OUT, f"left out: {int((~hit).sum())} rows where {key} is not {value}"))
         table = table.take(hit)
         positions.append(position)
     return table, positions
 
 
-def _text(value: object) -> str:
-    try:
-        return f"{float(value):.12g}"  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return str(value).strip()
-
-
-def _labels(table: Table, position: int) -> np.ndarray:
-    """The values of a column as text, "" where missing, shape (rows,)."""
-    if position in table.labels:
-        return np.array([_text(value) for value in table.labels[position]])
-    values, back = np.unique(table.columns[position], return_inverse=True)
-    return np.array(["" if np.isnan(value) else f"{value:.12g}" for value in values])[back]
-
-
-def _shown(values: Sequence[str] | np.ndarray) -> str:
-    distinct = list(dict.fromkeys(str(value) for value in values))
-    return ", ".join(distinct[:12]) + (f", ... ({len(distinct)} in all)" if len(distinct) > 12 else "")
-
-
-def _groups(
-    table: Table, choice: Choice, divider: int | None, notes: list[Note]
-) -> tuple[list[tuple[str, np.ndarray]], bool]:
-    """Label and rows of every curve, and whether the file holds several."""
-    if divider is not None:
-        labels = _labels(table, divider)
-        blank = int((labels == "").sum())
-        if blank:
-            notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
-        order = [value for value in dict.fromkeys(labels.tolist()) if value]
-        if len(order) > 1000 and len(order) > table.rows / 2:
-            raise DataError(
-                f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not separate curves"
-            )
-        title = split_unit(table.names[divider])[0]
-        groups = [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
-        return _apart(groups, table, choice, notes), True
-    block = table.curve + 0
-    restart = np.flatnonzero(np.diff(table.section) > 0) + 1
-    if choice.time is not None:  # a header repeated while time goes on is a page break
-        clock = table.columns[choice.time]
-        runs_on = [k for k in restart if clock[k] > clock[k - 1]]
-        if runs_on:
-            notes.append(
-                Note(Code.CURVES, f"{len(runs_on)} repeated header rows do not begin a curve: time continues there")
-            )
-        restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
-    new = np.zeros(table.rows, dtype=bool)
-    new[restart] = True
-    new[1:] |= np.diff(block) > 0
-    number = np.cumsum(new)
-    if number[-1] == 0:
-        _suggest(table, choice, notes)
-        return [("", np.arange(table.rows))], False
-    bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
-    pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
-    single = sum(piece.size == 1 for piece in pieces)
-    pieces = [piece for piece in pieces if piece.size > 1]
-    if single:
-        notes.append(
-            Note(Code.CURVES, f"{single} blocks of a single row (calibration points) are not part of the curves")
+def _without_comments(table: Table, choice: Choice, notes: list[Note]) -> Table:
+    """The table without rows that hold a comment, and in files with a [Data] section any rows, without a measurement."""
+    empty = np.isnan(table.columns[choice.input]) & np.isnan(table.columns[choice.output])
+    if not table.sectioned:
+        filled = [labels != "" for labels in table.labels.values()]
+        comments = [cells for cells in filled if cells.mean() < _RARE]  # not a column of states, which every row has
+        empty &= np.any(comments, axis=0) if comments else False
+    if not empty.any():
+        return table
+    notes.append(
+        Note(
+            Code.LEFT_OUT, f"left out: {int(empty.sum())} rows without input and output (comments, other measurements)"
         )
-    if len(pieces) < 2:
-        if not pieces:
-            raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
-        return [("", pieces[0])], False
-    notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
-    return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+    )
+    return table.take(~empty)
 
 
-def _apart(
-    groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
-) -> list[tuple[str, np.ndarray]]:
-    """Curves of at least two rows; the others are named in the notes."""
-    short = [(label, rows) for label, rows in groups if rows.size < 2]
-    for label, rows in short[:5]:
-        u, y = table.columns[choice.input][rows[0]], table.columns[choice.output][rows[0]]
-        notes.append(Note(Code.LEFT_OUT, f"left out: {label} has a single row ({u:g}, {y:g})"))
-    if len(short) > 5:
-        notes.append(Note(Code.LEFT_OUT, f"left out: {len(short) - 5} more curves of a single row"))
-    kept = [(label, rows) for label, rows in groups if rows.size > 1]
-    if not kept:
-        raise DataError(f"{table.source}: every curve that by= makes has a single row; choose another column")
-    return kept
-
-
-def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
-    for position, name in enumerate(table.names):
-        if position in (choice.time, choice.input, choice.output) or name.lower() not in (
-            "loop",
-            "curve",
-            "cycle",
-            "segment",
-            "run",
-        ):
-            continue
-        count = len(set(_labels(table, position).tolist()))
-        if 1 < count <= table.rows / 2:
-            notes.append(
-                Note(
-                    Code.CURVES, f"column {name!r} has {count} values: --by {name} (by={name!r}) reads each as a record"
-                )
-            )
-
-
-def _before(table: Table, choice: Choice, rows: np.ndarray) -> list[Note]:
-    """A note on the calibration point (a block of one row) right before a curve."""
-    k = int(rows[0]) - 1
-    single = k >= 0 and table.curve[k] != table.curve[rows[0]] and (k == 0 or table.curve[k - 1] != table.curve[k])
-    if not single:
-        return []
-    u, y = table.columns[choice.input][k], table.columns[choice.output][k]
-    text = f"calibration point before this curve (line {table.line[k]}): input {u:.9g}, output {y:.9g}"
-    return [Note(Code.CURVES, text)]
-
-
-def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:
-    """The (label, curve) pairs that `only` selects, by value ("3,4") or position from 0 ("1::4").
-
-    Args:
-        groups: label ("loop=3") and curve of each.
-        only: the selection.
-        source: path of the file, for messages.
-
-    Raises:
-        DataError: there is no such curve.
-    """
-    values = [label.partition("=")[2] or label for label, _ in groups]
-    if isinstance(only, str) and (found := re.fullmatch(r"\s*(-?\d*):(-?\d*)(?::(-?\d*))?\s*", only)):
-        limits = [int(part) if part else None for part in found.groups()]
-        if limits[2] == 0:
-            raise DataError(f"only={only!r}: the step of a slice must not be 0")
-        chosen = groups[slice(*limits)]
-        if not chosen:
-            raise DataError(f"{source}: only={only!r} chooses none of {len(groups)} curves (positions from 0)")
-        return chosen
-    parts = only.split(",") if isinstance(only, str) else only if isinstance(only, Sequence) else [only]
-    wanted = list(dict.fromkeys(_text(part) for part in parts))
-    unknown = [value for value in wanted if value not in values]
-    if unknown or not wanted:
-        raise DataError(
-            f"{source}: there is no curve {', '.join(unknown) or 'in an empty only='}; there are {_shown(values)}"
-        )
-    return [groups[values.index(value)] for value in wanted]
-
-
-def _records_of(table: Table, choice: Choice, title: str, notes: list[Note], gaps: str) -> list[Record]:
+def _records_of(
+    table: Table,
+    choice: Choice,
+    title: str,
+    notes: list[Note],
+    gaps: str,
+    sigma: int | None,
+    treatment: Treatment,
+) -> list[Record]:
     """One record of the rows of a curve, or its pieces where the input is missing and `gaps` is "split"."""
     columns = {"input": choice.input, "output": choice.output}
     if choice.time is not None:
@@ -326,10 +271,15 @@ def _records_of(table: Table, choice: Choice, title: str, notes: list[Note], gap
     for number, (start, stop) in enumerate(spans):
         part = {role: values[start:stop] for role, values in data.items()}
         piece_notes = [*notes]
-        if "time" in part:
+        if "time" in part and not (treatment.interval and np.ptp(part["time"]) == 0):
             _check_time(part["time"], table.line[start:stop], table, piece_notes)
         name = title if len(spans) == 1 else f"{title} piece={number}"
-        records.append(_record(table, choice, part, name, piece_notes))
+        record = _record(table, choice, part, name, piece_notes)
+        if table.calibration is not None:
+            record = record.replace(weight=np.where(table.calibration[start:stop], 0.0, record.weight))
+        if sigma is not None:
+            record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
+        records.append(treatment.of(record))
     return records
 
 
@@ -373,7 +323,11 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
             "between them; time=False reads without time"
         )
     if not (step > 0).any():
-        raise DataError(f"{table.source}: time is constant ({time[0]:g}); choose another column or time=False")
+        raise DataError(
+            f"{table.source}: time is constant ({time[0]:g}); choose another column, time=False to read without time, or rate="
+        )
+    if CoarseClock.of(time) is not None:
+        return
     if repeated := int((step == 0).sum()):
         notes.append(
             Note(Code.TIME_STEPS, f"repeated time stamps: {repeated}, first in line {line[1:][step == 0][0]}; kept")
@@ -405,6 +359,7 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             name=title,
             source=table.source,
             sha256=table.sha256,
+            metadata=table.metadata,
             notes=tuple(notes),
         )
     except DataError as error:

@@ -19,8 +19,11 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.reading import cells
-from hystfit.reading.header import read_header, split_unit
+from hystfit.reading.encodings import encoding_of
+from hystfit.reading.header import read_header, sample_properties, split_unit
+from hystfit.reading.instruments import micromag_columns
 from hystfit.reading.raw_table import Table
 
 _MAGIC = {
@@ -58,7 +61,7 @@ def load(path: str | Path) -> bytes:
 
 
 def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Note]]:
-    """Text of a file and what was assumed: byte-order mark, UTF-8, UTF-16 without a mark, then cp1252 and latin-1.
+    """Text of a file and what was assumed about its encoding.
 
     Raises:
         DataError: the bytes are not text, or not in the encoding that was given.
@@ -68,9 +71,12 @@ def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Not
             raise DataError(f"{source} is not text but {what}")
     notes: list[Note] = []
     if encoding is None:
-        encoding = _encoding(raw)
-        if encoding not in ("utf-8", "utf-8-sig"):
-            notes.append(Note(Code.FILE_FORMAT, f"encoding {encoding}"))
+        encoding = encoding_of(raw, source)
+        if encoding == "latin-1":
+            text = "the encoding of the text was not recognized, and latin-1 is assumed: set --encoding (encoding=)"
+            notes.append(warn(Code.FILE_FORMAT, text))
+        elif encoding not in ("utf-8", "utf-8-sig"):
+            notes.append(Note(Code.FILE_FORMAT, f"encoding {encoding}, which was recognized from the text"))
     try:
         text = raw.decode(encoding).removeprefix("\ufeff")
     except LookupError as error:
@@ -91,25 +97,6 @@ def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Not
             "or name it by its format (.mat, .npz, .xlsx, .h5)"
         )
     return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n"), notes
-
-
-def _encoding(raw: bytes) -> str:
-    for mark, name in ((b"\xff\xfe\x00\x00", "utf-32"), (b"\x00\x00\xfe\xff", "utf-32")):
-        if raw.startswith(mark):
-            return name
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    head = raw[:2000]
-    for name, start in (("utf-16-le", 1), ("utf-16-be", 0)):  # ASCII in UTF-16: every other byte is NUL
-        if len(head) > 3 and head[start::2].count(0) > 0.7 * len(head[start::2]) and head[1 - start :: 2].count(0) == 0:
-            return name
-    for name in ("utf-8-sig", "cp1252"):
-        try:
-            raw.decode(name)
-        except UnicodeDecodeError:
-            continue
-        return "utf-8" if name == "utf-8-sig" and not raw.startswith(b"\xef\xbb\xbf") else name
-    return "latin-1"
 
 
 _SAMPLE = 900
@@ -286,8 +273,15 @@ def tabulate(
         _check_thousands(chosen, layout, index, source)
     account = _Account(rows, lines, ragged, layout, source)
     names, units, named = account.header(int(index[0]))
+    above = lines[: int(index[0])]
+    metadata = sample_properties(above, names)
+    if not named and (columns := micromag_columns(above)) and len(names) == len(columns):
+        (names, units), named = zip(*columns, strict=True), True
     left_out, more_notes, section = account.left_out(index)
     notes = [*notes, *more_notes]
+    if metadata:
+        listed = ", ".join(f"{key} {value}" for key, value in metadata.items())
+        notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {listed}"))
     stamps, labels, numbers = set(), {}, []
     for position, kind in enumerate(layout.kinds):
         label = names[position] or f"column {position}"
@@ -333,6 +327,8 @@ def tabulate(
         stamps=frozenset(stamps),
         notes=tuple(notes),
         left_out=left_out,
+        metadata=metadata,
+        sectioned=any(line.strip(" ,;\t").lower() == "[data]" for line in above),
     )
 
 

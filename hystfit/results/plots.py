@@ -13,6 +13,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError
 from hystfit.inference.autocorrelation import autocorrelation
 from hystfit.params.units import axis_label
+from hystfit.results.labels import column_label, legible, make_legible
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,6 +60,7 @@ def fit(
         return _parameters(result, ax)
     KINDS[kind](_traces(result, data, refit_offset), ax)
     ax.spines[["top", "right"]].set_visible(False)
+    make_legible(ax)
     return ax
 
 
@@ -71,17 +73,17 @@ class _Trace:
         self.held = np.isfinite(record.y) & ~record.used if fitted else record.used
         self.axis = (np.arange(len(record)) if record.t is None else record.t - record.t[0] * (start > 0)) + start
         self.residual = predicted - record.y
-        self.labels = {
-            "u": axis_label(record.u_name, record.u_unit),
-            "y": axis_label(record.y_name, record.y_unit),
-            "residual": axis_label("model - measured", record.y_unit),
-            "axis": "sample" if record.t is None else f"time [{record.t_unit}]",
+        self.columns = {  # name, unit and role
+            "u": (record.u_name, record.u_unit, "input"),
+            "y": (record.y_name, record.y_unit, "output"),
         }
+        self.residual_label = legible(axis_label("model - measured", record.y_unit))
+        self.axis_label = "sample" if record.t is None else legible(f"time [{record.t_unit}]")
 
 
 def _traces(result: FitResult, data: Any, refit_offset: bool) -> list[_Trace]:
     """Records one after another along one axis."""
-    records = list(result.data if data is None else Dataset.of(data))
+    records = list(result.data if data is None else Dataset.of(data).map(result.in_own_units))
     traces, start = [], 0.0
     for record in records:
         predicted = result.predict(record, refit_offset=refit_offset and data is not None)
@@ -122,7 +124,8 @@ def _loop(traces: list[_Trace], ax: Axes) -> None:
     for trace in traces:
         at = thin(share, trace.u, trace.y, trace.predicted)
         _line(ax, trace.u[at], trace.predicted[at], "model", MODEL, 0.9)
-    ax.set(xlabel=traces[0].labels["u"], ylabel=traces[0].labels["y"])
+    column_label(ax, "x", *traces[0].columns["u"])
+    column_label(ax, "y", *traces[0].columns["y"])
     ax.legend(frameon=False)
 
 
@@ -133,14 +136,15 @@ def _series(traces: list[_Trace], ax: Axes) -> None:
         for mask, label, color in ((trace.seen, "measured", MEASURED), (trace.held, "measured, not fitted", HELD_OUT)):
             _line(ax, trace.axis[at], np.where(mask, trace.y, np.nan)[at], label, color, 2.6)
         _line(ax, trace.axis[at], trace.predicted[at], "model", MODEL, 0.9)
-    ax.set(xlabel=_axis(traces), ylabel=traces[0].labels["y"])
+    column_label(ax, "y", *traces[0].columns["y"])
+    ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)
     ax.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def _axis(traces: list[_Trace]) -> str:
     several = ", records one after another" if len(traces) > 1 else ""
-    return traces[0].labels["axis"] + several
+    return traces[0].axis_label + several
 
 
 def _residuals(traces: list[_Trace], ax: Axes) -> None:
@@ -152,7 +156,7 @@ def _residuals(traces: list[_Trace], ax: Axes) -> None:
     ax.axhline(0.0, color="black", lw=0.7)
     if any(trace.held.any() for trace in traces) and any(trace.seen.any() for trace in traces):
         ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    ax.set(xlabel=_axis(traces), ylabel=traces[0].labels["residual"])
+    ax.set(xlabel=_axis(traces), ylabel=traces[0].residual_label)
     ax.margins(x=0.01)
     _frame(ax, traces)
 
@@ -166,7 +170,8 @@ def _residuals_input(traces: list[_Trace], ax: Axes) -> None:
             if np.isfinite(y).any():
                 ax.plot(trace.u[at], y, ".", ms=2, color=color, rasterized=True)
     ax.axhline(0.0, color="black", lw=0.7)
-    ax.set(xlabel=traces[0].labels["u"], ylabel=traces[0].labels["residual"])
+    column_label(ax, "x", *traces[0].columns["u"])
+    ax.set_ylabel(traces[0].residual_label)
     _frame(ax, traces)
 
 
@@ -254,7 +259,8 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
     ax.text(100.0, 1.01, "100 % of the value", transform=over, color=DARK, fontsize="small", ha="center")
     ax.set_xscale("log")
     ax.set(xlim=(left, right), ylim=(-0.6, len(rows) - 0.4), xlabel="standard error [% of the value]")
-    ax.set_yticks(range(len(rows)), [name if len(f) == 1 else f"{name} ({len(f)})" for name, f in rows])
+    ax.set_yticks(range(len(rows)), [legible(name if len(f) == 1 else f"{name} ({len(f)})") for name, f in rows])
+    make_legible(ax)
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
     return ax

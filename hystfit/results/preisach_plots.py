@@ -11,6 +11,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.forc import ForcDiagram
 from hystfit.models.preisach.model import Preisach
+from hystfit.results.labels import column_label
 
 
 def plot_density(model: Preisach, ax: Any = None, reach: np.ndarray | None = None) -> Any:
@@ -105,8 +106,8 @@ def plot_curves(
     for r, y, color in zip(curves, list(predicted)[::every], colors, strict=False):
         ax.plot(r.u, y, "-", lw=0.8, color=color)
     first = curves[0]
-    unit = lambda name, text: f"{name} [{text}]" if text else name
-    ax.set(xlabel=unit(first.u_name, first.u_unit), ylabel=unit(first.y_name, first.y_unit))
+    column_label(ax, "x", first.u_name, first.u_unit, "input")
+    column_label(ax, "y", first.y_name, first.y_unit, "output")
     return ax
 
 

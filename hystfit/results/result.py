@@ -19,12 +19,14 @@ from hystfit.errors import DataError
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
-from hystfit.outcome import Code, Note, Status
+from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
+from hystfit.params.units import conversion
 from hystfit.registry import attribute
 from hystfit.results.metrics import Metrics
 
 SCHEMA = "hystfit.fit/2"
+_CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,33 +178,61 @@ class FitResult:
         names = [fitted.name for fitted in self.data]
         return names.index(record.name) if record.name in names else 0
 
+    def in_own_units(self, record: Record) -> Record:
+        """The record in the units of the fitted records, with a note on each unit that was converted or assumed.
+
+        Raises:
+            DataError: a unit of another quantity.
+        """
+        units = self.data.units
+        for role, symbol in (("input", "u"), ("output", "y")):
+            unit = getattr(record, f"{symbol}_unit")
+            if unit and not units[symbol]:
+                text = f"the {role} of the fit has no unit, and that of the record is {unit}: its numbers are used unchanged"
+                record = record.noted(Code.UNITS, text, Severity.WARNING)
+        return record.in_units(**units)
+
+    def to_unit_of(self, record: Record, y: np.ndarray) -> np.ndarray:
+        """Outputs in the unit of the fit, converted to that of a record; unchanged where a unit is unknown.
+
+        Args:
+            record: names the unit.
+            y: outputs, any shape [unit of the fit].
+        """
+        factor = conversion(self.data.units["y"], record.y_unit) if record.y_unit else None
+        return y if factor in (None, 1.0) else factor * y
+
     def predict(self, record: Record, *, refit_offset: bool = False) -> np.ndarray:
         """Free run over a record's input, shape (T,): of its own model where it was fitted, else of the first record's.
 
+        The prediction is in the unit of the record's output, or in that of the fit where the record has none.
+
         Args:
-            record: any record with the time that the model needs.
+            record: any record with the time that the model needs, in units of the quantities that were fitted.
             refit_offset: shift the output so that its mean over the samples that count is right (another record's sensor zero).
 
         Raises:
             ModelError: the model needs time and the record has none.
-            DataError: an offset is to be refitted and no output counts.
+            DataError: a unit of another quantity, or an offset is to be refitted and no output counts.
         """
+        given, record = record, self.in_own_units(record)
         model = self.models[self.record_number(record)]
         y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
             y = y + float(np.mean((record.y - y)[record.used]))
-        return y
+        return self.to_unit_of(given, y)
 
     def metrics(self, data: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> Metrics:
-        """Metrics of the prediction on the samples that count."""
-        records = list(Dataset.of(data).map(self.model.prepared))
+        """Metrics of the prediction on the samples that count, in the units of the fit."""
+        records = [self.in_own_units(self.model.prepared(record)) for record in Dataset.of(data)]
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
     def extrapolation(self, record: Record) -> Note | None:
         """A warning where a record leaves the fitted range of inputs; None where it does not."""
+        record = self.in_own_units(record)
         low = min(float(r.u[r.used].min()) for r in self.data)
         high = max(float(r.u[r.used].max()) for r in self.data)
         outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
@@ -305,7 +335,16 @@ def provenance(data: Dataset, seed: int | None, **more: Any) -> dict[str, Any]:
         "versions": {name: _version(name) for name in packages},
         "seed": seed,
         "records": [
-            {"name": r.name, "source": r.source, "file_sha256": r.sha256, "data_sha256": r.digest(), "samples": len(r)}
+            {
+                "name": r.name,
+                "source": r.source,
+                "file_sha256": r.sha256,
+                "data_sha256": r.digest(),
+                "samples": len(r),
+                "units": {"u": r.u_unit or None, "y": r.y_unit or None, "t": None if r.t is None else r.t_unit},
+                "metadata": dict(r.metadata),
+                "changes": [note.text for note in r.notes if note.code in _CHANGES],
+            }
             for r in data
         ],
         **more,

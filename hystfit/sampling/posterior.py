@@ -168,7 +168,10 @@ class Posterior:
 
     def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
         """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
-        return _view("predictive:simulate_draws")(self.result, record, self.thinned(count, seed))
+        own = self.result.in_own_units(record)
+        return self.result.to_unit_of(
+            record, _view("predictive:simulate_draws")(self.result, own, self.thinned(count, seed))
+        )
 
     def bands(
         self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, kind: str = "predictive"

@@ -10,6 +10,7 @@ from scipy.stats import rankdata
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
+from hystfit.results.labels import column_label, make_legible
 from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
@@ -26,7 +27,9 @@ def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
     """
     if kind not in _KINDS:
         raise ParameterError(f"no picture {kind!r} of a posterior; there are {', '.join(_KINDS)}")
-    return {"corner": _corner, "trace": _trace, "rank": _rank, "bands": _bands}[kind](posterior, **options)
+    figure = {"corner": _corner, "trace": _trace, "rank": _rank, "bands": _bands}[kind](posterior, **options)
+    make_legible(figure)
+    return figure
 
 
 def _labels(posterior: Posterior) -> list[str]:
@@ -120,10 +123,9 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     for edges, color in (((low, high), "#d55e00"), ((inner[0], inner[2]), "#0072b2")):
         for edge in edges:
             rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
-    loop.set_ylabel(axis_label(record.y_name, record.y_unit))
-    rest.set(
-        xlabel=axis_label(record.u_name, record.u_unit), ylabel=axis_label("deviation from the median", record.y_unit)
-    )
+    column_label(loop, "y", record.y_name, record.y_unit, "output")
+    column_label(rest, "x", record.u_name, record.u_unit, "input")
+    rest.set_ylabel(axis_label("deviation from the median", record.y_unit))
     if len(posterior.result.data) > 1:
         loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
     rest.set_title(f"{100 * level:.0f} % bands: of the model output (blue), of a measurement (orange)", fontsize=9)

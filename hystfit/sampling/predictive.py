@@ -52,6 +52,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
         seed: of their choice and of the noise.
     """
     result = posterior.result
+    given, record = record, result.in_own_units(record)
     flat = posterior.draws.reshape(-1, len(posterior.names))
     rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
     y = simulate_draws(result, record, rows[:, : len(result.free_names)])
@@ -60,7 +61,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     new = Setting.of(Batch.of(record), (float(inputs.min()), float(inputs.max())))
     new = eqx.tree_at(lambda s: s.weight, new, jnp.ones_like(new.weight))  # noise belongs to unmeasured samples too
     noise = _noise_of_draws(problem.density, new, jnp.asarray(rows), jax.random.key(seed))
-    return y + np.asarray(noise)[:, : len(record)]
+    return result.to_unit_of(given, y + np.asarray(noise)[:, : len(record)])
 
 
 @eqx.filter_jit

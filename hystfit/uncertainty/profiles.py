@@ -27,6 +27,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
 from hystfit.results.agreement import differences
+from hystfit.results.labels import make_legible
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.profile_paths import LowerOptimum, Path, Walk
 
@@ -147,6 +148,7 @@ class Profiles:
         for row in axes:
             row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
         axes[0, 0].legend(fontsize=8, frameon=False)
+        make_legible(figure)
         return figure
 
 

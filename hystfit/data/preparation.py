@@ -1,0 +1,85 @@
+"""Changes of a column before a fit, on arrays: time from a sampling rate, clocks that repeat stamps, smoothing, integration."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.errors import DataError
+
+_ORDER = 2  # of the polynomials of the smoothing filter
+
+
+@dataclasses.dataclass(frozen=True)
+class CoarseClock:
+    """Time stamps that are written less often than samples are taken.
+
+    Attributes:
+        step: between different stamps [unit of time].
+        samples: that share one stamp (median, the first and last stamp aside).
+    """
+
+    step: float
+    samples: float
+
+    @classmethod
+    def of(cls, t: np.ndarray) -> CoarseClock | None:
+        """The coarse clock that these stamps come from; None where at least two of three steps are positive, or steps vary.
+
+        Args:
+            t: non-decreasing time stamps, shape (T,).
+        """
+        steps = np.diff(t)
+        moves = np.flatnonzero(steps > 0)
+        if moves.size < 2 or (steps == 0).sum() < steps.size / 3:
+            return None
+        step = float(np.median(steps[moves]))
+        if np.mean(np.abs(steps[moves] - step) <= 0.01 * step) < 0.9:
+            return None
+        return cls(step, float(np.median(np.diff(moves))))
+
+
+def interval_of(rate: float | None, dt: float | None) -> float | None:
+    """Sampling interval [s] from a sampling rate [Hz] or an interval [s]; None where neither is given.
+
+    Raises:
+        DataError: both are given, or the value is not a positive number.
+    """
+    if rate is not None and dt is not None:
+        raise DataError("rate= and dt= both give the sampling interval: leave one out")
+    for name, value, unit in (("sampling rate", rate, "Hz"), ("sampling interval", dt, "s")):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise DataError(f"the {name} must be a positive number of {unit}, got {value:g}")
+    return dt if rate is None else 1 / rate
+
+
+def smooth(values: np.ndarray, length: int) -> np.ndarray:
+    """Zero-phase smoothing: a parabola fitted to each `length` samples (Savitzky-Golay), evaluated in their middle, shape (T,).
+
+    The first and last half length lie on the parabola of the first and last `length` samples.
+
+    Args:
+        values: evenly sampled, shape (T,), finite.
+        length: number of samples, odd and at least 5.
+
+    Raises:
+        DataError: the length is even, too small, or larger than the number of samples.
+    """
+    from scipy.signal import savgol_filter
+
+    if length < 5 or length % 2 == 0:
+        raise DataError(f"the smoothing length must be an odd number of at least 5 samples, got {length}")
+    if length > values.size:
+        raise DataError(f"a smoothing length of {length} samples exceeds the {values.size} samples")
+    return savgol_filter(values, length, _ORDER, mode="interp")
+
+
+def integral(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Integral over time by the trapezoidal rule, 0 at the first sample, shape (T,).
+
+    Args:
+        values: shape (T,), finite.
+        t: time of each sample, shape (T,).
+    """
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])

@@ -1,0 +1,157 @@
+"""The curves in a file: by a column, by blank lines or repeated headers, or each after a calibration point."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+from hystfit.reading.calibration import CURVE_NAMES, calibrated_curves
+from hystfit.reading.columns import Choice
+from hystfit.reading.header import split_unit
+from hystfit.reading.raw_table import Table
+
+
+def text_of(value: object) -> str:
+    """A value as it is compared with others: numbers without trailing zeros, text without blanks around it."""
+    try:
+        return f"{float(value):.12g}"  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return str(value).strip()
+
+
+def labels_of(table: Table, position: int) -> np.ndarray:
+    """The values of a column as text, "" where missing, shape (rows,)."""
+    if position in table.labels:
+        return np.array([text_of(value) for value in table.labels[position]])
+    values, back = np.unique(table.columns[position], return_inverse=True)
+    return np.array(["" if np.isnan(value) else f"{value:.12g}" for value in values])[back]
+
+
+def shown(values: Sequence[str] | np.ndarray) -> str:
+    """The first of some values, and how many there are."""
+    distinct = list(dict.fromkeys(str(value) for value in values))
+    return ", ".join(distinct[:12]) + (f", ... ({len(distinct)} in all)" if len(distinct) > 12 else "")
+
+
+def split_curves(
+    table: Table, choice: Choice, divider: int | None, notes: list[Note]
+) -> tuple[list[tuple[str, np.ndarray]], bool]:
+    """Label and rows of every curve, and whether the file holds several.
+
+    Args:
+        table: the rows.
+        choice: time, input and output.
+        divider: position of the column whose values separate curves; None where none was chosen.
+        notes: to which is added how the rows were divided.
+
+    Raises:
+        DataError: no curve has two rows, or every row is a curve of its own.
+    """
+    if divider is not None:
+        labels = labels_of(table, divider)
+        blank = int((labels == "").sum())
+        if blank:
+            notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
+        order = [value for value in dict.fromkeys(labels.tolist()) if value]
+        if len(order) > 1000 and len(order) > table.rows / 2:
+            raise DataError(
+                f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not separate curves"
+            )
+        title = split_unit(table.names[divider])[0]
+        groups = [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
+        return _apart(groups, table, choice, notes), True
+    if table.calibration is not None:
+        return calibrated_curves(table, choice, table.calibration, notes), True
+    restart = np.flatnonzero(np.diff(table.section) > 0) + 1
+    if choice.time is not None:  # a header repeated while time goes on is a page break
+        clock = table.columns[choice.time]
+        runs_on = [k for k in restart if clock[k] > clock[k - 1]]
+        if runs_on:
+            notes.append(
+                Note(Code.CURVES, f"{len(runs_on)} repeated header rows do not begin a curve: time continues there")
+            )
+        restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
+    new = np.zeros(table.rows, dtype=bool)
+    new[restart] = True
+    new[1:] |= np.diff(table.curve) > 0
+    number = np.cumsum(new)
+    if number[-1] == 0:
+        _suggest(table, choice, notes)
+        return [("", np.arange(table.rows))], False
+    bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
+    pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
+    single = sum(piece.size == 1 for piece in pieces)
+    pieces = [piece for piece in pieces if piece.size > 1]
+    if single:
+        notes.append(Note(Code.CURVES, f"{single} blocks of a single row are not part of the curves"))
+    if len(pieces) < 2:
+        if not pieces:
+            raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
+        return [("", pieces[0])], False
+    notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
+    return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+
+
+def _apart(
+    groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
+) -> list[tuple[str, np.ndarray]]:
+    """Curves of at least two rows; the others are named in the notes."""
+    short = [(label, rows) for label, rows in groups if rows.size < 2]
+    if short:
+        u, y = (table.columns[position] for position in (choice.input, choice.output))
+        listed = ", ".join(f"{label} ({u[rows[0]]:g}, {y[rows[0]]:g})" for label, rows in short[:5])
+        more = f" and {len(short) - 5} more" if len(short) > 5 else ""
+        notes.append(Note(Code.LEFT_OUT, f"left out: curves of a single row, {listed}{more}"))
+    kept = [(label, rows) for label, rows in groups if rows.size > 1]
+    if not kept:
+        raise DataError(f"{table.source}: every curve that by= makes has a single row; choose another column")
+    return kept
+
+
+def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
+    for position, name in enumerate(table.names):
+        if position in (choice.time, choice.input, choice.output) or name.lower() not in CURVE_NAMES:
+            continue
+        count = len(set(labels_of(table, position).tolist()))
+        if 1 < count <= table.rows / 2:
+            notes.append(
+                Note(
+                    Code.CURVES, f"column {name!r} has {count} values: --by {name} (by={name!r}) reads each as a record"
+                )
+            )
+
+
+def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:
+    """The (label, curve) pairs that `only` selects, by value ("3,4") or position from 0 ("1::4").
+
+    Args:
+        groups: label ("loop=3") and curve of each.
+        only: the selection.
+        source: path of the file, for messages.
+
+    Raises:
+        DataError: there is no such curve.
+    """
+    values = [label.partition("=")[2] or label for label, _ in groups]
+    if isinstance(only, str) and (found := re.fullmatch(r"\s*(-?\d*):(-?\d*)(?::(-?\d*))?\s*", only)):
+        limits = [int(part) if part else None for part in found.groups()]
+        if limits[2] == 0:
+            raise DataError(f"only={only!r}: the step of a slice must not be 0")
+        chosen = groups[slice(*limits)]
+        if not chosen:
+            raise DataError(f"{source}: only={only!r} chooses none of {len(groups)} curves (positions from 0)")
+        return chosen
+    parts = only.split(",") if isinstance(only, str) else only if isinstance(only, Sequence) else [only]
+    wanted = list(dict.fromkeys(text_of(part) for part in parts))
+    unknown = [value for value in wanted if value not in values]
+    if unknown or not wanted:
+        raise DataError(
+            f"{source}: there is no curve {', '.join(unknown) or 'in an empty only='}; there are {shown(values)}"
+        )
+    return [groups[values.index(value)] for value in wanted]

@@ -1,0 +1,175 @@
+"""Several files as one data set: lists, patterns with wildcards, and pairs of files with input and output apart."""
+
+from __future__ import annotations
+
+import dataclasses
+import glob
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+from hystfit.params.units import conversion
+from hystfit.reading.columns import Choice, choose, find
+from hystfit.reading.raw_table import Table
+
+PAIR = "+"
+
+
+def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
+    """The files (or pairs "u.csv+y.csv") that a path, a pattern such as "loops/*.csv", or a list of them stands for.
+
+    Files that match a pattern are in the order of their names, with numbers by value.
+
+    Raises:
+        DataError: no file matches a pattern, a file occurs twice, or the list is empty.
+    """
+    if not isinstance(path, str | Path):
+        files = [file for item in path for file in files_of(item)]
+        twice = sorted({str(file) for file in files if files.count(file) > 1})
+        if twice or not files:
+            raise DataError(f"{twice[0]!r} is given twice" if twice else "no files are given")
+        return files
+    if not glob.has_magic(str(path)) or Path(path).exists():
+        return [path]
+    found = [file for file in glob.glob(str(path), recursive=True) if Path(file).is_file()]
+    if not found:
+        raise DataError(f"no file matches {str(path)!r}")
+    number_or_text = lambda name: [
+        (not part.isdigit(), int(part) if part.isdigit() else part) for part in re.split(r"(\d+)", name)
+    ]
+    return sorted(found, key=number_or_text)
+
+
+def pair_of(path: str | Path) -> tuple[str, str] | None:
+    """The file of the input and that of the output, from "u.csv+y.csv"; None for a single file.
+
+    Raises:
+        DataError: more than two files.
+    """
+    if PAIR not in str(path) or Path(path).exists() or not Path(str(path).split(PAIR)[0]).is_file():
+        return None
+    parts = str(path).split(PAIR)
+    if len(parts) != 2:
+        raise DataError(f"{str(path)!r}: a pair is the file of the input and that of the output, u.csv+y.csv")
+    return parts[0], parts[1]
+
+
+def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
+    """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them.
+
+    Args:
+        parts: path of each file, and what was read from it.
+    """
+    if len(parts) == 1:
+        return parts[0][1]
+    labeled = [(path, record) for path, data in parts for record in Dataset.of(data)]
+    names = [record.name for _, record in labeled]
+    stems = [Path(path).stem for path, _ in labeled]
+    files = dict.fromkeys(path for path, _ in parts)
+    clash = len({Path(path).stem for path in files}) < len(files)
+    records = []
+    for (path, record), name, stem in zip(labeled, names, stems, strict=True):
+        if len(set(names)) < len(names):
+            label = str(Path(path).with_suffix("")) if clash else stem
+            record = record.replace(name=label if name == stem else f"{label} {name}")
+        records.append(record)
+    shown = [Path(path).stem for path in files]
+    return Dataset(
+        tuple(records), name=", ".join(shown) if len(shown) < 4 else f"{shown[0]} and {len(shown) - 1} more files"
+    )
+
+
+def pair_table(
+    paths: tuple[str, str], open_one: Callable[[str], Table], columns: Mapping[str, Any]
+) -> tuple[Table, dict[str, Any]]:
+    """The columns of two files side by side, and which of them are time, input and output.
+
+    Args:
+        paths: file of the input, file of the output.
+        open_one: reads the columns of a file.
+        columns: names or numbers of the columns time, input and output in their own file; None guesses.
+
+    Raises:
+        DataError: different numbers of rows, clocks that differ, or a column that cannot be found.
+    """
+    tables = tuple(open_one(path) for path in paths)
+    first, second = tables
+    if first.rows != second.rows:
+        raise DataError(
+            f"{paths[0]!r} has {first.rows} rows of numbers and {paths[1]!r} has {second.rows}: the input and the output of a "
+            "record need the same number of samples"
+        )
+    clock = columns.get("time")
+    clocks = [clock if not isinstance(clock, str) or _has(table, clock) else None for table in tables]
+    if isinstance(clock, str) and clock.lower() != "none" and clocks == [None, None]:
+        find(first, clock, "time")
+    drive = one_sided(first, "output", time=clocks[0], input=columns.get("input"))
+    sensor = one_sided(second, "input", time=clocks[1], output=columns.get("output"))
+    time, shift = drive.time, len(first.names)
+    if time is None and sensor.time is not None:
+        time = shift + sensor.time
+    elif time is not None and sensor.time is not None:
+        _check_clocks(paths, tables, (time, sensor.time))
+    notes = [*first.notes, *second.notes, *drive.notes, *sensor.notes]
+    notes.append(Note(Code.PREPARED, f"input from {paths[0]}, output from {paths[1]}"))
+    both = dataclasses.replace(
+        first,
+        names=(*first.names, *second.names),
+        units=(*first.units, *second.units),
+        columns=(*first.columns, *second.columns),
+        labels=first.labels | {shift + k: label for k, label in second.labels.items()},
+        stamps=first.stamps | {shift + k for k in second.stamps},
+        source=PAIR.join(paths),
+        sha256=PAIR.join(str(table.sha256) for table in tables),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+    return both, {"time": False if time is None else time, "input": drive.input, "output": shift + sensor.output}
+
+
+def _has(table: Table, name: str) -> bool:
+    if name.lower() == "none":
+        return True
+    try:
+        find(table, name, "time")
+    except DataError:
+        return False
+    return True
+
+
+def with_column(table: Table, name: str, values: np.ndarray) -> Table:
+    """The table with one more column, without unit, at its end."""
+    return dataclasses.replace(
+        table, names=(*table.names, name), units=(*table.units, ""), columns=(*table.columns, values)
+    )
+
+
+def one_sided(table: Table, missing: str, **columns: Any) -> Choice:
+    """The columns of a table that lacks the input or the output; the position of the missing one is past the end.
+
+    Args:
+        table: the columns.
+        missing: "input" or "output".
+        **columns: names or numbers of the others, None guesses.
+    """
+    position = len(table.names)
+    return choose(with_column(table, f"no {missing}", np.arange(float(table.rows))), **{**columns, missing: position})
+
+
+def _check_clocks(paths: Sequence[str], tables: Sequence[Table], clocks: Sequence[int]) -> None:
+    """Refuse two clocks that differ by more than half a sampling interval."""
+    times = []
+    for table, clock in zip(tables, clocks, strict=True):
+        seconds = table.columns[clock] * (conversion(table.units[clock] or "s", "s") or 1.0)
+        times.append(seconds - seconds[0])
+    apart = float(np.nanmax(np.abs(times[0] - times[1])))
+    if apart > 0.5 * float(np.nanmedian(np.diff(times[0]))):
+        raise DataError(
+            f"the times of {paths[0]!r} and {paths[1]!r} differ by up to {apart:.4g} s: the samples of input and output are "
+            "not taken together. Resample one of them, or read without time (time=False)"
+        )
