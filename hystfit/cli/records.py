@@ -44,7 +44,9 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     from hystfit.reading.several import combined, files_of
 
     if not loops:
-        raise DataError("name the file of a measured loop, or a data set (hystfit datasets lists them)")
+        raise DataError(
+            "LOOP is missing: name the file of a measured loop, or a data set (hystfit datasets lists them)"
+        )
     known = [loop for loop in loops if loop in datasets.names() and not Path(loop).exists()]
     files = [str(file) for loop in loops for file in ([loop] if loop in known else files_of(loop))]
     if twice := sorted({file for file in files if files.count(file) > 1}):

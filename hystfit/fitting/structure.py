@@ -191,7 +191,7 @@ class _Bench:
         beside = ["creep"] * s.creep + ["viscous", "saturating"][: s.rate]
         parts = [whole.take(at), *(self._beside(term, s.rest, s.lag) for term in beside)]
         join = lambda name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
-        return LinearSystem(join("columns"), whole.target, join("free"), join("ridged"), whole.block)
+        return LinearSystem(join("columns"), whole.target, join("free"), join("ridged"), whole.block, whole.weight)
 
     @functools.cache  # noqa: B019  (the bench lives as long as one search)
     def _beside(self, term: str, rest: Rest, lag: float) -> LinearSystem:
