@@ -16,7 +16,7 @@ from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome.note import Code, has
 from hystfit.reading import read, read_csv
-from hystfit.reading.columns import quantity
+from hystfit.reading.columns import column_quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.text import read_table
 
@@ -381,7 +381,27 @@ def test_gaps_split_into_pieces(tmp_path: Path) -> None:
         ("x_in", ("x", "in")),
         ("Kraft / kN", ("Kraft", "kN")),
         ("x[0]", ("x[0]", "")),
+        ("x[1]", ("x[1]", "")),
+        ("strain [1]", ("strain", "")),
+        ("电压（V）", ("电压", "V")),
+        ("変位 [μm]", ("変位", "μm")),
         ("P (µC/cm^2)", ("P", "µC/cm^2")),
+        ("P_uC_cm2", ("P", "uC/cm2")),
+        ("H_kA_m", ("H", "kA/m")),
+        ("H_A_m", ("H", "A/m")),
+        ("E_kV_cm", ("E", "kV/cm")),
+        ("M_emu_g", ("M", "emu/g")),
+        ("M_emu_cm3", ("M", "emu/cm3")),
+        ("sigma_Am2_kg", ("sigma", "Am2/kg")),
+        ("J_A_m2", ("J", "A/m2")),
+        ("d33_pm_V", ("d33", "pm/V")),
+        ("v_mm_s", ("v", "mm/s")),
+        ("tau_N_mm2", ("tau", "N/mm2")),
+        ("x_um", ("x", "um")),
+        ("x_A_m", ("x_A", "m")),
+        ("loop_id_a", ("loop_id_a", "")),
+        ("stage_a_b", ("stage_a_b", "")),
+        ("Moment (A·m²)", ("Moment", "A·m²")),
     ],
 )
 def test_units_in_names(header: str, expected: tuple[str, str]) -> None:
@@ -390,11 +410,64 @@ def test_units_in_names(header: str, expected: tuple[str, str]) -> None:
 
 @pytest.mark.parametrize(
     ("header", "kind"),
-    [("V", "voltage"), ("v_in_per_s", "velocity"), ("BmeasT", "magnetization"), ("Lead Actuator Displacment", "displacement"),
-     ("e_true", "strain"), ("MeasResult1_time", "time"), ("loop", "index"), ("foo", "")],
+    [("V", "voltage"), ("v_in_per_s", "velocity"), ("BmeasT", "induction"), ("Lead Actuator Displacment", "displacement"),
+     ("e_true", "strain"), ("MeasResult1_time", "time"), ("loop", "index"), ("foo", ""),
+     ("Magnetic Field (Oe)", "field"), ("Moment (emu)", "moment"), ("Moment (kNm)", "force"), ("M. Std. Err. (emu)", "error"),
+     ("Coil Signal' (mV)", "voltage"), ("Position (V)", "displacement"), ("M_kA_m", "magnetization"), ("mu0 H field (T)", "field"),
+     ("H_T", "field"), ("P_uC_cm2", "polarization"), ("E_kV_cm", "electric field"), ("Frequency (Hz)", "frequency"),
+     ("Temp_C", "temperature"), ("电压 (V)", "voltage"), ("荷重[kN]", "force"), ("напряжение_кВ", "voltage"),
+     ("VSM Status (code)", "status")],
 )  # fmt: skip
 def test_quantities_of_names(header: str, kind: str) -> None:
-    assert quantity(header) == kind
+    assert column_quantity(header) == kind
+
+
+COLUMNS = {  # header: (input, output) among all columns of changing numbers
+    "Coil (mV),Field (Oe),Moment (emu)": (1, 2),
+    "T_K,M_emu,H_Oe,M. Std. Err. (emu)": (2, 1),
+    "Min. Field (Oe),Field (Oe),M. Raw' (emu),Moment (emu)": (1, 3),
+    "Frequency (Hz),Field (Oe),DC Moment Fixed Ctr (emu),DC Moment Free Ctr (emu)": (1, 2),
+    "sequence,T_degC,B_T,H_A_m,known": (3, 2),
+    "E_kV_cm,P_uC_cm2,I_mA": (0, 1),
+    "I_mA,P_uC_cm2,U_V": (2, 1),
+    "F_kN,x_mm,eps,sigma_MPa": (2, 3),
+    "F_kN,T_degC,x_mm": (2, 0),
+    "Position (V),Voltage (V)": (1, 0),
+    "Temp_C,Status,Voltage (V),Displacement (um)": (2, 3),
+    "I_A,x_mm,F_N": (1, 2),
+    "I_A,B_T": (0, 1),
+    "温度（℃）,位移（μm）,电压（V）": (2, 1),
+    "荷重(kN),変位(mm)": (1, 0),
+    "y,x": (1, 0),
+    "foo,bar": (0, 1),
+    "T_degC,foo,bar": (1, 2),
+}
+
+
+@pytest.mark.parametrize("header", COLUMNS)
+def test_columns_are_guessed_by_their_quantities(header: str, tmp_path: Path) -> None:
+    count = header.count(",") + 1
+    rows = np.random.default_rng(1).normal(size=(20, count)).round(6).tolist()
+    record = read(_write(tmp_path, header + "\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)))
+    chosen = COLUMNS[header]
+    np.testing.assert_array_equal(np.column_stack([record.u, record.y]), np.array(rows)[:, chosen])  # type: ignore[union-attr]
+    assert sum(note.code is Code.COLUMN_CHOICE for note in record.notes) == 2  # type: ignore[union-attr]
+    other = read(tmp_path / "file.csv", input=chosen[1], output=chosen[0], time=False)
+    np.testing.assert_array_equal(np.column_stack([other.u, other.y]), np.array(rows)[:, chosen[::-1]])  # type: ignore[union-attr]
+
+
+def test_columns_of_one_matrix_are_guessed_like_columns_without_names(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", {"data": np.column_stack([T, U, Y])})
+    record = read(tmp_path / "a.mat")
+    np.testing.assert_array_equal(np.stack([record.t, record.u, record.y]), [T, U, Y])  # type: ignore[union-attr]
+
+
+def test_a_column_that_is_the_rate_of_the_input_is_not_taken_for_the_output(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 4.0, 201)
+    x, v, f = np.sin(t**2), 2 * t * np.cos(t**2), np.sin(t**2 - 0.4) + 0.3 * np.cos(t**2)
+    np.savetxt(tmp_path / "a.txt", np.column_stack([t, x, v, f]))
+    record = read(tmp_path / "a.txt")
+    np.testing.assert_array_equal(np.stack([record.t, record.u, record.y]), [t, x, f])  # type: ignore[union-attr]
 
 
 def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
@@ -404,7 +477,7 @@ def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
     t, u, y = (np.array(values) for values in (T, U, Y))
     np.savez(tmp_path / "a.npz", t_s=t, u_V=u, y_um=y, gain=np.array(3.0), other=np.arange(7.0))
     np.save(tmp_path / "a.npy", np.column_stack([t, u, y]))
-    scipy.io.savemat(tmp_path / "a.mat", {"run": {"t_s": t, "u_V": u, "y_um": y}, "who": "Kim"})
+    scipy.io.savemat(tmp_path / "a.mat", {"data": {"t_s": t, "u_V": u, "y_um": y}, "who": "Kim"})
     for name in ("a.h5", "b.mat"):
         with h5py.File(tmp_path / name, "w", userblock_size=512 if name == "b.mat" else 0) as file:
             for key, values in (("t_s", t), ("u_V", u), ("y_um", y)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -11,26 +12,36 @@ import numpy as np
 from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.params.units import quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
 _WORDS: dict[str, str] = {}
 for _kind, _list in {
-    "time": "t time times sec secs second seconds zeit temps timestamp datetime date elapsed tout clock tiempo x_value",
+    "time": "t time times sec secs second seconds zeit temps timestamp datetime date elapsed tout clock tiempo x_value "
+    "时间 時間 время",
     "input": "input in command cmd excitation reference ref setpoint drive stimulus u eingang",
     "output": "output out response y reading ausgang",
-    "voltage": "voltage volt volts vin spannung potential vdrive vcmd tension_v",
-    "field": "h hfield field feld applied_field",
-    "current": "current strom amps amperes",
-    "pressure": "pressure druck",
-    "strain": "strain eps epsilon dehnung e etrue engstrain",
+    "voltage": "voltage volt volts vin spannung potential vdrive vcmd tension_v 电压 電圧 電壓 напряжение",
+    "field": "h hfield field feld applied_field 磁场 磁場",
+    "electric field": "efield e_field electric_field 电场 電場",
+    "current": "current strom amps amperes 电流 電流 ток",
+    "pressure": "pressure druck 压力 圧力",
+    "strain": "strain eps epsilon dehnung e etrue engstrain 应变 應變 ひずみ деформация",
     "displacement": "x d disp displ displacement position pos stroke deflection drift weg dist distance "
-    "elongation extension travel angle theta rotation rot lvdt",
+    "elongation extension travel angle theta rotation rot lvdt 位移 変位 перемещение",
     "velocity": "vel velocity speed geschwindigkeit xdot v_rel rate acceleration accel acc",
-    "magnetization": "b m j magnetization magnetisation induction flux moment polarization pol p charge q mag",
-    "force": "f force load kraft shear forc torque fx fy fz base_shear lateral_load",
-    "stress": "stress sigma sig s",
-    "temperature": "temperature temp temperatur kelvin celsius",
+    "moment": "moment 磁矩",
+    "magnetization": "m j magnetization magnetisation mag 磁化",
+    "induction": "b induction flux",
+    "polarization": "polarization polarisation pol p 极化 分極",
+    "charge": "charge q 电荷 電荷",
+    "force": "f force load kraft shear forc torque fx fy fz base_shear lateral_load 荷重 载荷 сила",
+    "stress": "stress sigma sig s 应力 応力",
+    "temperature": "temperature temp temperatur kelvin celsius 温度 температура",
+    "frequency": "frequency freq frequenz 频率 周波数",
+    "error": "err error errors stderr std uncertainty",
+    "status": "status code flag valid range sensitivity",
     "index": "index idx no nr number sample point pt loop curve cycle segment kind step branch run id n k",
 }.items():
     for _word in _list.split():
@@ -40,28 +51,64 @@ _UPPER = {
     "U": "voltage",
     "H": "field",
     "I": "current",
-    "E": "field",
-    "D": "magnetization",
+    "E": "electric field",
+    "D": "polarization",
     "T": "temperature",
 }
-_UNITS = {
-    "time": r"[nuµμm]?s|sec|seconds?|min|hr|h",
-    "voltage": r"[muµkM]?V|volts?",
-    "field": r"[mk]?Oe|[mkM]?A/m|[kM]?V/c?m",
-    "current": r"[pnuµμmk]?A",
-    "pressure": r"bar|mbar|psi",
-    "displacement": r"[nuµμmc]?m|in|inch|ft|m?rad|deg|°",
-    "force": r"[muµkM]?N|kips?|lbs?|lbf|kgf|[k]?Nm",
-    "stress": r"[kMG]?Pa|ksi",
-    "velocity": r"(?:[nuµμmc]?m|in|inch|m?rad|deg)/s.*",
-    "magnetization": r"m?T|k?G|m?emu(?:/.*)?|A\W?m\^?2(?:/.*)?|[pnuµμm]?C(?:/.*)?",
-    "strain": r"[muµ]?strain|mm/mm",
-    "temperature": r"°?C|degC|K",
+_SENSED = (
+    "displacement",
+    "force",
+    "strain",
+    "stress",
+    "current",
+    "pressure",
+    "moment",
+    "magnetization",
+    "polarization",
+)
+_BY_NAME = {  # quantities in the unit of another, which their name tells
+    "field": ("magnetization",),
+    "induction": ("field", "magnetization"),
+    "voltage": _SENSED,  # signal of a sensor
+    "stress": ("pressure",),
 }
-_AS_INPUT = ("input", "voltage", "field", "current", "pressure", "strain", "displacement", "temperature", "")
-_AS_OUTPUT = ("output", "magnetization", "force", "stress", "displacement", "strain", "", "current", "temperature")
-_AS_OUTPUT_OF_DRIVE = ("output", "magnetization", "displacement", "strain", "force", "stress", "", "current")
-_LAST = ("velocity", "index", "time")
+_SECONDARY = frozenset(
+    "min max raw quad system peak center bridge trans background".split()
+)  # beside a column of the same quantity
+_AS_INPUT = (
+    "input", "voltage", "field", "electric field", "current", "pressure", "strain", "displacement", "induction", "", "temperature"
+)  # fmt: skip
+_MAGNETIC = ("moment", "magnetization", "induction")
+_ELECTRIC = ("polarization", "charge")
+_AS_OUTPUT = (
+    "output", *_MAGNETIC, *_ELECTRIC, "force", "stress", "displacement", "strain", "", "current", "temperature"
+)  # fmt: skip
+_AS_OUTPUT_OF_DRIVE = (
+    "output", *_MAGNETIC, *_ELECTRIC, "displacement", "strain", "force", "stress", "", "current", "temperature"
+)  # fmt: skip
+_DRIVES = ("input", "voltage", "field", "electric field", "current", "pressure")
+_LAST = ("velocity", "frequency", "status", "error", "index", "time")
+# Input and output in order of preference. Columns named as input or output come after the specific pairs.
+_SPECIFIC = tuple(
+    [("field", output) for output in _MAGNETIC]
+    + [("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge")]
+)
+_COMMON = (
+    ("voltage", "displacement"),
+    ("electric field", "strain"),
+    ("voltage", "strain"),
+    ("strain", "stress"),
+    ("displacement", "force"),
+    ("current", "displacement"),
+    ("current", "induction"),
+    ("induction", "moment"),
+    ("induction", "magnetization"),
+    ("pressure", "displacement"),
+    ("voltage", "force"),
+    ("current", "force"),
+    ("displacement", "moment"),
+)
+_SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,35 +121,38 @@ class Choice:
     notes: tuple[Note, ...]
 
 
-def by_unit_of(unit: str) -> str:
-    """Physical quantity of a column with this unit, "" if unknown."""
-    return next((kind for kind, pattern in _UNITS.items() if unit and re.fullmatch(pattern, unit)), "")
-
-
-def quantity(name: str, unit: str = "") -> str:
-    """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and then by its unit."""
+def column_quantity(name: str, unit: str = "") -> str:
+    """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
-    unit = unit or unit_of_name
+    by_unit = quantity(unit or unit_of_name)
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
-        return by_unit_of(unit)  # a column of a matrix x_F: the name is not that of the column
-    by_unit = by_unit_of(unit)
+        return by_unit  # a column of a matrix x_F: the name is not that of the column
     if base in _UPPER and not by_unit:
         return _UPPER[base]
-    tokens = base.lower().split("_")
-    camel = re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)
-    words = [base.lower(), *(token.strip() for token in tokens), *(part.lower() for part in camel)]
-    kinds = [_WORDS[word] for word in words if word in _WORDS]
-    if any(word.startswith("displac") for word in words):
+    kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
+    kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
+    if "displac" in base.lower():
         kinds.append("displacement")
     if symbol := re.match(r"([HBMJ])(?:meas|field|exp|data)", base):
-        kinds.append("field" if symbol[1] == "H" else "magnetization")
-    if "temperature" in kinds:
-        return "temperature"  # the unit C alone would be a charge
+        kinds.append({"H": "field", "B": "induction"}.get(symbol[1], "magnetization"))
+    for strong in ("temperature", "error", "status", "frequency"):  # the unit C alone would be a charge
+        if strong in kinds:
+            return strong
     for strong in ("index", "time", "input", "output"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
-    return by_unit or (kinds[-1] if kinds else "velocity" if base == "v" else "")
+    named = kinds[-1] if kinds else ""
+    if named in _BY_NAME.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
+        return named
+    return by_unit or named or ("velocity" if base == "v" else "")
+
+
+def _words(base: str) -> list[str]:
+    """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
+    tokens = [token.strip() for token in base.lower().split("_")]
+    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)]
+    return [base.lower(), *tokens, *camel]
 
 
 def find(table: Table, key: str | int, role: str) -> int:
@@ -178,7 +228,7 @@ def choose(
         raise DataError(f"{table.source}: input and output are the same column, {table.names[given['input']]!r}")
     used = {*taken, *given.values()}
     free = [k for k in range(len(table.names)) if k not in table.labels and k not in used and not table.constant(k)]
-    kinds = {k: quantity(table.names[k], table.units[k]) if table.named else "" for k in range(len(table.names))}
+    kinds = {k: column_quantity(table.names[k], table.units[k]) if table.named else "" for k in range(len(table.names))}
     no_time = time is False or (isinstance(time, str) and time.lower() == "none" and "none" not in table.names)
     if no_time:
         clock = None
@@ -210,8 +260,10 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
         return named[0]
     if len(free) + given < 3:
         return None
+    matrices = {re.sub(r"\[\d+\]$", "", table.names[k]) for k in free}
+    named = table.named and not (len(matrices) == 1 and {kinds[k] for k in free} <= {"", "index"})
     for k in free[:2]:
-        if table.named and table.names[k] != f"column {k}":
+        if named and table.names[k] != f"column {k}":
             return None
         steps = np.diff(table.columns[k])
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
@@ -247,27 +299,15 @@ def _guess_pair(
         )
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
-
-    def rank(k: int, order: tuple[str, ...]) -> tuple[int, int]:
-        last = kinds[k] in _LAST or _same_as(table, k, clock)
-        return (len(order) + 1 + last if kinds[k] not in order or last else order.index(kinds[k])), k
-
-    if "input" not in given:
-        candidates = [k for k in free if k not in given.values()]
-        drive = sorted(candidates, key=lambda k: rank(k, _AS_INPUT))
-        if "output" not in given and len(drive) > 1 and kinds[drive[0]] == "":
-            drive = [k for k in drive if kinds[k] not in ("output", "force", "stress")] or drive
-        given["input"] = drive[0]
-        notes.append(_choice_note(table, "input", drive[0], kinds))
-    if "output" not in given:
-        order = (
-            _AS_OUTPUT_OF_DRIVE
-            if kinds[given["input"]] in ("input", "voltage", "field", "current", "pressure")
-            else _AS_OUTPUT
-        )
-        candidates = [k for k in free if k != given["input"]]
-        given["output"] = min(candidates, key=lambda k: rank(k, order))
-        notes.append(_choice_note(table, "output", given["output"], kinds))
+    _find_velocities(table, free, kinds)
+    candidates = _candidates(table, free, kinds, clock)
+    inputs, outputs = ([given[role]] if role in given else candidates for role in ("input", "output"))
+    pairs = [(i, o) for i in inputs for o in outputs if i != o]
+    best = min(pairs, key=lambda pair: _preference(table, kinds, *pair))
+    for role, position in zip(("input", "output"), best, strict=True):
+        if role not in given:
+            given[role] = position
+            notes.append(_choice_note(table, role, position, kinds))
     pair = [re.fullmatch(r"(.*)\[\d+\]", table.names[given[role]]) for role in ("input", "output")]
     if pair[0] and pair[1] and pair[0][1] == pair[1][1] and kinds[given["input"]] == kinds[given["output"]] != "":
         raise DataError(
@@ -283,8 +323,48 @@ def _guess_pair(
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
 
 
-def _same_as(table: Table, position: int, clock: int | None) -> bool:
-    return clock is not None and np.array_equal(table.columns[position], table.columns[clock], equal_nan=True)
+def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> None:
+    """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F."""
+    first, *others = [k for k in free if kinds[k] == ""] or [-1]
+    for k in others if len(others) > 1 else ():
+        rate, column = np.gradient(table.columns[first]), table.columns[k]
+        known = np.isfinite(rate) & np.isfinite(column)
+        if known.sum() > 9 and np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0:
+            if np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE:
+                kinds[k] = "velocity"
+
+
+def _candidates(table: Table, free: list[int], kinds: dict[int, str], clock: int | None) -> list[int]:
+    """The best two columns of every quantity; a copy of the time is one more time."""
+    for k in free:
+        if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
+            kinds[k] = "time"
+    groups: dict[str, list[int]] = {}
+    for k in sorted(free, key=lambda k: (_secondary(table.names[k]), k)):
+        groups.setdefault(kinds[k], []).append(k)
+    return [k for group in groups.values() for k in group[:2]]
+
+
+def _secondary(name: str) -> int:
+    """Number of words in a name by which it comes after other columns of its quantity ("Min. Field", "Raw Moment")."""
+    return len(_SECONDARY.intersection(_words(name)))
+
+
+def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[int, ...]:
+    """Sort key of column i as the input and column o as the output, the least for the best pair."""
+    pair = kinds[i], kinds[o]
+    order = _AS_OUTPUT_OF_DRIVE if kinds[i] in _DRIVES else _AS_OUTPUT
+    place = lambda kind, among: len(among) + (kind in _LAST) if kind not in among else among.index(kind)
+    if pair in _SPECIFIC:
+        rank = _SPECIFIC.index(pair)
+    elif (kinds[i] == "input" or kinds[o] == "output") and not {"", *_LAST}.intersection(pair):
+        rank = len(_SPECIFIC)
+    elif pair in _COMMON:
+        rank = len(_SPECIFIC) + 1 + _COMMON.index(pair)
+    else:
+        rank = len(_SPECIFIC) + 1 + len(_COMMON)
+    sides = ((place(kinds[k], among), _secondary(table.names[k]), k) for k, among in ((i, _AS_INPUT), (o, order)))
+    return rank, *itertools.chain.from_iterable(sides)
 
 
 def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:

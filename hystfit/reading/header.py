@@ -11,7 +11,16 @@ _BASE = (
     r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|sec|psi|gf|lbf))|[uµμm]strain"
     r"|in|inch|ft|lb|lbs|kips?|kgf|ksi|min|h|hr|deg|degC|°C|°|%|rpm|counts|volts?|newtons?|meters?|seconds?|erg|cc|cm3|dB"
 )
-_UNIT = re.compile(rf"(?:{_BASE})(?:\^?-?\d)?(?:\s*[/*·.⋅ ]\s*(?:{_BASE})(?:\^?-?\d)?)*")
+_POWER = r"(?:\^?[-⁻]?[\d¹²³])?"
+_UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER})*")
+# Quotients whose slash is an underscore in a name: numerator_denominator.
+_JOINED = re.compile(
+    r"(.+)_(?:([kM]?V)_([cmuµ]?m)|([mkM]?A)_(c?m2?)|([pnuµm]?C)_(c?m2|g|kg)|([mu]?emu)_(g|cm3|cc|mol|cm2)|(Am2)_(k?g)"
+    r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
+    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
+)
+_WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
+_LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 _NOT_SUFFIX = frozenset({"min", "h", "counts"})  # x_min is a minimum, not minutes
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 
@@ -25,16 +34,20 @@ def is_unit(text: str) -> bool:
 
 
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
-    """Name and unit of a column header such as "t_s", "H_A_per_m", "Force [kN]", "Force (kN)", "Force / kN"."""
-    name = name.strip()
+    """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "Force [kN]", "Force (kN)", "Force / kN"."""
+    name = name.strip().translate(_WIDE)
     if match := re.fullmatch(r"(.*?)[\s_]*[\[(<]\s*([^\[\]()<>]*?)\s*[\])>]", name):
         unit = match[2]
         if match[1] and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
             return match[1], unit
-        if match[1] and unit in ("-", "1", ""):
+        if match[1] and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1] is a column of a matrix
             return match[1], ""
     if match := re.fullmatch(r"(.+?)_([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
         return match[1], f"{match[2]}/{match[3]}"
+    if match := _JOINED.fullmatch(name):
+        over, under = filter(None, match.groups()[1:])
+        if not (match[1].lower() in _LENGTHS and over in ("A", "V", "C")):  # x_A_m is the position of A
+            return match[1], f"{over}/{under}"
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)([^\s/,]+(?:/[^\s/,]+)?)", name)) and is_unit(
         match[2]
     ):
