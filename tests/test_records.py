@@ -14,6 +14,7 @@ from hystfit.cli import run
 from hystfit.data.preparation import CoarseClock, integral, smooth
 from hystfit.errors import DataError
 from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.fit import with_test
 from hystfit.fitting.left_out import left_out_error
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
@@ -230,9 +231,14 @@ def test_predictions_are_in_the_units_of_their_record(fitted):
     assert fitted.metrics(other).rmse == pytest.approx(fitted.train.rmse, rel=1e-9)
     assert fitted.extrapolation(other) is None
     assert np.allclose(fitted.predict(record.replace(u_unit="", y_unit="")), fitted.predict(record))
+    tested = with_test(fitted, other)
+    assert tested.test.rmse == pytest.approx(fitted.train.rmse, rel=1e-9)
+    assert has(tested.notes, Code.UNITS)
     for wrong in ({"y_unit": "N"}, {"u_unit": "Oe"}):
         with pytest.raises(DataError):
             fitted.predict(record.replace(**wrong))
+        with pytest.raises(DataError):
+            with_test(fitted, record.replace(**wrong))
 
 
 def test_predict_at_the_shell_converts_or_refuses(fitted, tmp_path, capsys):
@@ -269,7 +275,12 @@ def test_several_files_are_one_data_set(loops):
     assert np.allclose(data[1].y, data[0].y, atol=1e-6)
     listed = hf.read([loops / "loop10.csv", str(loops / "loop[12].csv")])
     assert [record.name for record in listed] == ["loop10", "loop1", "loop2"]
-    for wrong in (str(loops / "none*.csv"), [], [loops / "loop1.csv", str(loops / "loop*.csv")]):
+    for wrong in (
+        str(loops / "none*.csv"),
+        [],
+        [loops / "loop1.csv", str(loops / "loop*.csv")],
+        [loops / "loop1.csv", str(loops / "loop1.csv")],
+    ):
         with pytest.raises(DataError):
             hf.read(wrong)
 
@@ -299,6 +310,8 @@ def test_several_files_at_the_shell(loops, capsys):
     out = loops / "fit"
     run(["fit", pattern, "--model", "bouc-wen", "--starts", "1", "--out", str(out)])
     assert [record.name for record in hf.load_fit(out).data] == ["loop1", "loop2"]
+    same = ["fit", str(loops / "loop1.csv"), "--test", str(loops / "loop2.csv"), "--model", "bouc-wen"]
+    assert run(same) == 2  # the same measurement in other units
     for wrong in ([], [str(loops / "none*.csv")], [pattern, str(loops / "loop1.csv")], [str(loops)]):
         assert run(["check", *wrong]) == 2
 
@@ -313,6 +326,10 @@ def test_input_and_output_in_two_files(tmp_path, capsys):
         assert np.allclose(getattr(record, column), values, atol=1e-8)
     alone = table(tmp_path / "alone.csv", "", u)
     assert np.allclose(hf.read(f"{alone}+{second}").dt[1:], 1e3 / RATE)
+    bare = table(tmp_path / "bare.csv", "", y)
+    numbered = hf.read(f"{first}+{bare}", time=0, input=1, output=0)
+    assert np.allclose(numbered.t, t, atol=1e-8)
+    assert np.allclose(numbered.y, y, atol=1e-8)
     late = table(tmp_path / "late.csv", "t_s,y_um", t * 1.1, y)
     short = table(tmp_path / "short.csv", "t_s,y_um", t[:-1], y[:-1])
     for other in (late, short, tmp_path / "missing.csv"):

@@ -26,6 +26,7 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
 
     lag: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
@@ -55,6 +56,10 @@ class Delay(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `_no_inverse`."""
         raise _no_inverse(self)
+
+    def c_part(self) -> CPart:
+        """A line of fixed length."""
+        return CPart(template("delay.c"), self.longest + 1, {"LAG": self.lag, "LONGEST": self.longest})
 
 
 class Lag(AbstractHysteresis):
