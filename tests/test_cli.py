@@ -494,12 +494,12 @@ def test_curves_of_one_file_are_split_into_fit_and_test(folder, loop):
     rows = [line.split(",")[1:] for line in loop.read_text().splitlines()[1:]]
     path = folder / "curves.csv"
     path.write_text("loop,u_V,y_um\n" + "\n".join(f"{k // 80 + 3},{u},{y}" for k, (u, y) in enumerate(rows)))
-    train, test = train_and_test(str(path), Reading(by="loop"), Split(test_only="5"))
+    train, test = train_and_test([str(path)], Reading(by="loop"), Split(test_only="5"))
     assert [record.name for record in train] == ["loop=3", "loop=4"]
     assert [record.name for record in test] == ["loop=5"]
-    train, test = train_and_test(str(path), Reading(by="loop", only="0:1"), Split(test_only="1::1"))
+    train, test = train_and_test([str(path)], Reading(by="loop", only="0:1"), Split(test_only="1::1"))
     assert [[record.name for record in part] for part in (train, test)] == [["loop=3"], ["loop=4", "loop=5"]]
-    train, test = train_and_test(str(path), Reading(by="loop", only="3"), Split(window="10:50"))
+    train, test = train_and_test([str(path)], Reading(by="loop", only="3"), Split(window="10:50"))
     assert (int(train[0].used.sum()), test) == (40, None)
 
 

@@ -117,7 +117,7 @@ def test_the_rest_state_precedes_training_and_test_records(tmp_path):
 
     out = tmp_path / "x.csv"
     assert run(["simulate", "stage", "--duration", "2", "--out", str(out)]) == 0
-    train, test = train_and_test(str(out), Reading(), Split(rest=-20.0, window=":1", test_window="1:"))
+    train, test = train_and_test([str(out)], Reading(), Split(rest=-20.0, window=":1", test_window="1:"))
     assert test is not None
     for record in (train[0], test[0]):
         assert (record.u[0], len(record), record.used.sum()) == (-20.0, 401, 200)

@@ -20,7 +20,8 @@ from hystfit.errors import HystfitError
 
 _HELP = """Fit hysteresis models to measured loops, report what the data determine, and use the fitted model.
 
-LOOP is a file (csv, txt, dat, mat, npz, xlsx, h5) or the name of a data set (hystfit datasets).
+LOOP is a file (csv, txt, dat, mat, npz, xlsx, h5), a pattern ('loops/*.csv') or the name of a data set (hystfit datasets).
+u.csv+y.csv is one record with its input in the first file and its output in the second.
 Start with: hystfit fit LOOP --out fit
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """

@@ -58,7 +58,11 @@ def predict(
     result = open_fit(fitdir, output)
     if input_only and reading.output is not None:
         raise DataError("--output and --input-only exclude each other")
-    data = load_one_sided(loops, reading, "output") if input_only else load(loops, reading)
+    if input_only:
+        unit = result.data.units["y"]
+        data = load_one_sided(loops, reading, "output").map(lambda record: record.replace(y_unit=unit))
+    else:
+        data = load(loops, reading)
     data = data.map(result.in_own_units)
     part = bounds_of(window)
     if part is not None:

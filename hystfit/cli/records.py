@@ -44,7 +44,9 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     from hystfit.reading.several import combined, files_of
 
     if not loops:
-        raise DataError("name the file of a measured loop, or a data set (hystfit datasets lists them)")
+        raise DataError(
+            "LOOP is missing: name the file of a measured loop, or a data set (hystfit datasets lists them)"
+        )
     known = [loop for loop in loops if loop in datasets.names() and not Path(loop).exists()]
     files = [str(file) for loop in loops for file in ([loop] if loop in known else files_of(loop))]
     if twice := sorted({file for file in files if files.count(file) > 1}):
@@ -190,10 +192,20 @@ def _renamed(test: Dataset, train: Dataset) -> Dataset:
 def _refuse_overlap(train: Dataset, test: Dataset | None) -> None:
     for one in train:
         for other in test or ():
-            same = one.u.shape == other.u.shape and (one.u == other.u).all() and (one.y == other.y)[one.used].all()
-            shared = int((one.used & other.used).sum()) if same else 0
+            shared = int((one.used & other.used).sum()) if _same_samples(one, other) else 0
             if shared:
                 raise DataError(
                     f"training and test data share {shared} samples of {other.name!r}: make --window and --test-window (or "
                     "the curves) disjoint"
                 )
+
+
+def _same_samples(one: Record, other: Record) -> bool:
+    """Whether two records hold the same measurement, whatever its units."""
+    import numpy as np
+
+    if one.u.shape != other.u.shape:
+        return False
+    other = other.in_units(one.u_unit, one.y_unit)
+    pairs = ((one.u, other.u), (one.y[one.used], other.y[one.used]))
+    return all(np.allclose(a, b, rtol=1e-9, atol=1e-9 * np.ptp(a)) for a, b in pairs)

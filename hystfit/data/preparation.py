@@ -72,7 +72,7 @@ def smooth(values: np.ndarray, length: int) -> np.ndarray:
         raise DataError(f"the smoothing length must be an odd number of at least 5 samples, got {length}")
     if length > values.size:
         raise DataError(f"a smoothing length of {length} samples exceeds the {values.size} samples")
-    return savgol_filter(values, length, _ORDER, mode="interp")
+    return np.asarray(savgol_filter(values, length, _ORDER, mode="interp"))
 
 
 def integral(values: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -373,7 +373,8 @@ class Dataset:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise DataError(f"data set {self.name!r}: record names must differ, found {twice} more than once")
-        alike = [record.in_units(**self.units) for record in self.records]
+        units = self.units
+        alike = [record.in_units(**units) for record in self.records]
         sigma = _common_sigma(alike)
         object.__setattr__(self, "records", tuple(_referred(record, sigma) for record in alike))
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Dataset
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
@@ -136,6 +137,13 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
     notes = list(estimate.notes)
     if all(record.t is None for record in problem.data):
         notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))
+    coarse = [record.name for record in problem.data if record.t is not None and CoarseClock.of(record.t)]
+    if coarse:
+        text = f"time stamps of {coarse[0]!r} repeat, and the model was driven with these steps: Record.sampled gives even ones"
+        notes.append(warn(Code.COARSE_CLOCK, text))
+    if (stated := problem.data[0].sigma) is not None:
+        text = f"the residuals are {errors.sigma / stated:.2g} times the standard deviations given; only their ratios are used"
+        notes.append(Note(Code.WEIGHTED, text))
     advice = dict.fromkeys(line for record in problem.data for line in model.advice(record.u, record.dt))
     notes += [warn(Code.MODEL_ADVICE, line) for line in advice]
     notes += _bounds_reached(problem, estimate.x)

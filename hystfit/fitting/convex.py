@@ -42,6 +42,7 @@ class LinearSystem:
         free: parameters without a lower bound, shape (p,), bool; the others are >= 0.
         ridged: parameters that the regularization holds back (all but the offsets of records), shape (p,), bool.
         block: of each sample, which left-out block it belongs to, shape (n,).
+        weight: of each sample, shape (n,).
     """
 
     columns: np.ndarray
@@ -49,6 +50,7 @@ class LinearSystem:
     free: np.ndarray
     ridged: np.ndarray
     block: np.ndarray
+    weight: np.ndarray
 
     @classmethod
     def of(cls, problem: Problem, x: np.ndarray, which: np.ndarray | None = None) -> LinearSystem:
@@ -69,13 +71,13 @@ class LinearSystem:
             raise ModelError(f"linear parameters must be free or >= 0 for a convex fit: {names}; use method='trf'")
         base, columns = (np.asarray(v) for v in _respond(problem.objective, jnp.asarray(x), jnp.asarray(at)))
         batch = problem.objective.batch
-        weight = np.sqrt(np.asarray(batch.weight)).reshape(-1)
+        weight = np.asarray(batch.weight).reshape(-1)
         used = weight > 0
-        target = (np.asarray(batch.y).reshape(-1) - base)[used] * weight[used]
+        root = np.sqrt(weight[used])
+        target = (np.asarray(batch.y).reshape(-1) - base)[used] * root
         ridged = np.array([not problem.space.infos[k].per_record for k in at])
-        return cls(
-            columns[used] * weight[used, None], target, ~np.isfinite(lower), ridged, _block_of(used, batch.u.shape)
-        )
+        block = _block_of(used, batch.u.shape)
+        return cls(columns[used] * root[:, None], target, ~np.isfinite(lower), ridged, block, weight[used])
 
     def take(self, at: Sequence[int]) -> LinearSystem:
         """The system with some of its columns only."""
@@ -83,7 +85,11 @@ class LinearSystem:
         return dataclasses.replace(self, columns=self.columns[:, k], free=self.free[k], ridged=self.ridged[k])
 
     def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Normal matrices of the blocks, (blocks, p + 1, p + 1), on columns divided by `scale`; the target comes last."""
+        """Normal matrices of the blocks, (blocks, p + 1, p + 1), on columns divided by `scale`; the target comes last.
+
+        Returns:
+            The matrices, the scale of each column, and the number of samples of each block.
+        """
         scale = self.columns.std(axis=0)
         scale = np.where(scale > 1e-9 * max(scale.max(initial=0.0), 1e-300), scale, np.inf)
         constant = ~self.ridged  # an offset has no spread, and needs no common scale
@@ -156,7 +162,7 @@ class RidgeFit:
         weights: shape (p,).
         strength: of the ridge, relative to the samples' number, on columns of unit spread.
         ridge: what it adds to the normal matrix of the weights, diagonal, shape (p,).
-        left_out: root mean square error on blocks left out, in (weighted) output units, for each strength tried.
+        left_out: weighted root mean square error on blocks left out, output units, for each strength tried.
         rss: sum of squared residuals.
     """
 
@@ -185,7 +191,7 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
             w = solve_normal(total - gram, system.free, held * strength * (n - count) + dead)
             r = np.append(-w, 1.0)
             error += max(float(r @ gram @ r), 0.0)
-        left_out.append(np.sqrt(error / n))
+        left_out.append(np.sqrt(error / system.weight.sum()))
     best = int(np.argmin(left_out))
     ridge = held * strengths[best] * n + dead
     w = solve_normal(total, system.free, ridge)

@@ -153,7 +153,8 @@ def _with_noise(
     if problem.objective.loss != "linear":
         raise ParameterError(f"noise={noise!r} has a likelihood of its own: leave loss at 'linear'")
     refined = refine(problem, estimate.x, noise)
-    squares = sum(np.sum((r.y - y)[r.used] ** 2) for r, y in zip(problem.data, problem.predict(refined.x), strict=True))
+    predicted = zip(problem.data, problem.predict(refined.x), strict=True)
+    squares = sum(np.sum((r.weight * (r.y - y) ** 2)[r.used]) for r, y in predicted)
     label = refined.noise.name
     rough = (
         ()

@@ -21,7 +21,7 @@ _PARTS = 5  # of each record; the future begins after the second
 
 
 def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
-    """Root mean square error on data left out of refits, output units.
+    """Weighted root mean square error on data left out of refits, output units.
 
     Args:
         result: the fit of all data; refits start there. Samples are not left out one by one, because residuals are autocorrelated.
@@ -63,15 +63,15 @@ def _refitted(
     c = problem.space.coordinates
     z = problem.space.unconstrained(np.clip(x, np.asarray(c.lower), np.asarray(c.upper)))
     name = "lm" if method == "convex" and not len(linear_positions(problem)) else method
-    squares, count = 0.0, 0
+    squares, total = 0.0, 0.0
     for seen, asked in splits:
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
         predicted = training.predict(ESTIMATORS.make(name).estimate(training, z[None]).x)
         for mask, record, y in zip(asked, problem.data, predicted, strict=True):
             held = mask & record.used
-            squares += float(np.sum((y - record.y)[held] ** 2))
-            count += int(held.sum())
-    return float(np.sqrt(squares / count)) if count else float("nan")
+            squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
+            total += float(record.weight[held].sum())
+    return float(np.sqrt(squares / total)) if total else float("nan")
 
 
 def bic(result: FitResult) -> float:

@@ -250,7 +250,9 @@ class _Bench:
         ]
         join = lambda name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
         # With all weights at zero every term is zero: the target is the output itself.
-        return LinearSystem(join("columns"), parts[0].target, join("free"), join("ridged"), parts[0].block)
+        return LinearSystem(
+            join("columns"), parts[0].target, join("free"), join("ridged"), parts[0].block, parts[0].weight
+        )
 
     @functools.cache  # noqa: B019  (the bench lives as long as one search)
     def _beside(self, term: str, rest: Rest, lag: float) -> LinearSystem:

@@ -13,6 +13,7 @@ from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
@@ -141,6 +142,9 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
         ),
         *identification.notes,
     ]
+    if any(record.sigma is not None for record in data):
+        text = f"{method} counts all samples alike: the standard deviations of the output are not used"
+        notes.append(warn(Code.WEIGHTED, text))
     models = list(identification.models)
     free = list(dict.fromkeys(name.partition("@")[0] for name in space.names))
     problem = Problem(models[0], data, fix=[name for name, _, _ in space.fixed()], free=free)

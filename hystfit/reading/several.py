@@ -31,7 +31,8 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
     """
     if not isinstance(path, str | Path):
         files = [file for item in path for file in files_of(item)]
-        twice = sorted({str(file) for file in files if files.count(file) > 1})
+        names = [str(file) for file in files]
+        twice = sorted({name for name in names if names.count(name) > 1})
         if twice or not files:
             raise DataError(f"{twice[0]!r} is given twice" if twice else "no files are given")
         return files
@@ -93,7 +94,7 @@ def pair_table(
     Args:
         paths: file of the input, file of the output.
         open_one: reads the columns of a file.
-        columns: names or numbers of the columns time, input and output in their own file; None guesses.
+        columns: names or numbers of time, input and output, each in its own file (a number for time in the first); None guesses.
 
     Raises:
         DataError: different numbers of rows, clocks that differ, or a column that cannot be found.
@@ -107,6 +108,8 @@ def pair_table(
         )
     clock = columns.get("time")
     clocks = [clock if not isinstance(clock, str) or _has(table, clock) else None for table in tables]
+    if str(clock).isdigit():
+        clocks[1] = None  # a number is a position in the first file
     if isinstance(clock, str) and clock.lower() != "none" and clocks == [None, None]:
         find(first, clock, "time")
     drive = one_sided(first, "output", time=clocks[0], input=columns.get("input"))
