@@ -19,7 +19,9 @@ Part = Annotated[str | None, Parameter(group=SPLIT)]
 Flag = Annotated[bool, Parameter(group=SPLIT)]
 FitFolder = Annotated[Path, Parameter(help="folder written by `hystfit fit --out`")]
 Loop = Annotated[str, Parameter(help="file or name of a data set")]
-Limits = Annotated[str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fit")]
+Limits = Annotated[
+    str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fitted input")
+]
 
 
 def lists(**registries: Iterable[str]) -> Callable[[F], F]:
