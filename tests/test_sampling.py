@@ -21,6 +21,7 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
@@ -405,6 +406,20 @@ def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(
     assert told.status == "poor-fit"
     assert not told.usable
     assert told.notes[0].code is Code.FIT_STATUS
+
+
+def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
+    """The slow noise takes the creep, and c is far off: its interval is that of chance only."""
+    record, model = loop(sigma=0.002)
+    creep = LogCreep(gamma=(0.06,))
+    y = record.y + np.asarray(hf.simulate(creep, record.u, 0.01)[0]) - record.u
+    fit = hf.fit(model, record.replace(y=y), starts=1, fix={"rho": 0.5})
+    assert fit.usable
+    drawn = sample(fit, chains=4, draws=500, warmup=300)
+    assert not drawn.convergence.problems(drawn.names)
+    assert abs(drawn["c"].mean() - 1.0) > 5 * drawn["c"].std()
+    assert drawn.status is Status.INCOMPLETE
+    assert has(drawn.notes, Code.INCOMPLETE)
 
 
 @pytest.mark.parametrize("noise", ["iid", "discrepancy"])

@@ -15,6 +15,7 @@ from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.structure import search_structure
+from hystfit.fitting.verdict import with_left_out
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import compared, make_model
 from hystfit.outcome import Code, Note, Status
@@ -190,6 +191,8 @@ def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, 
             result, score, note = best_size(sizes, data, seed) if sizes else (fit(model, data, seed=seed), None, "")
         if score is None or left_out != "blocks":
             score = left_out_error(result, left_out)
+        if left_out == "blocks" and np.isfinite(score):
+            result = with_left_out(result, float(score))
         criterion = bic(result)
     except DataError:
         raise

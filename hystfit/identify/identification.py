@@ -149,8 +149,10 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
     problem = Problem(models[0], data, fix=[name for name, _, _ in space.fixed()], free=free)
     residuals = [(y - r.y)[r.used] for y, r in zip(identification.predict(), data, strict=True)]
     baselines = Baselines.of(data)
-    rough = [warn(Code.ROUGH_FIT, text) for text in shortcomings(identification.free_run, residuals, baselines)]
-    status = Status.ROUGH if rough and identification.usable else identification.status
+    rough = []
+    if identification.usable:
+        rough = [warn(Code.ROUGH_FIT, text) for text in shortcomings(identification.free_run, residuals, baselines)]
+    status = Status.ROUGH if rough else identification.status
     notes += [*rough, accuracy_note(identification.free_run, baselines, "simulation error")]
     correlation = max(autocorrelation_time(r) for r in residuals)
     compile_s, run_s = watch.read()

@@ -66,15 +66,15 @@ class Baselines:
 
 @dataclasses.dataclass(frozen=True)
 class _Frame:
-    """Range of the input of the fitted records, on which columns are scaled."""
+    """Range of the fitted inputs, on which columns are scaled."""
 
     middle: float
     half: float
 
     @classmethod
     def of(cls, data: Dataset) -> _Frame:
-        low, high = min(float(r.u.min()) for r in data), max(float(r.u.max()) for r in data)
-        return cls(0.5 * (low + high), 0.5 * (high - low))
+        low, high = min(float(r.u[r.used].min()) for r in data), max(float(r.u[r.used].max()) for r in data)
+        return cls(0.5 * (low + high), 0.5 * (high - low) or 1.0)
 
     def place(self, record: Record) -> np.ndarray:
         """Input in -1..1 over the fitted range, shape (T,)."""
