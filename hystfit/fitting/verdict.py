@@ -16,9 +16,9 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
+from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.scope import scope_notes
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import accuracy_note, is_noise, lasting, misses_the_loop, other_family, shortcomings
 from hystfit.results.metrics import Metrics
@@ -103,7 +103,7 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     found = (other_family(fitted.train, fitted.baselines), _initial_state(fitted))
     notes += [note for note in found if note is not None]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
-        notes += scope_notes([summarize(record) for record in fitted.data])
+        notes += coverage_notes(fitted.data)
     return status, notes
 
 

@@ -28,7 +28,6 @@ class Code(enum.StrEnum):
     LEFT_OUT_ERROR = "left-out-error"  # the cross-validation error is above its limit
     OTHER_FAMILY = "other-family"  # plain plays fit the data far better than the model
     INITIAL_STATE = "initial-state"  # the largest error lies in the first half cycle
-    MINOR_LOOPS = "minor-loops"  # the data hold loops of one amplitude only
     MEASUREMENT_NOISE = "measurement-noise"  # the error is large, and the residuals are white
     MODEL_MISMATCH = "model-mismatch"  # the data have a property that the model cannot reproduce
     NO_LOOP = "no-loop"  # the input never turns back
@@ -93,6 +92,7 @@ class Code(enum.StrEnum):
     DRIFT = "drift"  # the mean of like cycles drifts
     LAG = "lag"  # the output keeps moving after the input has turned
     SPEED_DEPENDENT = "speed-dependent"  # the output depends on the speed of the input
+    MINOR_LOOPS = "minor-loops"  # one amplitude alone: minor loops are not determined
     REVERSAL_CURVES = "reversal-curves"  # the records are first-order reversal curves
 
 

@@ -1,0 +1,88 @@
+"""What fitted records cover: where a model fitted to them extrapolates, and whether they determine minor loops."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.outcome.note import Code, Note, warn
+from hystfit.quality.loops import branches
+
+_APART = 0.05  # least difference of amplitudes that count as different, as a fraction of the largest
+_BEYOND = 0.01  # excess of the input over the covered range that counts, as a fraction of that range
+
+
+@dataclasses.dataclass(frozen=True)
+class Coverage:
+    """Extent of the input of some records, and the strokes between its reversals.
+
+    Attributes:
+        low, high: extent of the input [unit of u].
+        strokes: different strokes, largest first [unit of u].
+    """
+
+    low: float
+    high: float
+    strokes: tuple[float, ...]
+
+    @classmethod
+    def of(cls, records: Iterable[Record]) -> Coverage:
+        """Coverage of records up to their last sample that counts; strokes of noise (below 5 % of the range) are omitted.
+
+        Raises:
+            ValueError: no records.
+        """
+        inputs = [record.u[: 1 + int(np.flatnonzero(record.used)[-1])] for record in records if record.used.any()]
+        low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
+        least = _APART * (high - low)
+        kept: list[float] = []
+        for u in inputs:
+            found = branches(u, least)
+            inner = found[1:-1] if len(found) > 2 else found
+            kept += [float(abs(u[b] - u[a])) for a, b in inner]
+        strokes: list[float] = []
+        for stroke in sorted(kept, reverse=True):
+            if stroke > least and (not strokes or strokes[-1] - stroke > least):
+                strokes.append(stroke)
+        return cls(low, high, tuple(strokes))
+
+
+def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> tuple[Note, ...]:
+    """What a model fitted to records cannot be relied on for.
+
+    Args:
+        fitted: the records of the fit.
+        others: records that it is to predict; none where they are unknown.
+
+    Returns:
+        `Code.MINOR_LOOPS` where the fitted records have one amplitude only (and the others, where given, have smaller ones),
+        `Code.EXTRAPOLATION` where the input of the others leaves the fitted range.
+    """
+    fitted, others = list(fitted), list(others)
+    known, unit = Coverage.of(fitted), fitted[0].u_unit
+    size = lambda value: f"{value:.4g} {unit}".rstrip()
+    asked = Coverage.of(others) if others else None
+    notes = []
+    if len(known.strokes) == 1 and (asked is None or min(asked.strokes, default=0.0) < (1 - _APART) * known.strokes[0]):
+        smaller = "" if asked is None or not asked.strokes else f" down to {size(asked.strokes[-1])}"
+        notes.append(
+            warn(
+                Code.MINOR_LOOPS,
+                f"one amplitude alone ({size(known.strokes[0])} peak to peak): these data do not determine loops of smaller "
+                f"amplitude{smaller}; measure nested loops or a decaying input",
+            )
+        )
+    if asked is not None:
+        beyond = max(known.low - asked.low, asked.high - known.high)
+        if beyond > _BEYOND * (known.high - known.low):
+            notes.append(
+                warn(
+                    Code.EXTRAPOLATION,
+                    f"the input goes {size(beyond)} beyond the fitted range ({known.low:.4g} to {size(known.high)}): the prediction "
+                    "there is extrapolation",
+                )
+            )
+    return tuple(notes)
