@@ -409,7 +409,7 @@ def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(
 
 
 def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
-    """The slow noise takes the creep, and c is far off: its interval is that of chance only."""
+    """The noise model takes the creep, and c is far off: its interval is that of chance only."""
     record, model = loop(sigma=0.002)
     creep = LogCreep(gamma=(0.06,))
     y = record.y + np.asarray(hf.simulate(creep, record.u, 0.01)[0]) - record.u

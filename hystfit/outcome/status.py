@@ -54,8 +54,8 @@ _ADVICE = {
     Status.NO_LOOP: "there is no loop in these data: measure full cycles of a larger amplitude, or fit a curve instead",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
     Status.INCOMPLETE: (
-        "the residuals show an error of the model that the noise model does not include: the intervals are too narrow. Add what is "
-        "missing (creep, a lag, more terms), or use noise='discrepancy'"
+        "the residuals show that the model lacks something, so that its parameters are biased by more than the intervals show: add "
+        "what is missing (creep, a lag, more terms); noise='discrepancy' includes only what recurs every loop"
     ),
     Status.BIASED: (
         "noise biases the rate: use output-error least squares (method='lm'), or integrated_regression where the method "

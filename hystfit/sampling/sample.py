@@ -75,13 +75,13 @@ def sample(
     draws = physical_draws(setup, raw.z)
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)
     problems = convergence.problems(setup.names)
-    incomplete = _incomplete(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
+    drift = _drift(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
     status = Status.OK
     if problems or not raw.complete or not np.isfinite(draws).all():
         status = Status.NOT_CONVERGED
     elif result.status in (Status.POOR, Status.NO_LOOP):
         status = Status.POOR_FIT
-    elif incomplete or result.status is Status.ROUGH:
+    elif has((*drift, *setup.notes), Code.INCOMPLETE) or result.status is Status.ROUGH:
         status = Status.INCOMPLETE
     return Posterior(
         result=result,
@@ -94,7 +94,7 @@ def sample(
         stats=raw.stats,
         convergence=convergence,
         status=status,
-        notes=(*_of_the_fit(result), *incomplete, *setup.notes, *raw.notes, *problems, *beside_priors(setup, draws)),
+        notes=(*_of_the_fit(result), *drift, *setup.notes, *raw.notes, *problems, *beside_priors(setup, draws)),
         priors=setup.describe_priors(),
         seconds=seconds,
         seed=seed,
@@ -157,31 +157,24 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
     return float(np.subtract(*np.quantile(x, [0.75, 0.25])))
 
 
-def _incomplete(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
-    """Signs that the model lacks something which the noise model does not include.
+def _drift(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
+    """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data.
 
     Args:
-        setup: with the notes on the choice of the noise model.
+        setup: names the parameters.
         draws: physical.
         longest: samples of the longest record.
     """
-    notes = []
-    if has(setup.notes, Code.REPEATING_RESIDUALS):
-        text = (
-            "part of the residuals recurs every loop, and this noise model takes it for chance: the intervals are too narrow (use "
-            "noise='discrepancy')"
-        )
-        notes.append(warn(Code.INCOMPLETE, text))
     middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
     time = middle.get("noise_time", 0.0)
-    if time > _SLOW * longest and middle["noise_slow"] > middle.get("noise_white", 0.0):
-        text = (
-            f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is drift or "
-            "creep, which the model does not have. Parameters are biased by more than their intervals show; add creep (+log-creep), or "
-            "remove the drift"
-        )
-        notes.append(warn(Code.INCOMPLETE, text))
-    return notes
+    if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):
+        return []
+    text = (
+        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is drift or creep, "
+        "which the model does not have. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
+        "the drift"
+    )
+    return [warn(Code.INCOMPLETE, text)]
 
 
 def _of_the_fit(result: FitResult) -> list[Note]:
