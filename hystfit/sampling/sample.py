@@ -75,7 +75,7 @@ def sample(
     draws = physical_draws(setup, raw.z)
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)
     problems = convergence.problems(setup.names)
-    drift = _drift(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
+    drift = drift_notes(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
     status = Status.OK
     if problems or not raw.complete or not np.isfinite(draws).all():
         status = Status.NOT_CONVERGED
@@ -157,7 +157,7 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
     return float(np.subtract(*np.quantile(x, [0.75, 0.25])))
 
 
-def _drift(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
+def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
     """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data.
 
     Args:
