@@ -7,14 +7,26 @@ import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hystfit.cli.options import DEFAULT_READING, NO_SPLIT, STDOUT, Loop, Output, Reading, Split, lists, named_values
+from hystfit.cli.options import (
+    DEFAULT_READING,
+    NO_SPLIT,
+    STDOUT,
+    Loop,
+    Output,
+    Purpose,
+    Reading,
+    Split,
+    lists,
+    named_values,
+)
 from hystfit.cli.records import train_and_test
 from hystfit.cli.write import finish, progress
 from hystfit.errors import ParameterError
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
@@ -27,6 +39,7 @@ def fit(
     /,
     *,
     model: str = "auto",
+    purpose: Purpose = "prediction",
     method: str = "auto",
     fix: list[str] | None = None,
     free: list[str] | None = None,
@@ -44,7 +57,8 @@ def fit(
     With --out, the folder holds the fit, its report (report.html) and the pictures.
 
     Args:
-        model: name (see hystfit models; join several by +), my_model.py:MyModel, or auto: the winner of hystfit compare.
+        model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
+            chosen by cross-validation), or auto: the winner of hystfit compare.
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
         fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
         free: parameter to fit that the model holds by default; repeatable.
@@ -64,7 +78,9 @@ def fit(
     if sequential and (unused := _changed(options)):
         raise ParameterError(f"--{unused[0]} has no effect with --method {method}: leave it out")
     if model == "auto" and not sequential:
-        result = _winner(train, method, options, seed)
+        result = _winner(train, method, options, purpose, seed)
+    elif purpose != "prediction":
+        raise ParameterError("--for chooses among models: it has no effect with --model or a sequential method")
     else:
         from hystfit.fitting.fit import fit as fit_model
 
@@ -97,7 +113,7 @@ def _changed(options: dict[str, Any]) -> list[str]:
     return [name for name, value in options.items() if (value or None) != (defaults[name] or None)]
 
 
-def _winner(train: Dataset, method: str, options: dict[str, Any], seed: int) -> FitResult:
+def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, seed: int) -> FitResult:
     """The winner of `compare`, with a note on the choice."""
     from hystfit.fitting.compare import compare as compare_models
 
@@ -105,15 +121,18 @@ def _winner(train: Dataset, method: str, options: dict[str, Any], seed: int) -> 
         raise ParameterError(
             f"--{changed[0]} needs a chosen model: add --model NAME (hystfit models lists them, hystfit compare ranks them)"
         )
-    with progress("comparing models") as update:
-        comparison = compare_models(train, seed=seed, progress=update)
+    comparison = compare_models(train, purpose=purpose, seed=seed)
     best, count = comparison.rows[0], len(comparison.rows)
     score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
     reason = (
         f"is the best of {count} models by cross-validation" if count > 1 else "is the only candidate for these data"
     )
     text = f"{best.name} {reason}{score}; hystfit compare shows the ranking, --model NAME fits another model"
-    return dataclasses.replace(comparison.winner, notes=(Note(Code.CHOICE, text), *comparison.winner.notes))
+    left_out = [
+        warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in comparison.rows if row.status is Status.FAILED
+    ]
+    notes = (Note(Code.CHOICE, text), *left_out, *comparison.winner.notes)
+    return dataclasses.replace(comparison.winner, notes=notes)
 
 
 def compare(
@@ -122,6 +141,7 @@ def compare(
     *,
     models: list[str] | None = None,
     left_out: Literal["blocks", "future"] = "blocks",
+    purpose: Purpose = "prediction",
     seed: int = 0,
     reading: Reading = DEFAULT_READING,
     split: Split = NO_SPLIT,
@@ -132,7 +152,8 @@ def compare(
     With --out, the folder holds the ranking (comparison.txt) and the fit of the winner (winner/).
 
     Args:
-        models: names, repeated or separated by commas; default: a selection that suits the data.
+        models: names, repeated or separated by commas; default: a selection that suits what hystfit check finds, of which models that
+            cannot win are stopped early.
         left_out: what is left out of each fit: blocks in turn (whole records where there are three or more), or the future:
             later parts of each record are predicted from a fit to the earlier part.
         seed: random seed for the starting points.
@@ -142,8 +163,7 @@ def compare(
     output.check()
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
     train, test = train_and_test(loop, reading, split)
-    with progress("comparing models") as update:
-        comparison = compare_models(train, names or None, left_out=left_out, seed=seed, progress=update)
+    comparison = compare_models(train, names or None, left_out=left_out, purpose=purpose, seed=seed)
     text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner
     if test is not None:
         from hystfit.fitting.fit import with_test

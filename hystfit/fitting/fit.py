@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,6 +21,7 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
+from hystfit.fitting.structure import search_structure
 from hystfit.fitting.verdict import Fitted, try_on, verdict_of, with_left_out, worse
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
@@ -29,7 +31,7 @@ from hystfit.inference.objective import Loss
 from hystfit.inference.problem import LOSSES, Problem, check_fittable
 from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import make_model
+from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
@@ -60,7 +62,8 @@ def fit(
     """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
 
     Args:
-        model: a model, or its name (see `hystfit models`).
+        model: a model, or its name (see `hystfit models`); "prandtl-ishlinskii-search" searches that family for the terms that
+            predict left-out data best, and the result names them.
         data: one record or several; windows are set by `Record.window`.
         method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
             (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
@@ -90,8 +93,12 @@ def fit(
     require_x64()
     require_seed(seed)
     named = isinstance(model, str)
-    model = make_model(model) if named else model
     data = Dataset.of(data)
+    notes: list[Note] = []
+    if named and model == SEARCH and not is_sequential(method):
+        found = search_structure(data)
+        model, start, notes = found.model, "model", list(found.notes())
+    model = make_model(model) if isinstance(model, str) else model
     if not isinstance(model, AbstractHysteresis):
         raise ModelError(f"expected a hystfit model or its name, got {type(model).__name__}")
     watch = Stopwatch()
@@ -108,7 +115,6 @@ def fit(
         model = model.start(list(data))
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
-    notes: list[Note] = []
     if name == "convex" and start == "data" and model.has_rest:
         problem, notes = _choose_rest(problem, fix, free, loss)
     estimate = solve(problem, name, starts, seed)
@@ -236,7 +242,10 @@ def _choose_rest(
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
         return problem, []
-    other = Problem(problem.model.with_rest("first"), problem.data, fix=fix, free=free, loss=loss)
+    first = problem.model.with_rest("first")
+    if eqx.tree_equal(first, problem.model):  # chosen by the user
+        return problem, []
+    other = Problem(first, problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
         x = _settled(candidate, candidate.space.vector(candidate.model))
