@@ -1,6 +1,7 @@
 """The verbs that use a fit on a device: invert and export."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,11 @@ def test_invert_writes_an_input_that_the_model_follows(
     u = np.array([float(row[2]) for row in rows])
     y = np.asarray(hf.simulate(load_fit(fitted).model, u)[0])
     np.testing.assert_allclose(y, wanted, atol=1e-9)
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    fitted_input = hf.datasets.load(
+        "stage-sine"
+    ).u  # 0 to 60 V or so: no voltage below 0, which a unipolar stack does not bear
+    assert content["limits"] == {"lowest": fitted_input.min(), "highest": fitted_input.max(), "given": False}
     # A reference beyond the limits is finished, but missed.
     assert run([*command, "--limits", "0:20", "--out", str(tmp_path / "held")]) == 1
     content = json.loads((tmp_path / "held" / "result.json").read_text())
@@ -57,4 +63,8 @@ def test_export_writes_c(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert run(["export", str(fitted), "--c", str(tmp_path / "c"), "--name", "stack"]) == 0
     assert sorted(file.name for file in (tmp_path / "c").iterdir()) == ["stack.c", "stack.h", "stack_main.c"]
     assert "cc -std=c99" in capsys.readouterr().out
+    header = (tmp_path / "c" / "stack.h").read_text()
+    edges = [float(re.search(rf"#define STACK_{edge} \(?([^\s)]+)", header)[1]) for edge in ("LOW", "HIGH")]  # type: ignore[index]
+    fitted_input = hf.datasets.load("stage-sine").u
+    assert edges == [fitted_input.min(), fitted_input.max()]
     assert run(["export", str(fitted), "--c", str(tmp_path / "c"), "--name", "2nd"]) == 2

@@ -11,7 +11,8 @@ from hystfit import BoucWen, Duhem, simulate
 from hystfit.data.record import Record
 from hystfit.errors import ModelError, ParameterError
 from hystfit.identify import IDENTIFIERS, AbstractIdentifier, Ukf, as_fit, identify
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
 from hystfit.results.timing import Stopwatch
 
 OWN = '''
@@ -198,4 +199,5 @@ def test_an_identification_that_is_not_usable_gives_a_fit_that_is_not_usable():
     assert not fit.usable
     assert fit.status is identification.status
     assert fit.advice == identification.status.advice("identify")
-    assert fit.notes[1:] == identification.notes
+    assert fit.notes[1 : 1 + len(identification.notes)] == identification.notes
+    assert not has(fit.notes, Code.ROUGH_FIT)

@@ -21,13 +21,14 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.files import load_posterior
 from hystfit.sampling.posterior import Posterior
-from hystfit.sampling.sample import beside_priors, sample
+from hystfit.sampling.sample import beside_priors, drift_notes, sample
 from hystfit.sampling.setup import prepare
 
 
@@ -233,7 +234,7 @@ from tests.test_sampling import ENDLESS, loop
 import hystfit as hf
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.sampling.sample import beside_priors, sample
+from hystfit.sampling.sample import beside_priors, drift_notes, sample
 hf.enable_x64()
 record, model = loop()
 result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
@@ -407,6 +408,27 @@ def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(
     assert told.status == "poor-fit"
     assert not told.usable
     assert told.notes[0].code is Code.FIT_STATUS
+
+
+def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
+    """c is far off, and its interval is that of chance only."""
+    record, model = loop(sigma=0.002)
+    y = record.y + np.asarray(hf.simulate(LogCreep(gamma=(0.06,)), record.u, 0.01)[0]) - record.u
+    fit = hf.fit(model, record.replace(y=y), starts=1, fix={"rho": 0.5})
+    assert fit.usable
+    drawn = sample(fit, noise="iid", chains=4, draws=400, warmup=200)
+    assert not drawn.convergence.problems(drawn.names)
+    assert abs(drawn["c"].mean() - 1.0) > 5 * drawn["c"].std()
+    assert drawn.status is Status.INCOMPLETE
+    assert has(drawn.notes, Code.INCOMPLETE)
+
+
+@pytest.mark.parametrize(("time", "slow", "told"), [(100.0, 0.02, True), (20.0, 0.02, False), (100.0, 0.004, False)])
+def test_slow_noise_as_long_as_a_good_part_of_the_record_is_drift(fitted, time, slow, told):
+    setup = prepare(fitted, noise="ou")
+    noise = {"noise_white": 0.01, "noise_slow": slow, "noise_time": time}
+    x = np.array([noise.get(name, 1.0) for name in setup.names])
+    assert has(drift_notes(setup, np.tile(x, (2, 5, 1)), longest=500), Code.INCOMPLETE) == told
 
 
 @pytest.mark.parametrize("noise", ["iid", "discrepancy"])

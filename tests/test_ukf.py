@@ -27,7 +27,7 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify import Phase, Run, Sample, Ukf, identify, identify_in_stages, run_stream, smooth
 from hystfit.identify.sigma_points import Unscented, triangular
 from hystfit.identify.ukf import loop_count
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.stage import Actuator, Sensor
 
@@ -302,6 +302,16 @@ def test_one_amplitude_does_not_determine_the_parameters():
     judgment = ukf.judge(Run(result.data, result.state, np.tile(ukf.z0, (20, 1)), poor))
     assert judgment.status is Status.UNDETERMINED
     assert loop_count(Dataset.of(measured())) > 5
+
+
+def test_innovations_outside_their_band_are_not_usable():
+    """A noise of three times the true one makes them a ninth of their prediction, however well the simulation follows."""
+    record = measured()
+    start = bouc_wen(1.1, 0.9)
+    noise = float(Ukf.of(start, record, start="model").noise)
+    found = Ukf.of(start, record, start="model", noise=3 * noise).fit(record)
+    assert found.status is Status.INCONSISTENT
+    assert [note.severity for note in found.notes if note.code is Code.INNOVATIONS] == [Severity.WARNING]
 
 
 def test_status_of_a_run_that_ends_far_from_the_record_or_without_a_finite_mean():

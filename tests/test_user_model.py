@@ -149,7 +149,7 @@ def test_at_the_shell(expression: str, tmp_path: Path, capsys: pytest.CaptureFix
     (tmp_path / "loop.csv").write_text("t_s,u_V,y_um\n" + rows + "\n")
     out = str(tmp_path / "fit")
     assert run(["fit", str(tmp_path / "loop.csv"), "--model", expression, "--starts", "2", "--out", out]) == 0
-    target = ["--output", "y_um", "--time", "t_s", "--out", str(tmp_path / "inverse")]
+    target = ["--output", "y_um", "--time", "t_s", "--out", str(tmp_path / "inverse"), "--limits=-3:3"]
     assert run(["invert", out, str(tmp_path / "loop.csv"), *target]) == 0
     assert json.loads((tmp_path / "inverse" / "result.json").read_text())["status"] == "ok"
     assert run(["export", out, "--c", str(tmp_path / "c"), "--name", "backlash"]) == 0

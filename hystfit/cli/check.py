@@ -42,7 +42,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
     if report.advice is not None:
         rest = "" if reading == DEFAULT_READING else "  (and the same options for reading the file)"
-        text += f"\n\nhystfit fit {shlex.quote(loop)} --model {report.advice.model}{rest}"
+        text += f"\n\nhystfit fit {shlex.join(loops)} --model {report.advice.model}{rest}"
 
     def save(folder: Path) -> None:
         (folder / "check.txt").write_text(text + "\n", encoding="utf-8")

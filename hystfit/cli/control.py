@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hystfit.control.bands import InverseBands
     from hystfit.control.inverse import Inverse
     from hystfit.data.record import Record
+    from hystfit.results.result import FitResult
 
 
 def invert(
@@ -49,6 +50,7 @@ def invert(
     status = Status.OK if inverse.ok else Status.MISSED
     notes = [warn(Code.MISSED, str(note)) for note in inverse.notes()]
     units = {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None}
+    low, high = span or result.input_range
     content = {
         "schema": "hystfit.invert/1",
         "model": result.name,
@@ -57,6 +59,7 @@ def invert(
         "reading": [note.to_dict() for note in target.notes],
         "counts": inverse.counts(),
         "input": {"lowest": float(inverse.u.min()), "highest": float(inverse.u.max())},
+        "limits": {"lowest": low, "highest": high, "given": span is not None},
         "units": units,
         "bands": None if bands is None else _summary(bands),
         "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
@@ -66,12 +69,24 @@ def invert(
         ["", "samples"], [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     )
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
-    lines = [f"{result.name} inverted for {target.name}: input {reach}", *summary.lines("  "), *items(notes)]
+    lines = [
+        f"{result.name} inverted for {target.name}: input {reach}",
+        _limits_line(result, span),
+        *summary.lines("  "),
+        *items(notes),
+    ]
     lines += items(note for note in target.notes if note.code in (Code.LEFT_OUT, Code.UNITS))
     if bands is not None:
         lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
     return finish("\n".join(lines), content, output, save)
+
+
+def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
+    """Limits of the input, and where they come from."""
+    low, high = given or result.input_range
+    source = "--limits" if given else "range of the fitted input; --limits sets others"
+    return f"  input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
 
 
 def _target(path: str, reading: Reading) -> Record:
@@ -145,7 +160,9 @@ def export(fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: L
     from hystfit.control.export import export_c
 
     span = input_limits(limits)
-    files = export_c(open_fit(fitdir, Output(out=c)), c, name=name, limits=span)
+    result = open_fit(fitdir, Output(out=c))
+    files = export_c(result, c, name=name, limits=span)
     print(written(c, [file.name for file in files]).lstrip())
+    print(_limits_line(result, span).strip())
     print(f"Try it: cc -std=c99 -O2 {files[1]} {files[2]} -lm -o {name}")
     return 0

@@ -25,7 +25,9 @@ Loop = Annotated[
     ),
 ]
 Number = Annotated[float | None, Parameter(group=FILE)]
-Limits = Annotated[str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fit")]
+Limits = Annotated[
+    str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fitted input")
+]
 
 Purpose = Annotated[
     Literal["prediction", "inverse", "export"],

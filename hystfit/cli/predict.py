@@ -85,18 +85,20 @@ def _compared(
     """Content of result.json for a prediction, and its text."""
     import numpy as np
 
-    from hystfit.results.metrics import Metrics
+    from hystfit.fitting.verdict import try_on
+    from hystfit.results.accuracy import verdict_dict
     from hystfit.results.report import metrics_words
     from hystfit.results.result import provenance
 
     finite = all(np.isfinite(run).all() for run in runs)
-    measured = [(record, run) for record, run in zip(data, runs, strict=True) if record.used.any()]
-    metrics = None
-    if measured and finite:
-        metrics = Metrics.of([r.y[r.used] for r, _ in measured], [run[r.used] for r, run in measured])
-    weighted = [r if r.used.any() else r.replace(weight=np.ones(len(r))) for r in data]
+    measured = [record for record in data if record.used.any()]
+    trial = try_on(result, measured, refit_offset=refit_offset) if measured and finite else None
     notes = list(dict.fromkeys(note for record in data for note in record.notes if note.code is Code.UNITS))
-    notes += [note for record in weighted if (note := result.extrapolation(record))]
+    notes += [] if trial is None else [note for note in trial.notes if note not in notes]
+    for record in data:
+        if trial is None or not record.used.any():
+            whole = record.replace(weight=np.ones(len(record)))
+            notes += [note for note in (result.extrapolation(whole), result.assumption(record)) if note is not None]
     if not finite:
         text = "the prediction is not finite: the model is unstable on this input"
         notes.append(Note(Code.NOT_FINITE, text, Severity.ERROR))
@@ -104,7 +106,9 @@ def _compared(
         notes.append(warn(Code.FIT_STATUS, f"the fit itself is not usable: its status is {result.status}"))
     if refit_offset:
         notes.append(Note(Code.OFFSET_REFITTED, "the offset of each record was refitted to its mean"))
-    status = Status.NOT_FINITE if not finite else Status.OK if result.usable else Status.FIT_NOT_USABLE
+    status = Status.OK if trial is None else trial.status
+    status = Status.NOT_FINITE if not finite else status if result.usable else Status.FIT_NOT_USABLE
+    metrics = None if trial is None else trial.metrics
     names = [record.name for record in data]
     shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
     lines = [f"{result.name} on {shown}: {sum(len(record) for record in data)} samples"]
@@ -115,6 +119,7 @@ def _compared(
         "status": str(status),
         "notes": [note.to_dict() for note in notes],
         "metrics": {"test": metrics.to_dict() if metrics else None},
+        "verdict": {"test": None if trial is None else verdict_dict(trial.metrics, trial.baselines)},
         "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
         "provenance": provenance(data, None),
     }

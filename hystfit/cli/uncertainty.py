@@ -35,10 +35,11 @@ def sample(
     seed: int = 0,
     output: Output = STDOUT,
 ) -> int:
-    """Sample the posterior of a saved fit. Exit status 1: the chains have not converged, or the fit is not usable.
+    """Sample the posterior of a saved fit.
 
-    With --out, the folder holds posterior.nc, the fit, pictures and the running chains (run/): the same command resumes after an
-    interruption, and continues a finished run with more --draws.
+    Exit status 1: the chains have not converged, the fit is not usable, or its model lacks something that the residuals show (drift, a
+    misfit that recurs every loop). With --out, the folder holds posterior.nc, the fit, pictures and the running chains (run/): the same
+    command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
         sampler: {samplers}, or my_file.py:MySampler. emcee takes up to ten parameters; nested takes several modes.

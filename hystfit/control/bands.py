@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.control.inverse import Inverse, Task, invert, prepare
-from hystfit.control.online_inverse import Answer, Limits, known_range
+from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
 from hystfit.models.base import simulate
 from hystfit.sampling.posterior import Posterior
@@ -93,7 +93,7 @@ def inverse_bands(
         posterior: its fit gives the input that is applied, its draws the bands.
         reference: wanted output, shape (T,).
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
-        limits: lowest and highest input; None for the range of the fit's data, a little widened.
+        limits: lowest and highest input; None for the range of the fitted input.
         count: draws used.
         seed: of their choice.
 
@@ -101,7 +101,7 @@ def inverse_bands(
         ModelError, DataError: see `invert`.
     """
     fit = posterior.result
-    edges = known_range(fit) if limits is None else limits
+    edges = fit.input_range if limits is None else limits
     given = invert(fit, reference, dt, limits=limits)
     wanted = np.asarray(reference, dtype=float)
     models = list(posterior.models(count, seed))

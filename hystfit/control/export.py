@@ -33,7 +33,7 @@ def export_c(
         model: a model that has C code (method `c_part`), or a fit of one.
         folder: made where it does not exist.
         name: prefix of files and functions, a C identifier.
-        limits: between which the inverse holds its input, as `InverseStep.of`.
+        limits: between which the inverse holds its input; None for the range of the fitted input, as `InverseStep.of`.
 
     Returns:
         The three files.
@@ -61,6 +61,7 @@ def export_c(
         "states": str(part.states),
         "low": _number(low),
         "high": _number(high),
+        "limits": _limits_words(model, limits, low),
         "invertible": str(int(inverse is not None)),
         "obstacle": obstacle and f"\n * No inverse: {obstacle}.\n *",
         "title": f"{model_name(exported)}: forward model{'' if inverse is None else ' and inverse'}.",
@@ -95,6 +96,15 @@ def _unit(model: Any, which: str) -> str:
     data = getattr(model, "data", None)
     unit = getattr(next(iter(data)), f"{which}_unit", "") if data is not None else ""
     return unit or f"the model's {'input' if which == 'u' else 'output'} unit"
+
+
+def _limits_words(model: Any, limits: Limits | None, low: float) -> str:
+    """Where the limits of the inverse come from."""
+    if limits is not None:
+        return "the limits given"
+    if not np.isfinite(low):
+        return "no limits"
+    return "the range of the model" if isinstance(model, AbstractHysteresis) else "the range of the fitted input"
 
 
 def _fill(text: str, words: dict[str, str]) -> str:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
 Limits = tuple[float | int, float | int]
-_WIDER = 0.05  # a fitted model is searched this part of its range beyond the inputs it was fitted on
 
 
 class Status(enum.IntEnum):
@@ -76,7 +75,7 @@ class InverseStep(eqx.Module):
 
         Args:
             model: any model without a delay or a resonance.
-            limits: lowest and highest input; None for the range in which the model is known (of a fit: a little more than its data).
+            limits: lowest and highest input; None for the range in which the model is known (of a fit: that of its data).
             tolerance: miss of the output up to which a sample is met; None for 1e-7 of what the model reaches.
 
         Raises:
@@ -149,17 +148,10 @@ def _run(inverse: InverseStep, memory: Resume, targets: Array, dt: Array) -> tup
 
 
 def known_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
-    """The inputs between which a model or fit is known, and the model."""
+    """The inputs between which a model or fit is known (of a fit: the range of the fitted input), and the model."""
     if isinstance(model, AbstractHysteresis):
         return model.reach(), model
-    return known_range(model), model.model
-
-
-def known_range(fit: FitResult) -> tuple[float, float]:
-    """The inputs between which a fitted model is searched: those of its data, and a little more."""
-    low = min(float(record.u.min()) for record in fit.data)
-    high = max(float(record.u.max()) for record in fit.data)
-    return low - _WIDER * (high - low), high + _WIDER * (high - low)
+    return model.input_range, model.model
 
 
 @eqx.filter_jit

@@ -19,6 +19,7 @@ from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.thinning import thinned
+from hystfit.fitting.verdict import with_left_out
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
@@ -163,6 +164,8 @@ class _Judge:
                 result = fit(name, self.data, seed=self.seed)
         progress("error on left-out data")
         score, criterion = left_out_error(result, self.left_out), bic(result)
+        if self.left_out == "blocks" and np.isfinite(score):
+            result = with_left_out(result, float(score))
         obstacles = {use: text for use in ("inverse", "export") if (text := result.model.obstacle(use))}
         row = Row(
             name=name if ".py:" in name else result.name,

@@ -243,7 +243,8 @@ class Convex(AbstractEstimator):
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried: the model hardly helps to predict what was left out"
         cost = 0.5 * fit.rss / size**2
-        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, (Note(Code.CHOICE, note),))
+        chosen = (Note(Code.CHOICE, note),)
+        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, chosen, fit.score)
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
         strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength

@@ -26,6 +26,7 @@ class Estimate:
         penalty: what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
             without regularization.
         notes: what was chosen on the way.
+        left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
     """
 
     x: np.ndarray
@@ -36,6 +37,7 @@ class Estimate:
     costs: np.ndarray
     penalty: np.ndarray | None = None
     notes: tuple[Note, ...] = ()
+    left_out: float | None = None
 
     @property
     def in_best_basin(self) -> int:

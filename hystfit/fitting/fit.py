@@ -13,8 +13,8 @@ import numpy as np
 
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import HystfitError, ModelError, ParameterError
-from hystfit.fitting.assessment import notes_of, status_of
+from hystfit.errors import ModelError, ParameterError
+from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.covariance import Uncertainty, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
@@ -22,6 +22,7 @@ from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.structure import search_structure
+from hystfit.fitting.verdict import Fitted, try_on, verdict_of, with_left_out, worse
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
 from hystfit.inference.noise.base import AbstractNoise
@@ -34,6 +35,7 @@ from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.baselines import Baselines
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
 from hystfit.results.timing import Stopwatch
@@ -295,9 +297,11 @@ def conclude(
     train = Metrics.of(measured, predicted)
     rows = [y - m for y, m in zip(predicted, measured, strict=True)]
     model = problem.space.coordinates.assemble(jnp.asarray(x), 0)
-    status, reasons = status_of(data, model, estimate, train, rows)
+    baselines = Baselines.of(data)
+    fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
+    status, reasons = verdict_of(fitted)
     compile_s, run_s = watch.read()
-    return FitResult(
+    result = FitResult(
         problem=problem,
         x=np.asarray(x),
         status=status,
@@ -317,29 +321,28 @@ def conclude(
         compile_s=compile_s,
         run_s=run_s,
         noise=noise,
+        baselines=baselines,
         provenance=provenance(data, seed, evaluations=estimate.evaluations),
     )
+    return result if estimate.left_out is None else with_left_out(result, estimate.left_out)
 
 
 def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
-    """The result with its error on records that were not fitted, and a warning where they leave the fitted range.
+    """The result judged on records that were not fitted: their error, and a status that includes it.
 
     Args:
         result: the fit.
         test: the records.
         refit_offset: shift each prediction to the mean of the record.
+
+    Raises:
+        HystfitError: the model cannot predict the records.
     """
-    try:
-        records = list(Dataset.of(test).map(result.in_own_units))
-        metrics = result.metrics(records, refit_offset=refit_offset)
-    except HystfitError as error:
-        raise type(error)(f"test data: {error}") from error
-    notes = list(dict.fromkeys(note for record in records for note in record.notes if note.code is Code.UNITS))
-    notes = [dataclasses.replace(note, text=f"test data: {note.text}") for note in notes]
-    notes += [note for record in records if (note := result.extrapolation(record))]
-    if refit_offset:
-        notes.append(Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted"))
-    return dataclasses.replace(result.with_notes(*notes), test=metrics)
+    trial = try_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
+    notes = [Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted")] if refit_offset else []
+    status = worse(result.status, trial.status)
+    changed = dataclasses.replace(result, test=trial.metrics, test_baselines=trial.baselines, status=status)
+    return changed.with_notes(*trial.notes, *notes)
 
 
 def parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:

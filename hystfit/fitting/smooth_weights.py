@@ -71,7 +71,8 @@ class SmoothWeights(AbstractEstimator):
             )
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2
-        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, notes)
+        left_out = float(fit.left_out.min()) * now.system.size if fit.left_out.size else None
+        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, notes, left_out)
 
     def _search(
         self, problem: Problem, split: Callable[[np.ndarray], Split], first: Split, z: np.ndarray, others: np.ndarray

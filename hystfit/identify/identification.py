@@ -15,6 +15,8 @@ from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.baselines import Baselines
+from hystfit.results.accuracy import accuracy_note, shortcomings
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
 from hystfit.results.timing import Stopwatch
@@ -149,12 +151,18 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
     free = list(dict.fromkeys(name.partition("@")[0] for name in space.names))
     problem = Problem(models[0], data, fix=[name for name, _, _ in space.fixed()], free=free)
     residuals = [(y - r.y)[r.used] for y, r in zip(identification.predict(), data, strict=True)]
+    baselines = Baselines.of(data)
+    rough = []
+    if identification.usable:
+        rough = [warn(Code.ROUGH_FIT, text) for text in shortcomings(identification.free_run, residuals, baselines)]
+    status = Status.ROUGH if rough else identification.status
+    notes += [*rough, accuracy_note(identification.free_run, baselines, "simulation error")]
     correlation = max(autocorrelation_time(r) for r in residuals)
     compile_s, run_s = watch.read()
     return FitResult(
         problem=problem,
         x=identification.x,
-        status=identification.status,
+        status=status,
         notes=tuple(notes),
         parameters=identification.parameters,
         covariance=np.full((len(problem.space), len(problem.space)), np.nan),
@@ -171,5 +179,6 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
         compile_s=compile_s,
         run_s=run_s,
         noise=NoiseEstimate("auto"),
+        baselines=baselines,
         provenance=provenance(data, seed, samples=identification.counts),
     )

@@ -27,7 +27,8 @@ from hystfit.params.space import ParameterSpace
 from hystfit.quality.loops import reversals
 
 _STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the records
-_NIS_BAND = (0.8, 1.2)  # mean normalized innovation squared of a consistent filter
+_NIS_BAND = 0.2  # how far the mean normalized innovation squared of a consistent filter may lie from 1
+_NIS_SIGMAS = 3.0  # standard deviations of that mean which are allowed where its samples are few
 _SETTLED = 1e-3  # largest relative change of a parameter over the last tenth of the record
 _FOLLOWS = 0.01  # simulation error beyond the noise, RMS in parts of the output's range
 
@@ -306,13 +307,14 @@ class Ukf(AbstractIdentifier):
         return np.asarray(info.error)[np.asarray(info.used)]
 
     def judge(self, run: Run) -> Judgment:
-        """Whether the simulation follows the record, which decides, and innovations and changes of the parameters as notes."""
+        """Whether the simulation follows the record and the innovations are as large as predicted; other findings as notes."""
         state, theta, notes = run.state, run.history[-1], _skipped(run.state)
         if not np.isfinite(theta).all() or not np.isfinite(np.asarray(state.root)).all():
             text = "mean or covariance of the filter is not finite: use alpha=1, a smaller prior, or a better start"
             return Judgment(Status.DIVERGED, [*notes, Note(Code.DIVERGED, text, Severity.ERROR)])
         equation_error = float(np.sqrt(np.mean(self.one_step(theta, run.data) ** 2)))
-        notes.append(_innovations(float(state.tally[5])))
+        innovations = _innovations(float(state.tally[5]), float(self.memory))
+        notes.append(innovations)
         if (unsettled := self._unsettled(run.history)) is not None:
             notes.append(unsettled)
         if run.free_run is None:
@@ -328,7 +330,10 @@ class Ukf(AbstractIdentifier):
         undetermined = self._undetermined(run.data, follows=excess <= _FOLLOWS)
         if undetermined is not None:
             return Judgment(Status.UNDETERMINED, [*notes, undetermined], equation_error)
-        return Judgment(Status.OK if excess <= _FOLLOWS else Status.NOT_CONVERGED, notes, equation_error)
+        if excess > _FOLLOWS:
+            return Judgment(Status.NOT_CONVERGED, notes, equation_error)
+        consistent = innovations.severity is Severity.INFO
+        return Judgment(Status.OK if consistent else Status.INCONSISTENT, notes, equation_error)
 
     def _unsettled(self, history: np.ndarray) -> Note | None:
         """A note on parameters that change over the last tenth of the record."""
@@ -381,13 +386,19 @@ def _skipped(state: UkfState) -> list[Note]:
     return notes
 
 
-def _innovations(average: float) -> Note:
-    """A note on the mean normalized innovation squared over the last tenth of the record."""
-    text = f"mean normalized innovation squared over the last tenth: {average:.3g}"
-    if average > _NIS_BAND[1]:
+def _innovations(average: float, memory: float) -> Note:
+    """A note on the mean normalized innovation squared over the last samples, a warning where it is outside its band.
+
+    Args:
+        average: exponentially weighted mean.
+        memory: its time constant, samples; the mean of white Gaussian innovations then has a standard deviation of memory^-1/2.
+    """
+    width = max(_NIS_BAND, _NIS_SIGMAS / math.sqrt(max(memory, 1.0)))
+    text = f"mean normalized innovation squared over the last tenth: {average:.3g} (1 +- {width:.2g} for a consistent filter)"
+    if average > 1 + width:
         text += "; the filter is overconfident: increase noise or walk, or use a model with more freedom"
-    elif average < _NIS_BAND[0]:
+    elif average < 1 - width:
         text += "; the filter is underconfident: decrease noise or walk"
-    consistent = _NIS_BAND[0] <= average <= _NIS_BAND[1]
+    consistent = abs(average - 1) <= width
     text += ". The covariance of the filter is no error bar: fit by least squares from here for standard errors"
     return Note(Code.INNOVATIONS, text, Severity.INFO if consistent else Severity.WARNING)

@@ -51,7 +51,13 @@ class BoucWen(AbstractHysteresis):
     )
     tau: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
     rho: Float[Array, ""] = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
-    h0: Float[Array, ""] = param(0.0, unit="y", per_record=True, fixed=True, doc="hysteretic state at the first sample")
+    h0: Float[Array, ""] = param(
+        0.0,
+        bounds=(-1.0, 1.0),
+        per_record=True,
+        fixed=True,
+        doc="hysteretic state at the first sample, part of its bound",
+    )
     offset: Float[Array, ""] = param(
         0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True
     )

@@ -56,7 +56,13 @@ class AsymmetricBoucWen(AbstractHysteresis):
     b: Float[Array, " k"] = param(
         (0.0, 0.0), unit="y", doc="Legendre coefficients 2, 3, ... of the backbone", linear=True
     )
-    h0: Float[Array, ""] = param(0.0, unit="y", per_record=True, fixed=True, doc="hysteretic state at the first sample")
+    h0: Float[Array, ""] = param(
+        0.0,
+        bounds=(-1.0, 1.0),
+        per_record=True,
+        fixed=True,
+        doc="hysteretic state at the first sample, part of its bound",
+    )
     offset: Float[Array, ""] = param(
         0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True
     )

@@ -18,16 +18,13 @@ def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
-_BEYOND = 3.0  # factor beyond the bound up to which a starting value is accepted
+def begun(part: Array, lowest: Array, highest: Array) -> Array:
+    """State at the first sample from its part of the bound on its side; 0 where nothing saturates.
 
-
-def begun(h0: Array, lowest: Array, highest: Array) -> Array:
-    """State at the first sample. No input leads beyond the bounds of h.
-
-    Fits of records that begin in saturation scatter about them and are let through; a start far beyond, whose decay then
-    fits some noise, is not.
+    As a part of the bound it stays inside the loop whatever the other parameters are, so that it can be fitted.
     """
-    return jnp.clip(h0, _BEYOND * lowest, _BEYOND * highest)
+    side = jnp.where(part < 0, -lowest, highest)
+    return part * jnp.where(jnp.isfinite(side), side, 0.0)
 
 
 def passed_rates(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:

@@ -22,6 +22,12 @@ class Code(enum.StrEnum):
     # fits
     SOLVER = "solver"  # message of a solver that did not converge
     POOR_FIT = "poor-fit"  # the error is large beside the loop
+    ACCURACY = "accuracy"  # the error beside its limits, the noise and plain descriptions
+    ROUGH_FIT = "rough-fit"  # the error is above a limit of usable descriptions
+    TEST_ERROR = "test-error"  # the same on records that were not fitted
+    LEFT_OUT_ERROR = "left-out-error"  # the cross-validation error is above its limit
+    OTHER_FAMILY = "other-family"  # plain plays fit the data far better than the model
+    INITIAL_STATE = "initial-state"  # the largest error lies in the first half cycle
     MEASUREMENT_NOISE = "measurement-noise"  # the error is large, and the residuals are white
     MODEL_MISMATCH = "model-mismatch"  # the data have a property that the model cannot reproduce
     NO_LOOP = "no-loop"  # the input never turns back
@@ -39,6 +45,7 @@ class Code(enum.StrEnum):
     MODEL_ADVICE = "model-advice"  # the model's own remark on this input
     CHOICE = "choice"  # what was chosen automatically
     EXTRAPOLATION = "extrapolation"  # a record leaves the fitted range of inputs
+    RECORD_PARAMETERS = "record-parameters"  # what the prediction of a record assumes for parameters of each record
     OFFSET_REFITTED = "offset-refitted"  # the offset of a test record was refitted
     # identifiers
     SEQUENTIAL = "sequential"  # the result comes from a sequential identifier
@@ -53,6 +60,7 @@ class Code(enum.StrEnum):
     SKIPPED_SAMPLES = "skipped-samples"  # samples that were missing, or that the filter could not use
     # samplers, profiles, calibration, design
     FIT_STATUS = "fit-status"  # the fit behind the result is not usable
+    INCOMPLETE = "incomplete"  # the residuals show an error of the model that the noise model does not include
     CHAINS = "chains"  # convergence of the chains
     DIVERGENCES = "divergences"  # divergent transitions of NUTS
     PRIOR = "prior"  # the posterior is as wide as its prior, or inconsistent with it

@@ -10,11 +10,14 @@ class Status(enum.StrEnum):
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"
+    ROUGH = "rough"
     POOR = "poor"
     NO_LOOP = "no-loop"
     POOR_FIT = "poor-fit"
+    INCOMPLETE = "incomplete"
     BIASED = "biased"
     UNDETERMINED = "undetermined"
+    INCONSISTENT = "inconsistent"
     DIVERGED = "diverged"
     FAILED = "failed"
     OPEN = "open"
@@ -45,14 +48,25 @@ _ADVICE = {
     Status.OK: "usable",
     Status.NOT_CONVERGED: "the solver did not converge: use more starts, method='trf', or fix what the data do not determine",
     Status.POOR: "the model does not describe this loop: try hystfit compare, or a model with more freedom",
-    Status.NO_LOOP: "the input never turns back, so there is no loop: measure a full cycle, or fit a curve instead",
+    Status.ROUGH: (
+        "the model describes the loop only roughly, see the limits above: try hystfit compare, or use it where this error is allowed"
+    ),
+    Status.NO_LOOP: "there is no loop in these data: measure full cycles of a larger amplitude, or fit a curve instead",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
+    Status.INCOMPLETE: (
+        "the residuals show that the model lacks something, so that its parameters are biased by more than the intervals show: add "
+        "what is missing (creep, a lag, more terms); noise='discrepancy' includes only what recurs every loop"
+    ),
     Status.BIASED: (
         "noise biases the rate: use output-error least squares (method='lm'), or integrated_regression where the method "
         "must be linear"
     ),
     Status.UNDETERMINED: (
         "the input does not excite all parameters: add reversals at several amplitudes, or lower the polynomial orders"
+    ),
+    Status.INCONSISTENT: (
+        "the innovations of the filter do not have their predicted size: change noise or walk as the note says, or use least "
+        "squares (method='lm')"
     ),
     Status.DIVERGED: "the estimate diverged: raise the floor or lower mu (gradient correction), or decimate by input increment",
     Status.FAILED: "nothing could be fitted: see the notes, and fix parameters that the data do not determine",

@@ -22,7 +22,9 @@ from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.units import conversion
+from hystfit.quality.baselines import Baselines
 from hystfit.registry import attribute
+from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
 
 SCHEMA = "hystfit.fit/2"
@@ -97,6 +99,8 @@ class FitResult:
         method: the estimator's name; `starts` and `in_best_basin`, how many starts and how many of them agree.
         compile_s, run_s: seconds that the fit spent compiling and running; None where it was not measured.
         noise: behind the standard errors.
+        baselines: what plain descriptions leave of the fitted samples; `test_baselines` of the test records, None where there are none.
+        left_out: cross-validation error [y]; None where it is unknown.
         provenance: versions, seed, data checksums, date; for people.
     """
 
@@ -119,7 +123,10 @@ class FitResult:
     compile_s: float | None
     run_s: float | None
     noise: NoiseEstimate
+    baselines: Baselines
     provenance: dict[str, Any]
+    test_baselines: Baselines | None = None
+    left_out: float | None = None
 
     @property
     def data(self) -> Dataset:
@@ -230,11 +237,38 @@ class FitResult:
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
+    def assumption(self, record: Record, *, refit_offset: bool = False) -> Note | None:
+        """What the prediction of a record assumes for parameters of each record; None where it was fitted or there are none.
+
+        Args:
+            record: any record.
+            refit_offset: as in `predict`; it replaces constants of the output.
+        """
+        if record.name in [fitted.name for fitted in self.data]:
+            return None
+        first = self.data[0].name
+        marked = zip(self.problem.space.names, self.problem.space.infos, self.problem.space.units, self.x, strict=True)
+        names = [
+            f"{name.partition('@')[0]} = {value:.4g} {unit}".rstrip()
+            for name, info, unit, value in marked
+            if info.per_record and name.partition("@")[2] in ("", first) and not (refit_offset and info.linear)
+        ]
+        if not names:
+            return None
+        text = f"{record.name!r} was not fitted: its prediction has {', '.join(names)} of {first!r}"
+        if record.used.any() and not refit_offset:
+            text += "; refit_offset= fits an offset to its output"
+        return Note(Code.RECORD_PARAMETERS, text)
+
+    @property
+    def input_range(self) -> tuple[float, float]:
+        """Lowest and highest input of the samples fitted."""
+        return min(float(r.u[r.used].min()) for r in self.data), max(float(r.u[r.used].max()) for r in self.data)
+
     def extrapolation(self, record: Record) -> Note | None:
         """A warning where a record leaves the fitted range of inputs; None where it does not."""
         record = self.in_own_units(record)
-        low = min(float(r.u[r.used].min()) for r in self.data)
-        high = max(float(r.u[r.used].max()) for r in self.data)
+        low, high = self.input_range
         outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
         outside &= record.used
         if not outside.any():
@@ -258,6 +292,11 @@ class FitResult:
             "free_names": list(self.free_names),
             "covariance": [[float(v) if np.isfinite(v) else None for v in row] for row in self.covariance],
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},
+            "verdict": {
+                "train": verdict_dict(self.train, self.baselines),
+                "test": verdict_dict(self.test, self.test_baselines),
+                "left_out": self.left_out,
+            },
             "residuals": {
                 "sigma": self.sigma,
                 "correlation_time_samples": self.correlation_time,

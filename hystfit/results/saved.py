@@ -15,6 +15,7 @@ from hystfit.errors import DataError
 from hystfit.inference.problem import Problem
 from hystfit.models.storage import from_json, to_json
 from hystfit.outcome import Note, Status
+from hystfit.quality.baselines import Baselines
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.metrics import Metrics
 from hystfit.results.report import write_into
@@ -143,5 +144,12 @@ def _result_of(stored: dict[str, Any], described: dict[str, Any], data: Dataset)
         compile_s=stored["timing"]["compile_s"],
         run_s=stored["timing"]["run_s"],
         noise=NoiseEstimate(block["noise"]["name"], block["noise"]["parameters"]),
+        baselines=_baselines(stored["verdict"]["train"]),  # type: ignore[arg-type]
+        test_baselines=_baselines(stored["verdict"]["test"]),
+        left_out=stored["verdict"]["left_out"],
         provenance=stored["provenance"],
     )
+
+
+def _baselines(verdict: dict[str, Any] | None) -> Baselines | None:
+    return Baselines(**verdict["baselines"]) if verdict else None

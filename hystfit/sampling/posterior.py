@@ -40,7 +40,8 @@ class Posterior:
         log_density: log posterior in unconstrained coordinates, shape (chains, draws).
         stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
         convergence: R-hat and effective sizes.
-        status: only `Status.OK` is usable; `Status.POOR_FIT` means draws of a model that does not describe the data.
+        status: only `Status.OK` is usable; `Status.POOR_FIT` means draws of a model that does not describe the data,
+            `Status.INCOMPLETE` that it lacks something which the residuals show.
         notes: choices and problems.
         priors: in words, by parameter.
         seconds: wall time of sampling.

@@ -21,7 +21,7 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome.note import has, warn
 from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult, provenance
 from hystfit.sampling.base import AbstractSampler, Progress
@@ -31,6 +31,7 @@ from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.setup import Setup, prepare
 
+_SLOW = 0.15  # part of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
 
 
@@ -75,11 +76,14 @@ def sample(
     draws = physical_draws(setup, raw.z)
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)
     problems = convergence.problems(setup.names)
+    drift = drift_notes(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
     status = Status.OK
     if problems or not raw.complete or not np.isfinite(draws).all():
         status = Status.NOT_CONVERGED
     elif result.status in (Status.POOR, Status.NO_LOOP):
         status = Status.POOR_FIT
+    elif has((*drift, *setup.notes), Code.INCOMPLETE) or result.status is Status.ROUGH:
+        status = Status.INCOMPLETE
     return Posterior(
         result=result,
         sampler=chosen.name,
@@ -93,6 +97,7 @@ def sample(
         status=status,
         notes=(
             *_of_the_fit(result),
+            *drift,
             *setup.notes,
             *raw.notes,
             *problems,
@@ -159,6 +164,26 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
     if isinstance(prior, LogNormal):
         x = np.log(np.maximum(prior.side * (x - float(prior.edge)), 1e-300))
     return float(np.subtract(*np.quantile(x, [0.75, 0.25])))
+
+
+def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
+    """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data.
+
+    Args:
+        setup: names the parameters.
+        draws: physical.
+        longest: samples of the longest record.
+    """
+    middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
+    time = middle.get("noise_time", 0.0)
+    if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):
+        return []
+    text = (
+        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is drift or creep, "
+        "which the model does not have. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
+        "the drift"
+    )
+    return [warn(Code.INCOMPLETE, text)]
 
 
 def _beside_fit(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:

@@ -20,12 +20,17 @@ from hystfit.inference.priors import AbstractPrior
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis, analyze, diagnose
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
 from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
+_RECURS = (
+    "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
+    "noise='discrepancy' widens the intervals for what recurs; a model with more terms removes it"
+)
 _WIDEST = 3.0  # standard deviation in z given at first to a direction without curvature
 
 
@@ -99,6 +104,8 @@ def prepare(
         )
     residuals = analyze(problem, result.x)
     choice, notes = choose_noise(residuals, noise)
+    if has(diagnose(residuals).findings, Code.REPEATING_RESIDUALS):
+        notes.append(warn(Code.INCOMPLETE, _RECURS))
     refined = refine(problem, result.x, choice)
     longest = max(row.size for row in residuals.rows)
     suggested = refined.noise.default_priors(longest, residuals.curve_size)

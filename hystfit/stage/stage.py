@@ -265,9 +265,7 @@ def axis_plant(
         )
     hysteresis, creep = actuator.parts
     scaled = lambda node, field: jnp.asarray(getattr(node, field)) * gain
-    hysteresis = dataclasses.replace(
-        hysteresis, c=scaled(hysteresis, "c"), h0=scaled(hysteresis, "h0"), offset=scaled(hysteresis, "offset")
-    )
+    hysteresis = dataclasses.replace(hysteresis, c=scaled(hysteresis, "c"), offset=scaled(hysteresis, "offset"))
     creep = dataclasses.replace(creep, span=scaled(creep, "span"))
     parts = [hysteresis, creep]
     if mode is not None:

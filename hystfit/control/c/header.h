@@ -14,7 +14,8 @@
 
 #define @NAME@_STATES @states@
 #define @NAME@_INVERTIBLE @invertible@
-#define @NAME@_LOW @low@ /* the inverse holds its input between these */
+/* The inverse holds its input between these, in @u_unit@: @limits@. */
+#define @NAME@_LOW @low@
 #define @NAME@_HIGH @high@
 
 enum { @NAME@_OK = 0, @NAME@_SATURATED = 1, @NAME@_NOT_MONOTONE = 2, @NAME@_OUT_OF_RANGE = 3 };

@@ -12,7 +12,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
-from hystfit.results.report.text_report import ERRORS, facts, headline, text_report
+from hystfit.results.report.text_report import ERRORS, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
 
 if TYPE_CHECKING:
@@ -86,7 +86,8 @@ def _page(result: FitResult, images: dict[str, bytes]) -> str:
         metrics=metrics_table(result).html(),
         parameters=parameter_table(result, meaning=True).html(),
         fixed=fixed_words(result),
-        notes=[str(note) for note in result.notes],
+        verdict=[str(note) for note in verdict(result)],
+        notes=[str(note) for note in remarks(result)],
         facts=facts(result),
         pictures=shown,
     )

@@ -8,12 +8,28 @@ from collections.abc import Iterable
 import numpy as np
 
 from hystfit.data.record import Record
+from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.table import number
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
 from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 _WIDTH = 100
+_STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are allowed"}
+_VERDICT = frozenset(
+    {
+        Code.ACCURACY,
+        Code.POOR_FIT,
+        Code.ROUGH_FIT,
+        Code.TEST_ERROR,
+        Code.LEFT_OUT_ERROR,
+        Code.OTHER_FAMILY,
+        Code.INITIAL_STATE,
+        Code.MINOR_LOOPS,
+        Code.EXTRAPOLATION,
+        Code.SINGLE_VALUED,
+    }
+)
 
 
 def _filled(text: str, first: str = "", rest: str = "") -> str:
@@ -30,8 +46,18 @@ def headline(result: FitResult) -> str:
     """Model, data and status in one line."""
     names = [record.name for record in result.data]
     what = names[0] if len(names) == 1 else f"{len(names)} records of {result.data.name}"
-    status = "usable" if result.usable else f"NOT USABLE ({result.status})"
+    status = _STATUS.get(result.status, f"NOT USABLE ({result.status})")
     return f"{result.name} fitted to {what}: {status}"
+
+
+def verdict(result: FitResult) -> list[Note]:
+    """The notes on which the status rests, and those that limit it."""
+    return [note for note in result.notes if note.code in _VERDICT]
+
+
+def remarks(result: FitResult) -> list[Note]:
+    """All other notes."""
+    return [note for note in result.notes if note.code not in _VERDICT]
 
 
 def facts(result: FitResult) -> dict[str, list[str]]:
@@ -98,12 +124,13 @@ def text_report(result: FitResult) -> str:
     lines = [title, "=" * len(title)]
     if not result.usable:
         lines.append(_filled(result.advice))
+    lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
     lines += ["", "Parameters", *parameter_table(result).lines("  ")]
     if fixed := fixed_words(result):
         lines.append(_filled(fixed, "  ", "  "))
-    if result.notes:
-        lines += _section("Notes", result.notes)
+    if notes := remarks(result):
+        lines += _section("Notes", notes)
     for heading, items in facts(result).items():
         lines += _section(heading, items)
     return "\n".join(lines) + "\n"

@@ -1,0 +1,296 @@
+"""The verdict on a fit: a status, and notes with the numbers on which it rests."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import HystfitError
+from hystfit.fitting.estimate import Estimate
+from hystfit.inference.autocorrelation import is_correlated
+from hystfit.inference.problem import Problem
+from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Note, Severity, Status
+from hystfit.outcome.note import warn
+from hystfit.quality.baselines import Baselines
+from hystfit.quality.coverage import coverage_notes
+from hystfit.quality.loops import reversals
+from hystfit.quality.reversal_curves import recognize_family
+from hystfit.quality.summary import summarize
+from hystfit.results.accuracy import accuracy_note, is_noise, lasting, misses_the_loop, other_family, shortcomings
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import FitResult
+
+_POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
+_ROUGH = 3.0  # percent of range above which the fit is checked for signs of a wrong model
+_EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
+_ENOUGH = 30  # residuals of a record needed to call them white
+_FEWEST = 10  # samples, below which no fit is usable
+_LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
+_BEGINS = 3.0  # times the rms error that the largest error exceeds where the initial state is wrong
+_VISIBLE = 1.0  # percent of range, below which it does not matter
+_OFFSET = 0.5  # part of the test error that remains, below which a constant offset explains it
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """What a verdict rests on.
+
+    Attributes:
+        problem: what was fitted.
+        model: the fitted model.
+        estimate: where the fit ended.
+        train: its error.
+        rows: residuals of each record, samples that count only [y].
+        baselines: of the records.
+        method: name of the estimator; `usual` is that which the model takes by default.
+    """
+
+    problem: Problem
+    model: AbstractHysteresis
+    estimate: Estimate
+    train: Metrics
+    rows: Sequence[np.ndarray]
+    baselines: Baselines
+    method: str
+    usual: str
+
+    @property
+    def data(self) -> Dataset:
+        """The records."""
+        return self.problem.data
+
+    @property
+    def percent(self) -> float:
+        """RMS error in percent of the output's range."""
+        return np.inf if self.train.nrmse_percent is None else self.train.nrmse_percent
+
+
+def turns_back(data: Dataset) -> bool:
+    """Whether any record's input reverses by more than 1 % of its range while samples count."""
+    for record in data:
+        u = record.u[: int(np.flatnonzero(record.used)[-1]) + 1]
+        span = float(np.ptp(u))
+        risen = float(np.max(u - np.minimum.accumulate(u)))
+        fallen = float(np.max(np.maximum.accumulate(u) - u))
+        if min(risen, fallen) > 0.01 * span > 0:
+            return True
+    return False
+
+
+def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+    """Whether residuals are white and the loop stands out of them: however large they are, no other model would leave less.
+
+    Args:
+        rows: residuals of each record.
+        plain: RMSE of the best single-valued curve.
+        parameters: number of the model's; the loop must be worth them by the Bayesian information criterion.
+    """
+    count = sum(row.size for row in rows)
+    rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+    if min(row.size for row in rows) < _ENOUGH or any(is_correlated(row) for row in rows) or not 0 < rmse < plain:
+        return False
+    return bool(2 * count * np.log(plain / rmse) > parameters * np.log(count))
+
+
+def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
+    """Status of a fit, and notes with the reason and the numbers."""
+    status, reasons = _status_of(fitted)
+    notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
+    found = (other_family(fitted.train, fitted.baselines), _initial_state(fitted))
+    notes += [note for note in found if note is not None]
+    if status is not Status.NO_LOOP and not fitted.model.from_saturation:
+        notes += coverage_notes(fitted.data)
+    return status, notes
+
+
+def _error(code: Code, text: str) -> list[Note]:
+    return [Note(code, text, Severity.ERROR)]
+
+
+def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
+    data, train, baselines, percent = fitted.data, fitted.train, fitted.baselines, fitted.percent
+    if not (fitted.model.from_saturation or turns_back(data)):
+        return Status.NO_LOOP, [_no_loop(data)]
+    parameters = fitted.estimate.x.size
+    if train.n <= max(parameters, _FEWEST - 1):
+        text = f"{train.n} samples for {parameters} parameters: the fit is not tested by any sample"
+        return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
+    white = residuals_are_white(fitted.rows, baselines.curve, parameters)
+    unexplained = misses_the_loop(train.rmse, baselines) and not white
+    if not fitted.model.from_saturation and percent <= _POOR and _is_single_valued(train, baselines, unexplained):
+        text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
+        return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
+    poor = None if white else _poor(fitted, unexplained)
+    if poor is not None:
+        return poor
+    if not fitted.estimate.converged:
+        return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
+    if white:
+        return Status.OK, _noise_notes(fitted)
+    rough = shortcomings(train, fitted.rows, baselines)
+    return (Status.ROUGH if rough else Status.OK), [warn(Code.ROUGH_FIT, text) for text in rough]
+
+
+def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
+    exact = baselines.curve <= _EXACT * baselines.span
+    return exact or (unexplained and is_noise(min(train.rmse, baselines.curve), baselines))
+
+
+def _poor(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
+    """Status and reason where the model does not describe the loop.
+
+    The usual method has run from several starts; another one that did not converge says nothing about the model.
+    """
+    baselines, percent = fitted.baselines, fitted.percent
+    code, text = Code.POOR_FIT, ""
+    if percent > _POOR and (unexplained or not is_noise(fitted.train.rmse, baselines)):
+        text = f"the error is {percent:.3g} % of the range: the model does not describe this loop"
+    elif percent > _ROUGH and unexplained:
+        share = 100 * fitted.train.rmse / baselines.curve
+        text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
+    elif percent > _ROUGH and any(summarize(record).degrading for record in fitted.data):
+        code = Code.MODEL_MISMATCH
+        text = (
+            f"the loop loses stiffness from cycle to cycle (damage), and the error is {percent:.3g} % of the range: the model has no "
+            "term for damage (see hystfit check)"
+        )
+    if not text:
+        return None
+    if fitted.method != fitted.usual:
+        text = f"{text}; this is where {fitted.method} ended, and method='{fitted.usual}' may reach a lower error"
+        if not fitted.estimate.converged:
+            return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}: {text}")
+    return Status.POOR, _error(code, text)
+
+
+def _noise_notes(fitted: Fitted) -> list[Note]:
+    if fitted.percent <= _POOR and (
+        fitted.percent <= _ROUGH or not misses_the_loop(fitted.train.rmse, fitted.baselines)
+    ):
+        return []
+    text = (
+        f"the error is {fitted.percent:.3g} % of the range, but the residuals are white (measurement noise): average more cycles or "
+        "increase the amplitude"
+    )
+    return [Note(Code.MEASUREMENT_NOISE, text)]
+
+
+def _no_loop(data: Dataset) -> Note:
+    family = recognize_family(data)
+    if family is None:
+        text = "the input never turns back by more than 1 % of its range: there is no loop in these data"
+    else:
+        text = (
+            f"{family.words()}; this model starts each of them at rest on its reversal point: use preisach-forc, which starts from "
+            "saturation"
+        )
+    return Note(Code.NO_LOOP, text, Severity.ERROR)
+
+
+def _initial_state(fitted: Fitted) -> Note | None:
+    """A warning where the largest error lies in the first half cycle: the device did not start in the state of the model."""
+    size = [lasting(row) for row in fitted.rows]
+    worst = int(np.argmax([row.max() for row in size]))
+    record, errors = fitted.data[worst], size[worst]
+    largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
+    turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
+    if not turns.size or largest < _VISIBLE or np.flatnonzero(record.used)[int(np.argmax(errors))] > turns[0]:
+        return None
+    first = int(np.count_nonzero(record.used[: turns[0] + 1]))
+    rest = fitted.rows[worst][first:]
+    if not rest.size or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
+        return None
+    held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
+    remedy = "the model starts at rest on the first input: leave the first half cycle out of the fit (window=)"
+    if held:
+        remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
+    text = f"the largest error, {largest:.3g} % of the range, lies in the first half cycle of {record.name!r}: {remedy}"
+    return warn(Code.INITIAL_STATE, text)
+
+
+# -- records that were not fitted, and samples left out ----------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A fit on records that were not fitted.
+
+    Attributes:
+        metrics: error of the prediction.
+        baselines: error of plain descriptions fitted to the same records as the model.
+        status: `OK`, `ROUGH` or `POOR`.
+        notes: reasons, numbers, assumptions, and a warning where the records leave the fitted range.
+    """
+
+    metrics: Metrics
+    baselines: Baselines
+    status: Status
+    notes: tuple[Note, ...]
+
+
+def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
+    """Judge a fit on records that were not fitted.
+
+    Args:
+        result: the fit.
+        records: with a measured output.
+        refit_offset: shift each prediction to the mean of the record.
+
+    Raises:
+        HystfitError: the model cannot predict the records.
+    """
+    try:
+        records = [result.in_own_units(result.model.prepared(record)) for record in records]
+        runs = [result.predict(record, refit_offset=refit_offset) for record in records]
+    except HystfitError as error:
+        raise type(error)(f"test data: {error}") from error
+    rows = [(run - record.y)[record.used] for run, record in zip(runs, records, strict=True)]
+    metrics = Metrics.of([r.y[r.used] for r in records], [run[r.used] for run, r in zip(runs, records, strict=True)])
+    baselines = Baselines.of(result.data, records, refit_offset=refit_offset)
+    units = dict.fromkeys(note for record in records for note in record.notes if note.code is Code.UNITS)
+    notes, status = [dataclasses.replace(note, text=f"test data: {note.text}") for note in units], Status.OK
+    percent = metrics.nrmse_percent
+    if percent is not None and percent > _POOR and not is_noise(metrics.rmse, baselines):
+        status = Status.POOR
+        text = f"test data: the error is {percent:.3g} % of the range: the model does not describe these records"
+        notes += _error(Code.TEST_ERROR, text)
+    elif reasons := shortcomings(metrics, rows, baselines):
+        status = Status.ROUGH
+        notes += [warn(Code.TEST_ERROR, f"test data: {text}") for text in reasons]
+    notes.append(accuracy_note(metrics, baselines, "test error"))
+    notes += [note for record in records if (note := result.extrapolation(record))]
+    notes += [note for record in records if (note := result.assumption(record, refit_offset=refit_offset))]
+    if status is not Status.OK and not refit_offset and _offset_explains(rows, metrics.rmse):
+        text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
+        notes.append(warn(Code.RECORD_PARAMETERS, text))
+    return Trial(metrics, baselines, status, tuple(notes))
+
+
+def _offset_explains(rows: Sequence[np.ndarray], rmse: float) -> bool:
+    remaining = np.concatenate([row - row.mean() for row in rows])
+    return float(np.sqrt(np.mean(remaining**2))) < _OFFSET * rmse
+
+
+def worse(first: Status, second: Status) -> Status:
+    """The status of a fit that has one on its records and another on further data."""
+    if first is Status.OK or (first is Status.ROUGH and second is Status.POOR):
+        return second
+    return first
+
+
+def with_left_out(result: FitResult, rmse: float) -> FitResult:
+    """The result with its cross-validation error [y], which decides the status where it is far larger than that of the fit."""
+    result = dataclasses.replace(result, left_out=rmse)
+    span = result.baselines.span
+    limit = max(_LEFT_OUT / 100 * span, _WORSE * result.train.rmse)
+    if not result.usable or not rmse > limit:
+        return result
+    text = (
+        f"the cross-validation error is {100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %: the fit "
+        "does not predict samples that were left out of it"
+    )
+    return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)

@@ -1,0 +1,145 @@
+"""Whether an error is small enough: limits that depend on what the data admit, and the error beside plain descriptions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.quality.baselines import Baselines
+from hystfit.results.metrics import Metrics
+
+_STRICT, _USABLE = 1.0, 3.0  # percent of range between which the limit of the rms error lies,
+_TIMES_PLAYS = 5.0  # this many times the error of ten plays
+_BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
+_NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
+_LARGEST = 10.0  # percent of range: limit of an error that lasts
+_ROUNDING = 1e-9  # of the range
+_LASTING = 3  # samples; a shorter one is an outlier of the measurement
+_NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
+_SHARE = 0.7  # of the error of a single-valued curve, above which the loop itself is not described
+
+
+class Limits(NamedTuple):
+    """Largest rms error and largest lasting error of a usable description, percent of the output's range."""
+
+    error: float
+    largest: float
+
+    @classmethod
+    def of(cls, baselines: Baselines) -> Limits:
+        """1 to 3 %: five times what plays leave; at least twice the noise."""
+        percent = lambda value: 100 * value / baselines.span if baselines.span > 0 else 0.0
+        noise = percent(baselines.noise or 0.0)
+        usable = _USABLE
+        if baselines.plays is not None:
+            usable = float(np.clip(_TIMES_PLAYS * percent(baselines.plays), _STRICT, _USABLE))
+        return cls(max(usable, _NOISY * noise), max(_LARGEST, _PEAKS * noise))
+
+
+def is_noise(rmse: float, baselines: Baselines) -> bool:
+    """Whether the noise of the output explains an rms error [y]."""
+    return baselines.noise is not None and rmse <= _NOISY * baselines.noise
+
+
+def misses_the_loop(rmse: float, baselines: Baselines) -> bool:
+    """Whether an rms error [y] is that of a single-valued curve, or nearly so."""
+    return rmse > _SHARE * baselines.curve
+
+
+def lasting(errors: np.ndarray) -> np.ndarray:
+    """Size of the error that three successive samples have in common, shape (T,): at each sample, the smallest of it and its neighbors.
+
+    Args:
+        errors: of successive samples, shape (T,).
+    """
+    size = np.abs(errors)
+    if size.size < _LASTING:
+        return size
+    inner = np.minimum(np.minimum(size[:-2], size[1:-1]), size[2:])
+    return np.concatenate([[inner[0]], inner, [inner[-1]]])
+
+
+def shortcomings(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines) -> list[str]:
+    """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
+
+    Args:
+        metrics: of the errors.
+        rows: errors of each record, on samples that count [y].
+        baselines: of the same samples.
+    """
+    if metrics.nrmse_percent is None or baselines.span <= 0:
+        return []
+    limits, found = Limits.of(baselines), []
+    largest = 100 * max(float(lasting(row).max()) for row in rows if row.size) / baselines.span
+    if metrics.nrmse_percent > limits.error:
+        found.append(
+            f"the error is {metrics.nrmse_percent:.3g} % of the range, above the limit of {limits.error:.2g} %"
+        )
+    if largest > limits.largest:
+        found.append(f"an error of {largest:.3g} % of the range lasts, above the limit of {limits.largest:.2g} %")
+    if misses_the_loop(metrics.rmse, baselines) and not is_noise(metrics.rmse, baselines):
+        found.append(
+            f"the error is {100 * metrics.rmse / baselines.curve:.0f} % of that of a single-valued curve: the loop itself is not described"
+        )
+    return found
+
+
+def ratios(metrics: Metrics, baselines: Baselines) -> dict[str, float | None]:
+    """The rms error over noise, straight line, single-valued curve and ten plays; None where one is unknown or a rounding error."""
+    over = lambda value: metrics.rmse / value if value and value > _ROUNDING * baselines.span else None
+    return {name: over(getattr(baselines, name)) for name in ("noise", "line", "curve", "plays")}
+
+
+def other_family(metrics: Metrics, baselines: Baselines) -> Note | None:
+    """A warning where ten plays leave far less than the model; None where they do not, or the noise explains its error."""
+    if baselines.plays is None or is_noise(metrics.rmse, baselines) or metrics.rmse <= _BETTER * baselines.plays:
+        return None
+    if metrics.nrmse_percent is None or metrics.nrmse_percent < _NEGLIGIBLE:
+        return None
+    text = (
+        f"ten plays leave {100 * baselines.plays / baselines.span:.2g} % of the range, this model "
+        f"{metrics.rmse / baselines.plays:.2g} times as much: another family fits these data better (see hystfit compare)"
+    )
+    return warn(Code.OTHER_FAMILY, text)
+
+
+def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
+    """The error beside its limits and beside plain descriptions, in numbers.
+
+    Args:
+        metrics: of the errors.
+        baselines: of the same samples.
+        what: "error", or "test error".
+    """
+    if metrics.nrmse_percent is None or metrics.max_error_percent is None:
+        return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
+    limits, over = Limits.of(baselines), ratios(metrics, baselines)
+    names = {
+        "noise": "the noise",
+        "line": "a straight line's",
+        "curve": "a single-valued curve's",
+        "plays": "that of ten plays",
+    }
+    beside = [f"{value:.2g} times {names[name]}" for name, value in over.items() if value is not None]
+    text = (
+        f"{what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
+        f"(limit {limits.largest:.2g} % where it lasts)"
+    )
+    return Note(Code.ACCURACY, text + (": " + ", ".join(beside) if beside else ""))
+
+
+def verdict_dict(metrics: Metrics | None, baselines: Baselines | None) -> dict[str, Any] | None:
+    """Baselines, limits and ratios for `result.json`."""
+    if metrics is None or baselines is None:
+        return None
+    limits = Limits.of(baselines)
+    return {
+        "baselines": {"span": baselines.span, "noise": baselines.noise, "line": baselines.line, "curve": baselines.curve,
+                      "plays": baselines.plays},
+        "limits_percent": {"error": limits.error, "largest": limits.largest},
+        "error_over": ratios(metrics, baselines),
+    }  # fmt: skip

@@ -1,0 +1,190 @@
+"""Statuses of fits of records whose kind is known: nothing is called usable that is not."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.data.record import Dataset
+from hystfit.fitting.fit import with_test
+from hystfit.fitting.verdict import with_left_out
+from hystfit.outcome import Code, Severity, Status
+from hystfit.outcome.note import has
+from hystfit.quality.baselines import Baselines, play_positions
+from hystfit.results.accuracy import Limits, lasting
+
+N = 600
+T = np.arange(N) / 100
+GROWING = (20 + 8 * T) * np.sin(2 * np.pi * T)
+TRUTH = {"c": 0.15, "mu": 0.45, "tau": 0.05, "rho": 0.6, "offset": 3.0}
+RNG = np.random.default_rng(0)
+WHITE = RNG.normal(size=N)
+
+
+def slow_noise(time=60.0):
+    a = np.exp(-1 / time)
+    noise = np.zeros(N)
+    for k in range(1, N):
+        noise[k] = a * noise[k - 1] + np.sqrt(1 - a * a) * RNG.normal()
+    return noise
+
+
+def output(u=GROWING, **changes):
+    return np.asarray(hf.simulate(hf.BoucWen(**(TRUTH | changes)), jnp.asarray(u))[0])
+
+
+def made(y, u=GROWING, **labels):
+    return hf.Record(u=u, y=y, t=T[: u.size], **labels)
+
+
+SINE = 60 * np.sin(2 * np.pi * T)
+HEAVY = np.sign(GROWING) * np.abs(GROWING / 60) ** 3 + 0.3 * np.sign(np.gradient(GROWING))
+KINDS = {
+    # name: (record, statuses allowed)
+    "good model": (made(output() + 0.02 * WHITE), {Status.OK}),
+    "good model, white noise of a tenth of the range": (made(output() + 1.2 * WHITE), {Status.OK}),
+    "good model, slow noise": (made(output() + 0.05 * slow_noise()), {Status.OK}),
+    "good model, one amplitude": (made(output(SINE) + 0.02 * WHITE, SINE), {Status.OK}),
+    "wrong family: friction on a cubic": (made(HEAVY), {Status.POOR, Status.ROUGH}),
+    "wrong family: pinched": (made(np.sign(GROWING) * GROWING**2 * np.sign(np.gradient(GROWING))), {Status.POOR}),
+    "line and noise": (made(0.15 * GROWING + 0.05 * WHITE), {Status.NO_LOOP}),
+    "line": (made(0.15 * GROWING), {Status.NO_LOOP}),
+    "curve and noise": (made(np.tanh(GROWING / 40) + 0.01 * WHITE), {Status.NO_LOOP}),
+    "line and slow noise": (made(0.15 * GROWING + 0.1 * slow_noise()), {Status.NO_LOOP, Status.POOR, Status.ROUGH}),
+    "noise": (made(WHITE), {Status.POOR, Status.NO_LOOP}),
+    "never turns back": (made(np.linspace(0, 3, N) ** 2, np.linspace(0, 3, N)), {Status.NO_LOOP}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_status_is_that_of_the_kind(kind):
+    record, allowed = KINDS[kind]
+    fit = hf.fit("bouc-wen", record, starts=2)
+    assert fit.status in allowed, [str(note) for note in fit.notes]
+    assert has(fit.notes, Code.ACCURACY)
+    assert has(fit.notes, Code.MINOR_LOOPS) == (kind == "good model, one amplitude")
+
+
+def test_parameters_of_a_loop_have_no_influence_on_a_line():
+    assert has(hf.fit("bouc-wen", KINDS["line"][0], starts=2).notes, Code.NO_INFLUENCE)
+
+
+def test_a_solver_that_did_not_converge_is_named_and_the_model_is_not_blamed():
+    fit = hf.fit("bouc-wen", KINDS["wrong family: pinched"][0], method="projected-gradient", starts=1)
+    assert fit.status is Status.NOT_CONVERGED
+    assert [note.text.startswith("projected-gradient") for note in fit.notes if note.code is Code.SOLVER] == [True]
+
+
+def test_as_many_parameters_as_samples_are_never_usable():
+    few = made(output()[:300:60] + 0.02 * WHITE[:5], GROWING[:300:60])
+    assert hf.fit("bouc-wen", few, starts=1).status is Status.UNDETERMINED
+    u = np.array([0.0, 1.0, 0.2])
+    assert hf.fit("preisach:n=6", hf.Record(u=u, y=u + 0.1 * u**2)).status is Status.UNDETERMINED
+
+
+def test_records_that_were_not_fitted_decide_too():
+    fit = hf.fit("bouc-wen", made(output() + 0.02 * WHITE), starts=2)
+    tried = {gain: with_test(fit, made(gain * (output() - 3.0) + 3.0, name="other")) for gain in (1.0, 1.2, 2.5)}
+    assert [tried[gain].status for gain in tried] == [Status.OK, Status.ROUGH, Status.POOR]
+    assert 3 < tried[1.2].test.nrmse_percent < 9.9
+    assert [has(tried[gain].notes, Code.TEST_ERROR) for gain in tried] == [False, True, True]
+    stored = tried[1.2].to_dict()["verdict"]["test"]
+    assert stored["error_over"]["noise"] is None or stored["error_over"]["noise"] > 10
+    assert stored["limits_percent"]["error"] <= 3.0
+    # A prediction that is no better than a straight line is not usable, however small its error.
+    small = made(0.15 * GROWING[:200] / 20, GROWING[:200] / 20, name="small")
+    assert with_test(fit, small).status is not Status.OK
+
+
+def test_an_offset_that_was_not_fitted_is_named():
+    fit = hf.fit("bouc-wen", made(output() + 0.02 * WHITE), starts=2)
+    shifted = made(output(offset=9.0), name="shifted")
+    without, refitted = with_test(fit, shifted), with_test(fit, shifted, refit_offset=True)
+    assert without.status is Status.POOR
+    severities = [note.severity for note in without.notes if note.code is Code.RECORD_PARAMETERS]
+    assert severities == [Severity.INFO, Severity.WARNING]
+    assert refitted.status is Status.OK
+    assert has(refitted.notes, Code.OFFSET_REFITTED)
+    assert not has(refitted.notes, Code.RECORD_PARAMETERS)
+    same = with_test(fit, made(output()))  # the record that was fitted has its own offset
+    assert not has(same.notes, Code.RECORD_PARAMETERS)
+
+
+def test_a_large_cross_validation_error_is_not_usable():
+    fit = hf.fit("bouc-wen", made(output() + 0.02 * WHITE), starts=2)
+    judged = with_left_out(fit, 0.45 * fit.baselines.span)
+    assert judged.status is Status.ROUGH
+    assert has(judged.notes, Code.LEFT_OUT_ERROR)
+    assert judged.to_dict()["verdict"]["left_out"] == pytest.approx(0.45 * fit.baselines.span)
+    assert with_left_out(fit, 0.02 * fit.baselines.span).status is Status.OK
+
+
+MODELS = {
+    "bouc-wen": (hf.BoucWen(c=0.15, mu=0.45, tau=0.05, rho=0.6, offset=3.0, h0=-0.9), "h0", -0.9),
+    "bouc-wen-asymmetric": (hf.AsymmetricBoucWen(c=0.15, mu=0.45, tau=0.05, rho=0.6, h0=0.8, n=1.0, skew=0.2), "h0", 0.8),
+    "bouc-wen-force": (hf.BoucWenForce(kappa_x=0.02, kappa_w=3.0, rho=0.1, w0=0.9), "w0", 0.9),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_record_that_starts_in_mid_loop_asks_for_its_initial_state(name):
+    model, state, value = MODELS[name]
+    u = 50 * np.cos(2 * np.pi * T) * (0.5 + T / 12)
+    y = np.asarray(hf.simulate(model, jnp.asarray(u))[0])
+    record = made(y + 1e-3 * np.ptp(y) * WHITE, u)
+    held = hf.fit(name, record, starts=2)
+    assert has(held.notes, Code.INITIAL_STATE)
+    free = hf.fit(name, record, free=[state], starts=4)
+    assert free.status is Status.OK
+    assert not has(free.notes, Code.INITIAL_STATE)
+    assert free[state].value == pytest.approx(value, abs=0.05)
+    assert abs(free[state].value) <= 1
+
+
+# -- yardsticks ------------------------------------------------------------------------------------------------------------
+
+
+def test_plays_equal_a_plain_loop():
+    u, radii = np.round(5 * np.random.default_rng(1).normal(size=300)), np.array([0.0, 0.5, 3.0])
+    p, rows = np.full(3, u[0]), []
+    for value in u:
+        p = np.maximum(value - radii, np.minimum(value + radii, p))
+        rows.append(p)
+    np.testing.assert_array_equal(play_positions(u, radii), rows)
+
+
+def test_baselines_are_those_of_plain_regressions():
+    y = output() + 0.02 * WHITE
+    found = Baselines.of(Dataset.of(made(y)))
+    line = np.polynomial.Polynomial.fit(GROWING, y, 1)(GROWING)
+    assert found.line == pytest.approx(np.sqrt(np.mean((y - line) ** 2)), rel=1e-9)
+    assert found.noise == pytest.approx(0.02, rel=0.1)
+    assert found.plays < found.curve < found.line
+    # Another record is judged by what was fitted to the first.
+    other = made(y + 1.0, name="other")
+    assert Baselines.of(Dataset.of(made(y)), [other]).line == pytest.approx(np.hypot(found.line, 1.0), rel=1e-9)
+    assert Baselines.of(Dataset.of(made(y)), [other], refit_offset=True).line == pytest.approx(found.line, rel=1e-9)
+
+
+def test_limits_follow_what_the_data_admit():
+    of = lambda noise, plays: Limits.of(Baselines(span=100.0, noise=noise, line=20.0, curve=20.0, plays=plays))
+    assert of(None, None) == (3.0, 10.0)
+    assert of(0.01, 0.3) == (1.5, 10.0)  # five times the plays
+    assert of(0.01, 0.01) == (1.0, 10.0)
+    assert of(4.0, 4.1) == (8.0, 24.0)  # twice the noise, six times the noise
+
+
+def test_an_error_of_one_sample_does_not_last():
+    errors = np.array([0.0, 9.0, 0.0, 2.0, -3.0, 4.0, 0.0])
+    assert lasting(errors).max() == 2.0
+
+
+def test_a_sequential_result_is_judged_by_the_same_limits():
+    truth = hf.BoucWen(c=1.0, mu=0.5, tau=0.05, rho=0.5)
+    record = made(np.asarray(hf.simulate(truth, jnp.asarray(GROWING))[0]) + 0.05 * WHITE)
+    fit = hf.fit("bouc-wen", record, method="ukf")
+    assert has(fit.notes, Code.ACCURACY)
+    assert fit.baselines.noise == pytest.approx(0.05, rel=0.1)
+    assert dataclasses.replace(fit, status=Status.ROUGH).usable is False
