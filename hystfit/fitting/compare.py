@@ -5,21 +5,22 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.record import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.structure import search_structure
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import compared, make_model
-from hystfit.outcome import Code, Note, Status
+from hystfit.models.registry import compared, make_model, model_name
+from hystfit.outcome import Code, Column, Note, Status, Table, fragment
 from hystfit.quality.loops import loop_area
 from hystfit.quality.reversal_curves import recognize_family
+from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
@@ -100,6 +101,14 @@ class Comparison:
     def __repr__(self) -> str:
         return self.text()
 
+    def _repr_html_(self) -> str:
+        percent = [Column("left out %", form=".3f"), Column("fitted %", form=".3f"), Column("max %", form=".2f")]
+        columns = ["model", *percent, Column("parameters"), Column("status", left=True), Column("note", left=True)]
+        keys = ("name", "score_percent", "in_sample_percent", "max_error_percent", "parameters", "status", "note")
+        table = Table(columns, [[getattr(row, key) for key in keys] for row in self.rows])
+        explained = f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}."
+        return fragment(f"winner: {self.rows[0].name}", (explained, table))
+
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
         return {
@@ -113,8 +122,8 @@ class Comparison:
 
 
 def compare(
-    data: Record | Dataset | Sequence[Record],
-    models: Sequence[str] | None = None,
+    data: Any,
+    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto"] | None = None,
     *,
     left_out: Scheme = "blocks",
     seed: int = 0,
@@ -127,9 +136,9 @@ def compare(
     Test data never enter.
 
     Args:
-        data: one record or several.
-        models: names as `hystfit models` lists them (joined by "+"), or "prandtl-ishlinskii-search", which searches that
-            family for its terms; None takes a choice that suits the data.
+        data: one record or several, or a data frame.
+        models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
+            that family for its terms; None (or "auto") takes a choice that suits the data.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         seed: of the starting points.
@@ -142,18 +151,15 @@ def compare(
     require_seed(seed)
     if left_out not in SCHEMES:
         raise ParameterError(f"left_out must be one of {', '.join(SCHEMES)}, got {left_out!r}")
-    data = Dataset.of(data)
+    data = records_of(data)
     if left_out == "future" and recognize_family(data) is not None:
         raise ModelError("reversal curves have no order in time: use left_out='blocks'")
-    names = tuple(models) if models else candidates(data)
-    for name in names:
-        if name != SEARCH:
-            make_model(name)
+    chosen = _named(models) if models and models != "auto" else {name: name for name in candidates(data)}
     rows, fits = [], {}
-    for number, name in enumerate(names, start=1):
+    for number, (name, choice) in enumerate(chosen.items(), start=1):
         if progress:
-            progress(f"{name} ({number} of {len(names)})")
-        row, result = _judge(name, data, seed, left_out)
+            progress(f"{name} ({number} of {len(chosen)})")
+        row, result = _judge(name, choice, data, seed, left_out)
         rows.append(row)
         if result is not None:
             fits[name] = result
@@ -169,6 +175,25 @@ def compare(
     return Comparison(tuple(rows), fits[rows[0].name], fits, left_out)
 
 
+def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
+    """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it.
+
+    Raises:
+        ModelError: one of them is no model.
+    """
+    chosen: dict[str, Any] = {}
+    for choice in [models] if isinstance(models, str) else models:
+        if isinstance(choice, str):
+            if choice != SEARCH:
+                make_model(choice)
+            chosen[choice] = choice
+            continue
+        base = model_name(make_model(choice))
+        count = sum(name == base or name.startswith(f"{base} (") for name in chosen)
+        chosen[f"{base} ({count + 1})" if count else base] = choice
+    return chosen
+
+
 def candidates(data: Dataset) -> tuple[str, ...]:
     """Models worth comparing: output that lags (counter-clockwise loops) and force that leads call for different ones."""
     if recognize_family(data) is not None:
@@ -178,15 +203,16 @@ def candidates(data: Dataset) -> tuple[str, ...]:
     return (*compared(("lagging-timed" if timed else "lagging-untimed") if lags else "leading"), SEARCH)
 
 
-def _judge(name: str, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, FitResult | None]:
+def _judge(name: str, choice: Any, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, FitResult | None]:
     started = time.perf_counter()
     try:
         if name == SEARCH:
             result, score, note = best_structure(data, seed)
         else:
-            model = make_model(name)
-            # Settings in a name give the size; the colon of my_model.py:MyModel is none.
-            sizes = {} if ":" in name.replace(".py:", "") else model.sizes()
+            model = make_model(choice)
+            # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
+            sized = isinstance(choice, AbstractHysteresis) or ":" in name.replace(".py:", "")
+            sizes = {} if sized else model.sizes()
             result, score, note = best_size(sizes, data, seed) if sizes else (fit(model, data, seed=seed), None, "")
         if score is None or left_out != "blocks":
             score = left_out_error(result, left_out)

@@ -13,12 +13,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from hystfit.config import require_x64
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
+from hystfit.errors import ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
+from hystfit.models.description import described
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.params.param import leaves_of
+from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
 
 
@@ -50,6 +53,24 @@ class AbstractHysteresis(eqx.Module):
     @abc.abstractmethod
     def start(self, records: Sequence[Record]) -> AbstractHysteresis:
         """The same model with starting values estimated from measured records (host side, no gradient)."""
+
+    # -- values ------------------------------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return described(self)
+
+    def replace(self, **values: Any) -> AbstractHysteresis:
+        """The same model with other values of some parameters.
+
+        Args:
+            **values: by name; those of elements and of parts of a composition as `replace(**{"w[2]": 0.1, "bouc_wen.tau": 3.0})`.
+
+        Raises:
+            ParameterError: an unknown name, or a value that is not finite or outside the bounds of its parameter.
+        """
+        if missing := [name for name, value in values.items() if value is None]:
+            raise ParameterError(f"parameter {missing[0]!r} needs a value, got None")
+        return ParameterSpace.of(self, fix=values).template
 
     # -- optional: simulation ----------------------------------------------------------------------------------------------
 
@@ -350,6 +371,7 @@ def simulate(
 
     Raises:
         ModelError: no time for a model that needs it, or shapes that do not fit.
+        PrecisionError: double precision is off.
     """
     u, dt = drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
@@ -366,7 +388,9 @@ def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
 
     Raises:
         ModelError: no time for a model that needs it, or shapes that do not fit.
+        PrecisionError: double precision is off.
     """
+    require_x64()
     u = jnp.asarray(u, dtype=jnp.result_type(float))
     if u.ndim != 1 or u.size == 0:
         raise ModelError(f"the input must have shape (T,) with T > 0, got {u.shape}")

@@ -18,6 +18,7 @@ from hystfit.errors import ParameterError
 from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
 from hystfit.params.param import ParamInfo, leaves_of, short_names
 from hystfit.params.units import Scales
+from hystfit.registry import near
 
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
@@ -94,7 +95,7 @@ class ParameterSpace:
                 f"parameter {name!r} is ambiguous; choose one of: {', '.join(self._leaf_names[i] for i in hits)}"
             )
         if not hits:
-            raise ParameterError(f"no parameter {name!r}; the parameters are: {known}")
+            raise ParameterError(f"no parameter {name!r}{near(name, self._leaf_names)}; the parameters are: {known}")
         leaf = self.leaves[hits[0]]
         if match is None or match["at"] is None:
             return hits[0], list(range(leaf.size))

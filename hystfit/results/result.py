@@ -7,6 +7,7 @@ import datetime
 import functools
 import importlib.metadata
 import platform
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import DataError
+from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
-from hystfit.registry import attribute
+from hystfit.reading.in_memory import excitation_of
+from hystfit.registry import attribute, near
 from hystfit.results.metrics import Metrics
 
 SCHEMA = "hystfit.fit/2"
@@ -160,7 +162,57 @@ class FitResult:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise KeyError(f"no parameter {name!r}; there are {[p.name for p in self.parameters]}")
+        names = [p.name for p in self.parameters]
+        raise KeyError(f"no parameter {name!r}{near(name, names)}; there are {names}")
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of all parameters by name, free and fixed, in physical units (`units` has those of the data)."""
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the input u, the output y and the time t; predictions are in that of y."""
+        return self.data.units
+
+    @functools.cached_property
+    def residuals(self) -> np.ndarray:
+        """Measured minus simulated output [y], shape (T,), NaN where a sample does not count; several records one after another."""
+        rows = [np.where(record.used, record.y - self.predict(record), np.nan) for record in self.data]
+        return np.concatenate(rows)
+
+    def confidence_intervals(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
+        """Lower and upper limit of every free parameter from its standard error; None where it has no standard error.
+
+        The estimate is taken as normally distributed. `hystfit.profile` gives limits without this assumption.
+
+        Args:
+            level: probability with which such an interval covers the parameter.
+
+        Raises:
+            ParameterError: the level is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise ParameterError(f"level must be between 0 and 1, such as 0.95; got {level}")
+        reach = statistics.NormalDist().inv_cdf(0.5 + level / 2)
+        free = [p for p in self.parameters if not p.fixed]
+        return {
+            p.name: None if p.stderr is None else (p.value - reach * p.stderr, p.value + reach * p.stderr) for p in free
+        }
+
+    def to_dataframe(self) -> Any:
+        """The parameters as a pandas data frame with one row for each, indexed by name; unknown values are missing.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        rows = [{"name": p.name, **p.to_dict(), "doc": p.doc} for p in self.parameters]
+        numbers = dict.fromkeys(("value", "stderr", "lower", "upper"), float)
+        return pandas.DataFrame(rows).set_index("name").astype(numbers)
 
     def with_notes(self, *notes: Note, first: bool = False) -> FitResult:
         """The same result with further notes, at the end or first."""
@@ -171,17 +223,25 @@ class FitResult:
         names = [fitted.name for fitted in self.data]
         return names.index(record.name) if record.name in names else 0
 
-    def predict(self, record: Record, *, refit_offset: bool = False) -> np.ndarray:
-        """Free run over a record's input, shape (T,): of its own model where it was fitted, else of the first record's.
+    def predict(self, data: Any, t: Any = None, *, u: Any = None, refit_offset: bool = False) -> np.ndarray:
+        """Free run over an input, shape (T,), in the unit `units["y"]`: with the parameters of the record where it was fitted.
+
+        `predict(record)`, `predict(frame)` and `predict(u, t)` are the same for a record, a data frame and arrays. Another record than
+        those fitted is predicted with the per-record parameters of the first.
 
         Args:
-            record: any record with the time that the model needs.
+            data: any record, a data frame with the input, or the input, shape (T,).
+            t: time of each sample, shape (T,), or a column of the data frame; where the model depends on time.
+            u: column of the input in a data frame; by default that of the fitted record.
             refit_offset: shift the output so that its mean over the samples that count is right (another record's sensor zero).
 
         Raises:
-            ModelError: the model needs time and the record has none.
-            DataError: an offset is to be refitted and no output counts.
+            ModelError: the model needs time and there is none.
+            DataError: an input that cannot be used, or an offset is to be refitted and no output counts.
         """
+        record = excitation_of(data, t, u=u, like=self.data[0])
+        if record.t is None and not self.model.rate_independent:
+            raise ModelError(f"{self.name} depends on time: give t, the time of each sample")
         model = self.models[self.record_number(record)]
         y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
@@ -260,6 +320,9 @@ class FitResult:
     def __repr__(self) -> str:
         headline = _view("report:headline")(self)
         return f"<FitResult: {headline}; print it for the report>"
+
+    def _repr_html_(self) -> str:
+        return _view("report:notebook_view")(self)
 
     def plot(
         self,
