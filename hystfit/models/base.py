@@ -18,6 +18,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
+from hystfit.models.default_start import searched_start
 from hystfit.models.description import described
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.params.param import leaves_of
@@ -30,8 +31,8 @@ class AbstractHysteresis(eqx.Module):
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
 
-    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init`, `step` and `start`. The
-    methods below `start` are optional: each has a default here, a model overrides those that it can do better, and `Sum` and
+    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init` and `step`. The methods
+    below `step` are optional: each has a default here, a model overrides those that it can do better, `start` first, and `Sum` and
     `Series` delegate all of them to their parts. `hystfit.testing.check_model` tests what a model gives.
     """
 
@@ -48,11 +49,14 @@ class AbstractHysteresis(eqx.Module):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Move the input from u0 to u1 in the time dt: (new state, output at the new sample)."""
+        """Move the input from u0 to u1 in the time dt: (new state, output at the new sample).
 
-    @abc.abstractmethod
-    def start(self, records: Sequence[Record]) -> AbstractHysteresis:
-        """The same model with starting values estimated from measured records (host side, no gradient)."""
+        Args:
+            state: before the sample, shape (states,).
+            u0: input of the previous sample [u].
+            u1: input of this sample [u].
+            dt: time between the two [s]; 0 where there is no time.
+        """
 
     # -- values ------------------------------------------------------------------------------------------------------------
 
@@ -126,6 +130,13 @@ class AbstractHysteresis(eqx.Module):
         return False
 
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
+
+    def start(self, records: Sequence[Record]) -> AbstractHysteresis:
+        """The same model with starting values estimated from measured records (host side, no gradient).
+
+        By default the best of a Latin hypercube within the bounds and the data's scales; to override where the loop shows them.
+        """
+        return searched_start(self, records)
 
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
         """What a user should know before trusting this model on an input u of shape (T,); nothing by default."""
@@ -289,7 +300,14 @@ class AbstractStepInverse(eqx.Module):
     def advance(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """The model's step; to override where the inverse holds tables that make it faster."""
+        """The model's step; to override where the inverse holds tables that make it faster.
+
+        Args:
+            state: before the sample, shape (states,).
+            u0: input of the previous sample [u].
+            u1: input of this sample [u].
+            dt: time between the two [s]; 0 where there is no time.
+        """
         return self.model.step(state, u0, u1, dt)
 
 
