@@ -24,9 +24,12 @@ _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstra
 
 
 def _strong(leaf: Any) -> Any:
-    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately.
-    weak = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.weak_type
-    return jnp.asarray(np.asarray(leaf)) if weak else leaf
+    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately; arrays made before
+    # double precision was switched on are single.
+    if not isinstance(leaf, jax.Array) or isinstance(leaf, jax.core.Tracer):
+        return leaf
+    kind = jnp.result_type(float) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
+    return jnp.asarray(np.asarray(leaf), kind) if leaf.weak_type or leaf.dtype != kind else leaf
 
 
 class ParameterSpace:
