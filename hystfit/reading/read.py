@@ -94,7 +94,16 @@ def read_csv(
     encoding: str | None = None,
     name: str | None = None,
 ) -> Record | Dataset:
-    """Like `read`, for a text file whatever its suffix."""
+    """Like `read`, for a text file whatever its suffix.
+
+    Args:
+        path: of the file.
+        time, input, output, by, only, where, gaps, name: see `read`.
+        delimiter, decimal, encoding: of the text; detected where None.
+
+    Raises:
+        DataError: the file cannot be read as requested; the message names the remedy.
+    """
     table = read_table(path, delimiter=delimiter, decimal=decimal, encoding=encoding)
     return assemble(table, time=time, input=input, output=output, by=by, only=only, where=where, gaps=gaps, name=name)
 

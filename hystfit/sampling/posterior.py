@@ -179,7 +179,13 @@ class Posterior:
     # -- prediction ----------------------------------------------------------------------------------------------------
 
     def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
-        """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
+        """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added.
+
+        Args:
+            record: provides the input.
+            count: number of draws, chosen at random.
+            seed: of the choice.
+        """
         return _view("predictive:simulate_draws")(self.result, record, self.thinned(count, seed))
 
     def bands(
