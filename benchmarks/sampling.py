@@ -80,9 +80,9 @@ def peer_density(q, center, factor, u, y, scales, wide):
 def peer(setup: Setup) -> Callable[[np.ndarray], float]:
     """The peer's log posterior of whitened coordinates, checked against the library's."""
     target, data = setup.target, setup.problem.data[0]
-    scales = np.concatenate([np.asarray(c.scale) for c in (target.objective.coordinates, target.noise)])
+    scales = np.concatenate([np.asarray(c.scale) for c in (target.density.objective.coordinates, target.density.noise)])
     arrays = tuple(np.asarray(v) for v in (target.center, target.factor, data.u, data.y, scales))
-    wide = float(target.priors[4].sd)
+    wide = float(target.density.priors[4].sd)
     density = lambda q: peer_density(q, *arrays, wide)
     rows = np.random.default_rng(0).normal(size=(5, scales.size))
     ours = np.asarray(jax.vmap(target)(jnp.asarray(rows)))

@@ -52,7 +52,7 @@ def _grid(target: object, at: list[int], axes: list[np.ndarray]) -> tuple[np.nda
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     full = np.tile(np.asarray(target.center), (len(mesh), 1))  # type: ignore[attr-defined]
     full[:, at] = mesh
-    density = eqx.filter_jit(lambda t, rows: jax.lax.map(t.log_density, rows, batch_size=128))
+    density = eqx.filter_jit(lambda t, rows: jax.lax.map(t.density.log_density, rows, batch_size=128))
     logs = np.asarray(density(target, jnp.asarray(full)))
     weight = np.exp(logs - logs.max())
     mean = weight @ mesh / weight.sum()

@@ -138,6 +138,11 @@ class AbstractHysteresis(eqx.Module):
         """
         return searched_start(self, records)
 
+    @property
+    def allows_thinning(self) -> bool:
+        """Whether a simulation on every k-th sample is near enough for starting values: no delay or resonance of a few samples."""
+        return self.rate_independent
+
     def advice(self, u: np.ndarray) -> tuple[str, ...]:
         """What a user should know before trusting this model on an input u of shape (T,); nothing by default."""
         return ()

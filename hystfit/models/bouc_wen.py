@@ -17,7 +17,7 @@ from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
 from hystfit.models.bouc_wen_steps import begun, bound, exact_step, passed_rates, trapezoid
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.starting import fit_linear, input_range, thinned
+from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -175,21 +175,12 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[float, float, np
     """Best (tau, rho) of a grid and the linear unknowns there: slope, factor of the unit hysteresis, offset, backbone 2, 3, ..."""
     place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))
-    states = [unit_hysteresis(record.u, tau, rho) for record in records]
-    best: tuple[float, int, np.ndarray] | None = None
-    for k in range(tau.size):
-        rows, right = [], []
-        for record, state in zip(records, states, strict=True):
-            bend = np.polynomial.legendre.legvander((record.u - place.center) / place.half, degree + 1)[:, 2:]
-            own = np.stack([record is other for other in records]).astype(float)  # an offset of its own for each record
-            columns = np.column_stack([record.u, state[:, k], np.tile(own, (len(record), 1)), bend])
-            rows.append(columns[record.used])
-            right.append(record.y[record.used])
-        theta, cost = fit_linear(np.concatenate(rows), np.concatenate(right))
-        if best is None or cost < best[0]:
-            best = (cost, k, theta)
-    assert best is not None
-    _, k, theta = best
+    states = np.concatenate([unit_hysteresis(record.u, tau, rho)[record.used] for record in records])
+    u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
+    offsets = own_columns(records)
+    bend = np.polynomial.legendre.legvander((u - place.center) / place.half, degree + 1)[:, 2:]
+    k = best_beside(np.column_stack([u, offsets, bend]), states, y)
+    theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets, bend]), y)
     return float(tau[k]), float(rho[k]), np.concatenate([theta[:3], theta[2 + len(records) :]])
 
 
@@ -203,9 +194,11 @@ def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarr
     """
     state, out = np.zeros(tau.size), np.zeros((u.size, tau.size))
     highest = 1 / (tau * (1 + rho))
-    for k, dv in enumerate(np.diff(u), start=1):
-        below = np.clip(np.where(dv < 0, state, -state), 0.0, abs(dv))
-        half = 0.5 * tau * ((1 + rho) * abs(dv) - 2 * rho * below)
-        state = np.clip(((1 - half) * state + dv) / (1 + half), -highest, highest)
+    up, down = 0.5 * tau * (1 + rho), tau * rho
+    for k, dv in enumerate(np.diff(u).tolist(), start=1):
+        x = abs(dv)
+        below = np.minimum(np.maximum(state if dv < 0 else -state, 0.0), x)
+        half = up * x - down * below
+        state = np.minimum(np.maximum(((1 - half) * state + dv) / (1 + half), -highest), highest)
         out[k] = state
     return out

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.starting import fit_linear, input_range, thinned
+from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
 from hystfit.params.param import param
 
 _SUBSTEPS = 4
@@ -76,20 +76,11 @@ class BoucWenForce(AbstractHysteresis):
         """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""
         half, records = input_range(records).half, thinned(records)
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
-        states = [_unit_force(record.u, rho, n, float(self.sigma)) for record in records]
-        best: tuple[float, int, np.ndarray] | None = None
-        for k in range(rho.size):
-            rows, right = [], []
-            for number, (record, state) in enumerate(zip(records, states, strict=True)):
-                own = np.zeros((len(record), len(records)))
-                own[:, number] = 1.0
-                rows.append(np.column_stack([record.u, state[:, k], own])[record.used])
-                right.append(record.y[record.used])
-            theta, cost = fit_linear(np.concatenate(rows), np.concatenate(right))
-            if best is None or cost < best[0]:
-                best = (cost, k, theta)
-        assert best is not None
-        _, k, theta = best
+        states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
+        u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
+        offsets = own_columns(records)
+        k = best_beside(np.column_stack([u, offsets]), states, y)
+        theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets]), y)
         values = (theta[0], theta[1], rho[k], max(n[k], 1.05), theta[2])
         fields = lambda m: (m.kappa_x, m.kappa_w, m.rho, m.n, m.offset)
         return eqx.tree_at(fields, self, tuple(jnp.asarray(v, dtype=float) for v in values))

@@ -52,6 +52,11 @@ class AbstractComposition(AbstractHysteresis):
         return all(part.rate_independent for part in self.parts)
 
     @property
+    def allows_thinning(self) -> bool:
+        """Whether all parts do."""
+        return all(part.allows_thinning for part in self.parts)
+
+    @property
     def short_cut(self) -> bool:
         """Whether some part has one."""
         return any(part.short_cut for part in self.parts)

@@ -37,6 +37,7 @@ class LogCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    allows_thinning: ClassVar[bool] = True
 
     gamma: Float[Array, " k"] = param(
         (0.01,), bounds=(-0.5, 0.5), scale=0.02, vector=True, doc="creep per decade of time, polynomial in x / span"
@@ -171,6 +172,7 @@ class LinearCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    allows_thinning: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
     needs: ClassVar[Needs] = Needs(loop=False, time=True, creep=True)
 

@@ -26,6 +26,7 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
 
     lag: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")

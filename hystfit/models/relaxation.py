@@ -28,6 +28,7 @@ class Relaxation(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    allows_thinning: ClassVar[bool] = True
     linear_in_input: ClassVar[bool] = True
 
     a: Float[Array, " modes"] = param((0.05, 0.02), bounds=(-1.0, 1.0), scale=0.1, doc="parts that follow slowly")

@@ -74,3 +74,23 @@ def fit_linear(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     size[size == 0] = 1.0
     solution = np.linalg.lstsq(columns / size, y, rcond=1e-10)[0] / size
     return solution, float(np.sum((y - columns @ solution) ** 2))
+
+
+def own_columns(records: Sequence[Record]) -> np.ndarray:
+    """A column of ones for each record on its samples that count: offsets of their own, shape (n, R)."""
+    return np.repeat(np.eye(len(records)), [int(record.used.sum()) for record in records], axis=0)
+
+
+def best_beside(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:
+    """Which candidate column, beside the fixed ones, leaves the smallest sum of squared residuals.
+
+    Args:
+        fixed: columns in every fit, shape (n, q).
+        candidates: columns of which one is added, shape (n, k).
+        y: what is fitted, shape (n,).
+    """
+    Q = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
+    rest, others = y - Q @ (Q.T @ y), candidates - Q @ (Q.T @ candidates)
+    size = np.sum(others**2, axis=0)
+    new = size > 1e-20 * np.sum(candidates**2, axis=0)  # a column that the fixed ones span adds nothing
+    return int(np.argmax(np.where(new, (rest @ others) ** 2 / np.where(new, size, 1.0), 0.0)))

@@ -34,6 +34,11 @@ def _physical(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[i
     return jnp.where(kind == BOTH, both, x)
 
 
+@functools.partial(jax.jit, static_argnums=4, inline=True)
+def _slope(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[int, ...]) -> Array:
+    return jax.jvp(lambda z: _physical(z, lower, upper, scale, kinds), (z,), (jnp.ones_like(z),))[1]
+
+
 class Coordinates(eqx.Module):
     """The traced half of a `ParameterSpace`: arrays and structure without labels, which would cause compilations.
 
@@ -77,7 +82,7 @@ class Coordinates(eqx.Module):
 
     def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """dx/dz, element by element (the maps do not mix parameters)."""
-        return jax.jvp(self.physical, (z,), (jnp.ones_like(z),))[1]
+        return _slope(z, self.lower, self.upper, self.scale, self.kinds)
 
     def log_jacobian(self, z: Float[Array, " p"]) -> Float[Array, ""]:
         """log |det dx/dz|."""

@@ -220,13 +220,17 @@ class ParameterSpace:
         """x from z."""
         return np.asarray(self.coordinates.physical(jnp.asarray(z)))
 
+    def slope(self, z: Any) -> np.ndarray:
+        """dx/dz, element by element."""
+        return np.asarray(self.coordinates.slope(jnp.asarray(z)))
+
     def tree(self, z: Any, record: int = 0) -> Any:
         """The tree at z, with the parameters of record number `record`."""
         return self.coordinates.tree(jnp.asarray(z), record)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:
         """Covariance of x from that of z, to first order."""
-        slope = np.asarray(self.coordinates.slope(jnp.asarray(z)))
+        slope = self.slope(z)
         return slope[:, None] * np.asarray(covariance_z) * slope[None, :]
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:

@@ -348,13 +348,18 @@ def _view(name: str) -> Any:
     return attribute(f"hystfit.results.{name}")
 
 
+@functools.cache  # the metadata of a package is a file that is parsed each time
+def _version(package: str) -> str:
+    return importlib.metadata.version(package)
+
+
 def provenance(data: Dataset, seed: int | None, **more: Any) -> dict[str, Any]:
     """Versions, seed, checksums of the data, date; a record for people, never read back."""
     packages = ("hystfit", "jax", "equinox", "optimistix", "numpy", "scipy")
     return {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
-        "versions": {name: importlib.metadata.version(name) for name in packages},
+        "versions": {name: _version(name) for name in packages},
         "seed": seed,
         "records": [
             {"name": r.name, "source": r.source, "file_sha256": r.sha256, "data_sha256": r.digest(), "samples": len(r)}

@@ -1,0 +1,65 @@
+"""A short form of the records on which starting points are fitted, before one of them is polished on every sample."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from hystfit.data.batch import Batch, bucket
+from hystfit.inference.objective import Objective
+from hystfit.inference.problem import Problem
+from hystfit.quality.loops import reversals
+
+_SAMPLES = 1024  # of all records together
+_LEAST = 256  # of each record
+_A_BRANCH = 12  # samples between two reversals of the input, on average
+_TURN = 0.02  # of the input's range: smaller reversals need not be kept
+_PAYS = 2  # times as many samples make the short form worth its compilation
+
+
+def thin(problem: Problem) -> Objective | None:
+    """The objective on every k-th sample and the reversals of the input; None where the records are short or a thinner one would lie.
+
+    Args:
+        problem: its model says whether it can be simulated on fewer samples (`AbstractHysteresis.allows_thinning`).
+    """
+    if not problem.model.allows_thinning:
+        return None
+    turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in problem.data]
+    most = max(turn.size for turn in turns)
+    length = bucket(max(_SAMPLES // len(turns), _LEAST, _A_BRANCH * most))
+    if _PAYS * length > problem.objective.batch.u.shape[1]:
+        return None
+    batch = on_host(problem.objective.batch)
+    rows = [
+        _row(batch, number, kept_samples(len(record), turn, length), length)
+        for number, (record, turn) in enumerate(zip(problem.data, turns, strict=True))
+    ]
+    thinned = Batch(*(jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True)))
+    return eqx.tree_at(lambda o: o.batch, problem.objective, thinned)
+
+
+def kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:
+    """Numbers of at most `most` samples: the turning points, the first and last one, and as many evenly spaced ones as have room."""
+    fixed = np.concatenate([[0], turns, [samples - 1]])
+    even = np.linspace(0, samples - 1, min(samples, most - fixed.size)).round()
+    return np.unique(np.concatenate([fixed, even])).astype(int)
+
+
+def on_host(batch: Batch) -> tuple[np.ndarray, ...]:
+    """The arrays of a batch on the host: u, y, dt, weight."""
+    return tuple(np.asarray(values) for values in (batch.u, batch.y, batch.dt, batch.weight))
+
+
+def _row(batch: tuple[np.ndarray, ...], number: int, kept: np.ndarray, length: int) -> tuple[np.ndarray, ...]:
+    """u, y, dt and weight of one record at the samples kept, padded to a length as `Batch` does."""
+    u, y, dt, weight = (values[number] for values in batch)
+    extra = (0, length - kept.size)
+    elapsed = np.diff(np.cumsum(dt)[kept], prepend=0.0)
+    return (
+        np.pad(u[kept], extra, mode="edge"),
+        np.pad(y[kept], extra),
+        np.pad(elapsed, extra),
+        np.pad(weight[kept], extra),
+    )
