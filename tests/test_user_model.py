@@ -203,5 +203,8 @@ def test_a_model_without_step_is_refused_by_name_and_file(tmp_path: Path) -> Non
     (tmp_path / "half.py").write_text(SOURCE.replace("def step(self, state, u0", "def stride(self, state, u0"))
     with pytest.raises(ModelError) as caught:
         hf.fit(f"{tmp_path / 'half.py'}:Backlash", hf.Record(U, loop(), t=T))
+    with pytest.raises(ModelError) as checked:
+        check_model(f"{tmp_path / 'half.py'}:Backlash")
     for word in ("Backlash", "step", "half.py"):
         assert word in str(caught.value)
+        assert word in str(checked.value)

@@ -22,7 +22,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
-from hystfit.reading.in_memory import excitation_of
+from hystfit.reading.in_memory import excitation_of, records_of
 from hystfit.registry import attribute, near
 from hystfit.results.metrics import Metrics
 
@@ -250,9 +250,9 @@ class FitResult:
             y = y + float(np.mean((record.y - y)[record.used]))
         return y
 
-    def metrics(self, data: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> Metrics:
-        """Metrics of the prediction on the samples that count."""
-        records = list(Dataset.of(data))
+    def metrics(self, data: Any, *, refit_offset: bool = False) -> Metrics:
+        """Metrics of the prediction on the samples that count, of one record or several or a data frame."""
+        records = list(records_of(data))
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
