@@ -30,6 +30,7 @@ from .models import Relaxation as Relaxation
 from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
 from .models import Series as Series
+from .models import SignedPreisach as SignedPreisach
 from .models import Sum as Sum
 from .models import Viscous as Viscous
 from .models import simulate as simulate

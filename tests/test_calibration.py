@@ -45,7 +45,6 @@ def test_a_handful_of_replicates_is_no_verdict():
     rng = np.random.default_rng(0)
     few = made(rng.integers(0, RANKS + 1, (5, 2)))
     assert few.status == "too-few"
-    assert "200 or more" in str(few)
     assert made(np.zeros((15, 2), int)).status == "miscalibrated"  # some set-ups are wrong beyond doubt
 
 
@@ -61,7 +60,6 @@ def test_coverage_counts_central_intervals_and_its_band_is_binomial():
 def test_too_many_failures_fail_a_study_and_are_listed():
     study = made(np.random.default_rng(0).integers(0, RANKS + 1, (100, 1)), failures=20)
     assert not study.passes()
-    assert "replicate 3 failed" in str(study)
     assert len(study.to_dict()["failures"]) == 20
 
 
@@ -74,10 +72,10 @@ def honest(tmp_path_factory):
 def test_a_study_without_one_replicate_says_why_and_gives_no_number():
     nothing = np.zeros((0, 1))
     failed = Calibration(("c",), nothing.astype(int), 99, nothing, ((0, "no fit"),), "laplace", "ou", "ou", "duhem")
-    assert "0 replicates, 1 failed: failed" in str(failed)
-    assert failed.advice in str(failed)
-    assert "replicate 0 failed: no fit" in repr(failed)
-    assert "%" not in str(failed)
+    assert failed.status == "failed"
+    assert repr(failed) == str(failed)  # with a status that has no number behind it
+    assert [(row["p"], row["coverage95"]) for row in failed.table().to_list()] == [(None, None)]
+    assert len(failed.to_dict()["failures"]) == 1
 
 
 def test_a_right_set_up_passes(honest):

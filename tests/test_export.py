@@ -26,7 +26,7 @@ def weighted(model: hf.Preisach, **fields: object) -> hf.Preisach:
 
 
 PIEZO = hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, scheme="exact", offset=0.3, h0=0.1)
-HARDENING = hf.PrandtlIshlinskii.of(6, degree=3, hardening=True, rest="first")
+HARDENING = hf.PrandtlIshlinskii.of(6, degree=3, hardening=3, rest="first")
 HARDENING = eqx.tree_at(
     lambda m: (m.hardening, m.b), HARDENING, (0.01 * jnp.arange(6.0), jnp.asarray([1.0, 0.1, 0.02]))
 )
@@ -36,6 +36,10 @@ KNEE = {
 }  # fmt: skip
 CELLS = weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative"), offset=0.4)
 CREEP = hf.LinearCreep(a=(0.02,), tau=(0.01, 0.1, 1.0), low=-1.0, high=1.0, level=-0.5)
+PLAYS = hf.Series(
+    hf.Lag(tau=0.006, rest="first"),
+    hf.Sum(hf.PrandtlIshlinskii.generalized(5, 3), CREEP, hf.Viscous(c=1e-3), hf.SaturatingRate(F=0.02, v0=4.0)),
+)
 CASES = {
     "lag_preisach": (hf.Series(hf.Lag(tau=0.004, rest="first"), CELLS), -1.0, 1.0),
     "preisach_creep": (hf.Sum(CELLS, CREEP), -1.0, 1.0),
@@ -52,6 +56,7 @@ CASES = {
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.generalized(4, 3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),
+    "lag_plays_creep_rate": (PLAYS, 0.0, 1.0),
     "preisach_demagnetized": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform"), center=0.23), -1.0, 1.0),
     "preisach_negative": (
         weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative"), offset=0.4),
@@ -151,15 +156,24 @@ def test_names_and_models_without_c_are_refused(tmp_path: Path) -> None:
         export_c(PIEZO, tmp_path, name="2nd")
     with pytest.raises(ModelError, match="BoucWenForce has no C code"):
         export_c(hf.BoucWenForce(), tmp_path)
-    with pytest.raises(ModelError, match="Delay has no C code"):
-        export_c(hf.Series(hf.Delay(), PIEZO), tmp_path)
     with pytest.raises(ModelError, match="cells"):
         export_c(hf.Preisach.uniform(4, elements="relays"), tmp_path)
     assert not any(itertools.chain(tmp_path.iterdir()))
 
 
-def test_a_resonance_is_exported_forward_only(tmp_path: Path) -> None:
-    model = hf.Series(CELLS, hf.SecondOrder(omega=90.0, zeta=0.15))
+@pytest.mark.parametrize(
+    "model",
+    [
+        hf.Series(CELLS, hf.SecondOrder(omega=90.0, zeta=0.15)),
+        hf.Series(hf.Delay(lag=2.3), CELLS),
+        hf.Series(hf.Delay(lag=0.4), CELLS),
+        hf.Series(hf.Delay(lag=9.0), CELLS),
+    ],
+    ids=["resonance", "delay", "part of a sample", "longest delay"],
+)
+def test_a_late_response_is_exported_forward_only(model: hf.Series, tmp_path: Path) -> None:
+    assert model.obstacle("export") is None
+    assert (model.obstacle("inverse") is None) == (model.led() is not None)
     program, u = build(model, tmp_path), path(-1.0, 1.0)
     expected = np.asarray(hf.simulate(model, u, 0.002)[0])
     assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)

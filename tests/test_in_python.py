@@ -172,8 +172,9 @@ def test_a_class_is_the_model_of_its_name(y: np.ndarray, result: hf.FitResult) -
 
 def test_auto_is_the_winner_of_the_comparison(y: np.ndarray, monkeypatch) -> None:
     import hystfit.fitting.compare as comparison
+    from hystfit.fitting.candidates import Candidates
 
-    monkeypatch.setattr(comparison, "candidates", lambda data: ("bouc-wen", "offset+viscous"))
+    monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous"), "loops"))
     found = hf.fit("auto", U, y, T, test=hf.Record(U, y, t=T))
     assert found.name == "bouc-wen"
     assert found.test is not None

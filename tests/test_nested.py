@@ -82,7 +82,7 @@ def test_the_evidence_is_saved_and_said(run, tmp_path):
     posterior, _ = run
     loaded = load_posterior(posterior.save(tmp_path / "out"))
     assert loaded.evidence == posterior.evidence
-    assert f"log evidence: {posterior.evidence.log_z:.2f}" in str(loaded)
+    assert f"{posterior.evidence.log_z:.2f}" in str(loaded)
     assert loaded.to_dict()["evidence"]["error"] == posterior.evidence.error
 
 

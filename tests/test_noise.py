@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.data.batch import Batch
 from hystfit.errors import ParameterError
-from hystfit.fitting.covariance import analyze
 from hystfit.fitting.fit import solve
 from hystfit.fitting.noise_refinement import refine
 from hystfit.inference.noise import (
@@ -24,7 +23,7 @@ from hystfit.inference.noise import (
     White,
 )
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import diagnose
+from hystfit.inference.residuals import analyze, diagnose
 from hystfit.inference.whitened import restricted
 from hystfit.outcome import Code
 from hystfit.outcome.note import has

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,8 @@ import scipy.optimize
 import hystfit as hf
 from hystfit.errors import ParameterError
 from hystfit.inference.noise import Setting
-from hystfit.outcome import Code, Status
+from hystfit.inference.residuals import analyze
+from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.uncertainty.input_design import design
 from hystfit.uncertainty.profiles import _whitened, profile
@@ -98,6 +100,73 @@ def test_an_open_side_is_named_and_no_error_is_finite_there(faint):
     assert has(faint.notes, Code.NOT_DETERMINED)
 
 
+def test_profiles_of_a_faint_loop_are_those_of_refits_by_another_solver(faint):
+    found = profile(faint, ["c", "mu", "tau", "rho"])
+    squares = lambda result: result.train.n * result.train.rmse**2
+    for p in found.profiles.values():
+        for k in (0, -1):
+            held = hf.fit(TRUTH, faint.data, method="trf", starts=8, noise="iid", fix={p.name: float(p.x[k])})
+            refit = (squares(held) - squares(faint)) / faint.sigma**2
+            assert p.statistic[k] == pytest.approx(refit, abs=0.01), p
+
+
+@pytest.mark.slow
+def test_a_parameter_on_its_bound_moves_off_it_where_others_are_held():
+    bound = hf.fit(TRUTH, loop(0.1, 0.01, seed=1), starts=4, noise="iid")
+    assert bound["rho"].at_bound == "upper"
+    squares = lambda result: result.train.n * result.train.rmse**2
+    for p in profile(bound, ["mu", "rho"]).profiles.values():
+        held = hf.fit(TRUTH, bound.data, method="trf", starts=8, noise="iid", fix={p.name: float(p.x[0])})
+        assert p.statistic[0] == pytest.approx((squares(held) - squares(bound)) / bound.sigma**2, abs=0.01), p
+
+
+@pytest.fixture(scope="module")
+def plays() -> hf.FitResult:
+    """Eight plays, half of them with weight zero, in white noise."""
+    model = hf.PrandtlIshlinskii.of(8)
+    u = np.sin(2 * np.pi * np.arange(400) / 80) * (0.4 + 0.6 * np.arange(400) / 400)
+    model = model.start([hf.Record(u=u, y=u)])
+    weights = np.where(np.arange(8) % 2, 0.0, 0.3)[None]
+    y = np.asarray(hf.simulate(eqx.tree_at(lambda m: m.w, model, jnp.asarray(weights)), u)[0])
+    return hf.fit(model, hf.Record(u=u, y=y + 0.02 * np.random.default_rng(0).normal(size=400)), noise="iid")
+
+
+def test_profiles_of_weights_are_those_of_bounded_linear_least_squares(plays):
+    found = profile(plays, ["w", "b"], noise="iid")
+    assert set(found.profiles) == {*(f"w[0,{k}]" for k in range(8)), "b[0]"}
+    record, names = plays.data[0], plays.free_names
+    output = lambda x: np.asarray(plays.problem.predict(x)[0])
+    base = output(np.zeros(len(names)))
+    columns = np.column_stack([output(row) - base for row in np.eye(len(names))])
+    lower = np.array([plays[name].lower if plays[name].lower is not None else -np.inf for name in names])
+    sd = float(np.sqrt(np.sum((output(plays.x) - record.y) ** 2) / (400 - np.sum(plays.x > 1e-4 * lower))))
+
+    def refit(k: int, value: float) -> float:
+        others = np.delete(np.arange(len(names)), k)
+        target = record.y - base - value * columns[:, k]
+        return 2 * scipy.optimize.lsq_linear(columns[:, others], target, (lower[others], np.inf), method="bvls").cost
+
+    full = 2 * scipy.optimize.lsq_linear(columns, record.y - base, (lower, np.inf), method="bvls").cost
+    sd2 = plays.sigma**2
+    assert sd == pytest.approx(plays.sigma, rel=0.02)
+    for p in found.profiles.values():
+        k = names.index(p.name)
+        for value, statistic in zip(p.x, p.statistic, strict=True):
+            assert statistic == pytest.approx((refit(k, value) - full) / sd2, abs=1e-3, rel=1e-3), p.name
+        for limit in (p.lower, p.upper):
+            if limit is not None:
+                assert (refit(k, limit) - full) / sd2 == pytest.approx(1.96**2, rel=0.05), p.name
+        assert p.upper is not None, p.name
+        assert p.lower is not None or (refit(k, 0.0) - full) / sd2 < 1.96**2, p.name
+
+
+def test_weights_are_profiled_by_name_only(plays):
+    found = profile(plays)
+    assert set(found.profiles) == {"b[0]", "offset"}
+    assert has(found.notes, Code.CHOICE)
+    assert set(profile(plays, "w[0,2]").profiles) == {"w[0,2]"}
+
+
 @pytest.mark.slow
 def test_the_design_closes_what_was_open(faint):
     made = design(faint, low=-1.0, high=1.0, samples=600, steps=30)
@@ -117,6 +186,49 @@ def test_predicted_errors_are_those_of_a_fit_to_the_designed_record(fitted):
     for name in ("c", "mu", "tau", "rho"):
         assert again[name].stderr == pytest.approx(made.best.stderr[name], rel=0.25)
         assert made.best.stderr[name] < fitted[name].stderr
+
+
+def slow_record(repeating: float = 0.0) -> hf.Record:
+    """Growing loops in slow noise of correlation time 20 samples and white noise, with an error that is the same in every loop."""
+    rng, slow, t = np.random.default_rng(0), np.zeros(800), np.arange(800) / 800
+    for k in range(1, 800):
+        slow[k] = 0.95 * slow[k - 1] + 0.004 * rng.normal()
+    u = np.sin(2 * np.pi * 4 * t) * (0.4 + 0.6 * t)
+    noise = slow + 0.002 * rng.normal(size=800) + repeating * np.sin(4 * u)
+    return hf.Record(u=u, y=np.asarray(hf.simulate(TRUTH, u)[0]) + noise)
+
+
+@pytest.mark.parametrize(("noise", "repeating"), [("auto", 0.0), ("auto", 0.03), ("ou", 0.0)])
+def test_a_design_has_the_errors_of_a_fit_in_slow_noise(noise, repeating):
+    fit = hf.fit(TRUTH, slow_record(repeating=repeating), starts=1, noise=noise)
+    assert fit.error_ratio > 1.3
+    made = design(fit, samples=300, method="families")
+    for name in NAMES:
+        assert made.present[name] == pytest.approx(fit[name].stderr, rel=0.01), name
+    assert not has(made.notes, Code.ERRORS_DIFFER)
+
+
+def test_a_design_in_slow_noise_predicts_least_squares_under_the_dense_covariance():
+    fit = hf.fit(TRUTH, slow_record(), starts=1)
+    made = design(fit, low=-1.0, high=1.0, samples=300, method="families")
+    noise = analyze(fit.problem, fit.x).of_errors
+    values = {name: fit[name].value for name in NAMES}
+
+    def cover(T: int) -> np.ndarray:
+        """Covariance of the noise, averaged over its uncertainty."""
+        lag = np.abs(np.subtract.outer(np.arange(T), np.arange(T)))
+        parts = zip(noise.shares, noise.others, strict=True)
+        return sum(share * (n.white**2 * np.eye(T) + n.slow**2 * np.exp(-lag / n.time)) for share, n in parts)
+
+    first, further = jacobian(fit.data[0].u, values), jacobian(made.best.u, values)
+    rows = np.zeros((1100, 6))  # the further record has an offset of its own
+    rows[:800, :5], rows[800:, :4], rows[800:, 5] = first, further[:, :4], further[:, 4]
+    both = np.zeros((1100, 1100))
+    both[:800, :800], both[800:, 800:] = cover(800), cover(300)
+    inverse = np.linalg.pinv(rows)
+    expected = np.sqrt(np.diag(inverse @ both @ inverse.T))
+    for k, name in enumerate(NAMES):
+        assert made.best.stderr[name] == pytest.approx(expected[k], rel=0.02), name
 
 
 def test_design_aims_at_one_parameter(fitted):
@@ -148,9 +260,10 @@ def test_standard_errors_stand_side_by_side(fitted):
     np.testing.assert_array_equal(found.errors["sandwich"], covariance(fitted, "sandwich", block=20).stderr)
     content = found.to_dict()["parameters"]["c"]
     assert content["ratio"]["bootstrap"] == pytest.approx(content["stderr"]["bootstrap"] / content["stderr"]["iid"])
-    text = str(found)
-    assert f"{found.errors['sandwich'][0]:.3g}" in text.splitlines()[2]
-    assert f"blocks of {found.block} samples" in text
+    row = found.table().to_list()[0]
+    assert row["sandwich"] == found.errors["sandwich"][0]
+    assert found.block == 20
+    assert has(found.notes, Code.BLOCKS)
 
 
 def test_no_rule_gives_an_error_to_what_is_not_determined(faint):
@@ -168,7 +281,7 @@ def test_a_record_of_one_block_gives_the_bootstrap_nothing_to_redraw():
     found = hf.standard_errors(hf.fit(TRUTH, loops, starts=1, noise="iid"), block=120)
     assert set(found.errors) == {"fit", "iid", "sandwich"}
     assert np.all(found.errors["sandwich"][:4] > 0)
-    assert "no bootstrap: a record holds fewer than two blocks of 120 samples" in str(found)
+    assert sum(note.code is Code.BLOCKS and note.severity is Severity.WARNING for note in found.notes) == 1
 
 
 def test_a_design_gives_no_error_to_what_the_fit_leaves_open(faint):
@@ -205,9 +318,10 @@ def test_a_profile_that_ends_elsewhere_than_the_fit_says_so(fitted):
 def test_records_too_short_for_blocks_say_so_and_fits_under_a_noise_model_are_refused(fitted):
     short = hf.standard_errors(fitted, block=400)
     assert set(short.errors) == {"fit", "iid"}
-    assert "fewer than four blocks" in str(short)
+    assert short.block is None
+    assert sum(note.code is Code.BLOCKS and note.severity is Severity.WARNING for note in short.notes) == 2
     other = hf.fit(TRUTH, loop(), starts=1, noise="ou")
-    with pytest.raises(ParameterError, match="under noise 'ou'"):
+    with pytest.raises(ParameterError):
         hf.standard_errors(other)
 
 
@@ -232,19 +346,19 @@ def test_correlated_noise_widens_sandwich_and_bootstrap():
 
 @pytest.mark.usefixtures("as_users_run")
 def test_bad_questions_are_refused(fitted):
-    with pytest.raises(ParameterError, match="no free parameter"):
+    with pytest.raises(ParameterError):
         profile(fitted, ["nu"])
-    with pytest.raises(ParameterError, match="level must"):
+    with pytest.raises(ParameterError):
         profile(fitted, level=2.0)
-    with pytest.raises(ParameterError, match="Gaussian noise"):
+    with pytest.raises(ParameterError):
         profile(fitted, noise="student-t")
-    with pytest.raises(ParameterError, match="low < high"):
+    with pytest.raises(ParameterError):
         design(fitted, low=1.0, high=0.0)
-    with pytest.raises(ParameterError, match="no free parameter"):
+    with pytest.raises(ParameterError):
         design(fitted, aim=["nu"])
-    with pytest.raises(ParameterError, match="fewer than four blocks"):
+    with pytest.raises(ParameterError):
         covariance(fitted, "bootstrap", block=500)
-    with pytest.raises(ParameterError, match="kind must be"):
+    with pytest.raises(ParameterError):
         covariance(fitted, "jackknife")
 
 
@@ -314,5 +428,5 @@ def test_seeds_that_no_generator_takes_are_refused_at_once(fitted, seed):
         lambda: covariance(fitted, "bootstrap", seed=seed),
         lambda: design(fitted, seed=seed),
     ):
-        with pytest.raises(ParameterError, match="a seed is a whole number from 0"):
+        with pytest.raises(ParameterError):
             ask()

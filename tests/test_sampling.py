@@ -167,17 +167,19 @@ def test_diagnostics_are_arvizs(posterior):
 def test_chains_apart_and_chains_too_short_are_told():
     rng = np.random.default_rng(0)
     apart = rng.normal(size=(4, 500, 1)) + np.arange(4)[:, None, None]
-    notes = Convergence.of(apart).problems(("c",))
-    assert notes[0].code is Code.CHAINS
-    assert "R-hat of c" in notes[0].text
-    notes = Convergence.of(rng.normal(size=(2, 40, 1))).problems(("c",))
-    assert "effective draws" in notes[-1].text
+    found = Convergence.of(apart)
+    assert found.rhat[0] > 1.2
+    assert has(found.problems(("c",)), Code.CHAINS)
+    found = Convergence.of(rng.normal(size=(2, 40, 1)))
+    assert found.bulk[0] < 400
+    assert has(found.problems(("c",)), Code.CHAINS)
+    assert not Convergence.of(rng.normal(size=(4, 1000, 1))).problems(("c",))
 
 
 def test_a_short_run_is_not_called_converged(fitted):
     short = sample(fitted, "nuts", noise="iid", chains=2, draws=40, warmup=200)
     assert short.status == "not-converged"
-    assert "too few effective draws" in str(short)
+    assert has(short.notes, Code.CHAINS)
 
 
 def test_saved_and_read_back(posterior, tmp_path):
@@ -421,9 +423,10 @@ def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
         assert float(eqx.filter_jit(density.slope)(far)[0]) == -np.inf
 
 
-def test_a_parameter_that_the_data_do_not_move_is_named(fitted):
+def test_a_parameter_that_the_data_do_not_move_is_named(fitted, posterior):
     told = sample(fitted, noise="iid", chains=2, draws=900, warmup=200, priors={"tau": priors.LogNormal(2.03, 1e-6)})
-    assert any(note.code is Code.PRIOR and "tau" in note.text for note in told.notes)
+    assert has(told.notes, Code.PRIOR)
+    assert not has(posterior.notes, Code.PRIOR)
     assert np.log(told["tau"]).std() == pytest.approx(1e-6, rel=0.15)
 
 

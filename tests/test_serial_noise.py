@@ -10,13 +10,12 @@ import scipy.linalg
 
 import hystfit as hf
 from hystfit.data.batch import Batch
-from hystfit.fitting.covariance import analyze
 from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise import OrnsteinUhlenbeck, Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import CHANCE, ResidualAnalysis
+from hystfit.inference.residuals import CHANCE, ResidualAnalysis, analyze
 from hystfit.inference.whitened import restricted
 from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import Convergence

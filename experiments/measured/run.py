@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from common import Results, arguments, table
 
 import hystfit as hf
-from hystfit.fitting.compare import SEARCH
+from hystfit.models.registry import SEARCH
 
 LOOPS = ("steel_resspylab/example_1", "steel_resspylab/example_2", "struct_slotboom/u-damper")
 MAGNETIC = ("mag_ja_bh/M130_27s", "mag_ja_bh/MnZn_HP_ferrite", "mag_ja_bh/MnZn_ferrite")
@@ -44,7 +44,7 @@ def held_out(
     results.add(f"{name}: held out", error.nrmse_percent)
     results.add(f"{name}: held out, largest", error.max_error_percent)
     results.add(f"{name}: in sample", fit.train.nrmse_percent)
-    structure, seconds = comparison.rows[0].note, time.perf_counter() - started
+    structure, seconds = comparison.rows[0].name, time.perf_counter() - started
     errors = [fit.train.nrmse_percent, error.nrmse_percent, error.max_error_percent]
     rows.append([name, structure, *errors, fit.status, seconds])
     return fit

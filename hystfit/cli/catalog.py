@@ -17,7 +17,8 @@ _PLACES = {
     "after": "After it (join by +)",
 }
 _EXAMPLE = """Example: hystfit fit LOOP --model lag+prandtl-ishlinskii-generalized:plays=8+creep; or my_model.py:MyModel
-Settings follow a name (preisach:n=60:reversible=no); hystfit models NAME lists them"""
+Settings follow a name (preisach:n=60:reversible=no); hystfit models NAME lists them
+prandtl-ishlinskii-search chooses the terms and sizes of that family by cross-validation (fit --model, compare --models)"""
 
 
 def models(name: str | None = None, /, *, json: bool = False) -> int:

@@ -5,7 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hystfit.cli.options import DEFAULT_READING, NO_SPLIT, STDOUT, Loop, Output, Reading, Split, lists, named_values
+from hystfit.cli.options import (
+    DEFAULT_READING,
+    NO_SPLIT,
+    STDOUT,
+    Loop,
+    Output,
+    Purpose,
+    Reading,
+    Split,
+    lists,
+    named_values,
+)
 from hystfit.cli.records import train_and_test
 from hystfit.cli.write import finish, progress
 from hystfit.errors import ParameterError
@@ -24,6 +35,7 @@ def fit(
     /,
     *,
     model: str = "auto",
+    purpose: Purpose = "prediction",
     method: str = "auto",
     fix: list[str] | None = None,
     free: list[str] | None = None,
@@ -41,7 +53,8 @@ def fit(
     With --out, the folder holds the fit, its report (report.html) and the pictures.
 
     Args:
-        model: name (see hystfit models; join several by +), my_model.py:MyModel, or auto: the winner of hystfit compare.
+        model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
+            chosen by cross-validation), or auto: the winner of hystfit compare.
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
         fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
         free: parameter to fit that the model holds by default; repeatable.
@@ -58,7 +71,9 @@ def fit(
     }  # fmt: skip
     train, test = train_and_test(loop, reading, split)
     if model == "auto" and not is_sequential(method):
-        result = _winner(train, method, options, seed)
+        result = _winner(train, method, options, purpose, seed)
+    elif purpose != "prediction":
+        raise ParameterError("--for chooses among models: it has no effect with --model or a sequential method")
     else:
         from hystfit.fitting.entry import fit as fit_model
 
@@ -84,7 +99,7 @@ def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Spli
     write_into(result, folder, test=test, refit_offset=split.refit_offset)
 
 
-def _winner(train: Dataset, method: str, options: dict[str, Any], seed: int) -> FitResult:
+def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, seed: int) -> FitResult:
     """The winner of `compare`, with a note on the choice."""
     from hystfit.fitting.entry import best_model
     from hystfit.fitting.fit import changed_settings
@@ -93,8 +108,7 @@ def _winner(train: Dataset, method: str, options: dict[str, Any], seed: int) -> 
         raise ParameterError(
             f"--{changed[0]} needs a chosen model: add --model NAME (hystfit models lists them, hystfit compare ranks them)"
         )
-    with progress("comparing models") as update:
-        return best_model(train, seed, update)
+    return best_model(train, seed, purpose)
 
 
 def compare(
@@ -103,6 +117,7 @@ def compare(
     *,
     models: list[str] | None = None,
     left_out: Literal["blocks", "future"] = "blocks",
+    purpose: Purpose = "prediction",
     seed: int = 0,
     reading: Reading = DEFAULT_READING,
     split: Split = NO_SPLIT,
@@ -113,7 +128,8 @@ def compare(
     With --out, the folder holds the ranking (comparison.txt) and the fit of the winner (winner/).
 
     Args:
-        models: names, repeated or separated by commas; default: a selection that suits the data.
+        models: names, repeated or separated by commas; default: a selection that suits what hystfit check finds, of which models that
+            cannot win are stopped early.
         left_out: what is left out of each fit: blocks in turn (whole records where there are three or more), or the future:
             later parts of each record are predicted from a fit to the earlier part.
         seed: random seed for the starting points.
@@ -123,8 +139,7 @@ def compare(
     output.check()
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
     train, test = train_and_test(loop, reading, split)
-    with progress("comparing models") as update:
-        comparison = compare_models(train, names or None, left_out=left_out, seed=seed, progress=update)
+    comparison = compare_models(train, names or None, left_out=left_out, purpose=purpose, seed=seed)
     text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner
     if test is not None:
         from hystfit.fitting.fit import with_test

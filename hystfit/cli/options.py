@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from cyclopts import Group, Parameter
 
@@ -20,6 +20,14 @@ Flag = Annotated[bool, Parameter(group=SPLIT)]
 FitFolder = Annotated[Path, Parameter(help="folder written by `hystfit fit --out`")]
 Loop = Annotated[str, Parameter(help="file or name of a data set")]
 Limits = Annotated[str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fit")]
+
+Purpose = Annotated[
+    Literal["prediction", "inverse", "export"],
+    Parameter(
+        name="--for",
+        help="what the model is for: inverse and export rank models without an inverse, or without C code, below the others",
+    ),
+]
 
 
 def lists(**registries: Iterable[str]) -> Callable[[F], F]:

@@ -111,7 +111,7 @@ def profile(
     Exit status 1: a parameter has no limit on at least one side. With --out, the folder holds profiles.png.
 
     Args:
-        parameter: which parameter; repeatable; default: all free ones.
+        parameter: which parameter, or array of weights such as w; repeatable; default: all free ones but non-negative weights.
         noise: auto (as in the fit), or a Gaussian noise model: {noises}, or my_file.py:MyNoise.
         level: confidence level of the limits.
     """

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
 from hystfit.outcome import Status
+from hystfit.outcome.progress import progress as progress
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
@@ -123,31 +123,3 @@ def save_figure(figure: Any, path: Path) -> None:
 
     figure.savefig(path, dpi=120)
     plt.close(figure)
-
-
-@contextlib.contextmanager
-def progress(task: str) -> Iterator[Callable[..., None]]:
-    """A line on stderr that shows the task, where stderr is a terminal; yields a function that updates it.
-
-    The function takes a text, and the fraction that is done (0 to 1) where it is known, which is shown as a bar.
-    """
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda *_: None
-        return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    bar = (SpinnerColumn(), BarColumn(30), TaskProgressColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as display:
-        line = display.add_task(escape(task), total=None)
-
-        def update(text: str, fraction: float | None = None) -> None:
-            if fraction is not None:
-                display.columns = bar
-            total = None if fraction is None else 1.0
-            display.update(line, description=escape(f"{task}: {text}"), total=total, completed=fraction or 0.0)
-
-        yield update

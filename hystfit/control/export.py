@@ -28,7 +28,7 @@ def export_c(
     """Write a model and its inverse as C99: `name`.h, `name`.c and `name`_main.c, a test harness.
 
     No allocation, no library beyond math.h, fixed memory; one call a sample: `name`_step(&h, u, dt) forward, `name`_inverse(&h, y, dt, &u)
-    inverse. Same numbers as `simulate` and `InverseStep`. A model without a causal inverse (a resonance) is exported forward only.
+    inverse. Same numbers as `simulate` and `InverseStep`. A model without a causal inverse (a resonance, a delay) is exported forward only.
 
     Args:
         model: a model that has C code (method `c_part`), or a fit of one.
@@ -52,7 +52,7 @@ def export_c(
     try:
         inverse, obstacle = InverseStep.of(model, limits=limits), ""
     except ModelError as error:
-        if exported.led() is None:
+        if exported.led() is None and exported.obstacle("inverse") is None:
             raise
         inverse, obstacle = None, str(error)
     low, high = (-np.inf, np.inf) if inverse is None else (float(inverse.low), float(inverse.high))

@@ -2,123 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
+from hystfit.fitting.candidates import Candidates, candidates
+from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.fit import fit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
-from hystfit.fitting.structure import search_structure
+from hystfit.fitting.sizes import choose_size
+from hystfit.fitting.thinning import thinned
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import compared, make_model, model_name
-from hystfit.outcome import Code, Column, Note, Status, Table, fragment
-from hystfit.quality.loops import loop_area
+from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.outcome import Status
+from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
 
-SCHEMA = "hystfit.compare/1"
-SEARCH = "prandtl-ishlinskii-search"
-_OTHER_PLAYS = (10, 40)  # tried beside the 20 of the search, and taken if they pay
-_WORDS = {
-    "blocks": "on contiguous blocks (or records) that the fit did not see",
-    "future": "on the last three fifths of each record, each fifth predicted from a fit to what came before it",
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """One model in a comparison.
-
-    Attributes:
-        name: what was asked for.
-        score_percent: error on data left out, in percent of the output's range; None where it failed.
-        in_sample_percent, max_error_percent: on the samples fitted.
-        parameters: number of free ones.
-        seconds: what fit and validation took.
-        status: of the fit, or "failed".
-        note: the structure found, or why it failed.
-        bic: Bayesian information criterion, see `hystfit.fitting.left_out.bic`; None where it failed.
-    """
-
-    name: str
-    score_percent: float | None
-    in_sample_percent: float | None
-    max_error_percent: float | None
-    parameters: int | None
-    seconds: float
-    status: Status
-    note: str = ""
-    bic: float | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Comparison:
-    """A ranking: rows from best to worst, and the fit of the best.
-
-    Attributes:
-        rows: one for each model.
-        winner: the fitted result of the first row.
-        fits: every fit that succeeded, by name.
-        left_out: what was left out, "blocks" or "future".
-    """
-
-    rows: tuple[Row, ...]
-    winner: FitResult
-    fits: dict[str, FitResult]
-    left_out: Scheme = "blocks"
-
-    def text(self) -> str:
-        """The table as text."""
-        wide = max(32, *(len(row.name) for row in self.rows))
-        head = f"{'model':<{wide}} {'left out %':>10} {'fitted %':>9} {'max %':>7} {'params':>6} {'BIC above':>9} {'seconds':>8}  status"
-        lines = [
-            f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
-            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
-            head,
-        ]
-        least = min((row.bic for row in self.rows if row.bic is not None), default=0.0)
-        number = lambda value, width, form: f"{'-':>{width}}" if value is None else f"{value:>{width}{form}}"
-        for row in self.rows:
-            cells = (
-                number(row.score_percent, 10, ".3f"),
-                number(row.in_sample_percent, 9, ".3f"),
-                number(row.max_error_percent, 7, ".2f"),
-                number(row.parameters, 6, "d"),
-                number(None if row.bic is None else row.bic - least, 9, ".1f"),
-                number(row.seconds, 8, ".1f"),
-            )
-            lines.append(f"{row.name:<{wide}} {' '.join(cells)}  {row.status}{': ' + row.note if row.note else ''}")
-        lines.append(f"winner: {self.rows[0].name}")
-        return "\n".join(lines)
-
-    def __repr__(self) -> str:
-        return self.text()
-
-    def _repr_html_(self) -> str:
-        percent = [Column("left out %", form=".3f"), Column("fitted %", form=".3f"), Column("max %", form=".2f")]
-        columns = ["model", *percent, Column("parameters"), Column("status", left=True), Column("note", left=True)]
-        keys = ("name", "score_percent", "in_sample_percent", "max_error_percent", "parameters", "status", "note")
-        table = Table(columns, [[getattr(row, key) for key in keys] for row in self.rows])
-        explained = f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}."
-        return fragment(f"winner: {self.rows[0].name}", (explained, table))
-
-    def to_dict(self) -> dict[str, Any]:
-        """For `result.json`."""
-        return {
-            "schema": SCHEMA,
-            "status": self.winner.status,
-            "winner": self.rows[0].name,
-            "left_out": self.left_out,
-            "rows": [dataclasses.asdict(row) for row in self.rows],
-            "provenance": self.winner.provenance,
-        }
+# What a solver raises on data that it cannot handle, besides the library's own errors.
+_SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
+_HOPELESS = 2.0  # a model whose quick fit errs this much more than the best on left-out data is not validated
 
 
 def compare(
@@ -126,53 +37,59 @@ def compare(
     models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto"] | None = None,
     *,
     left_out: Scheme = "blocks",
+    purpose: Purpose = "prediction",
     seed: int = 0,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[..., object] | None = None,
 ) -> Comparison:
-    """Fit several models and rank them by their error on data left out.
+    """Fit several models and rank them by their error on left-out data.
 
     Whole records are left out in turn where there are three or more, else five contiguous blocks of each: the input drives the
     model through a block, its output is not fitted. Samples are never left out one by one, because their neighbors give them away.
-    Test data never enter.
+    Test data never enter. A model that cannot be fitted is named with the reason, and the others are compared.
 
     Args:
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
-            that family for its terms; None (or "auto") takes a choice that suits the data.
+            that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
+            None (or "auto") compares the models that suit what `check` finds, and stops those whose first fit errs more than twice
+            as much as the best model on left-out data.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
+        purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
         seed: of the starting points.
-        progress: called with a line of text for each model.
+        progress: called with a line of text and the fraction done for each model; None shows them on a terminal or in a notebook.
 
     Raises:
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
     """
     require_x64()
     require_seed(seed)
-    if left_out not in SCHEMES:
-        raise ParameterError(f"left_out must be one of {', '.join(SCHEMES)}, got {left_out!r}")
+    for what, value, known in (("left_out", left_out, SCHEMES), ("purpose", purpose, get_args(Purpose))):
+        if value not in known:
+            raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
     data = records_of(data)
     if left_out == "future" and recognize_family(data) is not None:
         raise ModelError("reversal curves have no order in time: use left_out='blocks'")
-    chosen = _named(models) if models and models != "auto" else {name: name for name in candidates(data)}
-    rows, fits = [], {}
-    for number, (name, choice) in enumerate(chosen.items(), start=1):
-        if progress:
-            progress(f"{name} ({number} of {len(chosen)})")
-        row, result = _judge(name, choice, data, seed, left_out)
-        rows.append(row)
-        if result is not None:
-            fits[name] = result
-    if not fits:
-        raise ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
-    rows.sort(
-        key=lambda row: (
-            row.status in (Status.FAILED, Status.NO_LOOP),
-            row.score_percent is None,
-            row.score_percent or 0.0,
+    named = _named(models) if models and models != "auto" else {}
+    chosen = Candidates(tuple(named), "") if named else candidates(data)
+    judge = _Judge(data, left_out, purpose, seed, named)
+    with _shown(progress) as update:
+        count = len(chosen.names)
+        update(f"{count} to try: {', '.join(chosen.names)}", 0.0)
+        for number, name in enumerate(chosen.names):
+            line = f"{name} ({number + 1} of {count})"
+            update(line, number / count)
+            judge.add(name, lambda step, line=line, done=number / count: update(f"{line}: {step}", done))
+    rows = sorted(judge.rows, key=lambda row: _rank(row, purpose))
+    if not judge.fits:
+        raise judge.refusal(rows)
+    best = rows[0]
+    if purpose != "prediction" and not best.serves(purpose):
+        reasons = "; ".join(
+            f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles and purpose in row.obstacles
         )
-    )
-    return Comparison(tuple(rows), fits[rows[0].name], fits, left_out)
+        raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
+    return Comparison(tuple(rows), judge.fits[best.asked], judge.fits, left_out, purpose, chosen.reason)
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
@@ -194,76 +111,113 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
     return chosen
 
 
-def candidates(data: Dataset) -> tuple[str, ...]:
-    """Models worth comparing: output that lags (counter-clockwise loops) and force that leads call for different ones."""
-    if recognize_family(data) is not None:
-        return compared("reversal-curves")
-    lags = sum(loop_area(record.u[record.used], record.y[record.used]) for record in data) > 0
-    timed = all(record.t is not None for record in data)
-    return (*compared(("lagging-timed" if timed else "lagging-untimed") if lags else "leading"), SEARCH)
+@contextlib.contextmanager
+def _shown(progress: Callable[..., object] | None) -> Iterator[Callable[..., object]]:
+    """The caller's function, or one that shows progress where somebody can see it."""
+    if progress is not None:
+        yield progress
+        return
+    with shown_progress("comparing models") as update:
+        yield update
 
 
-def _judge(name: str, choice: Any, data: Dataset, seed: int, left_out: Scheme) -> tuple[Row, FitResult | None]:
-    started = time.perf_counter()
-    try:
-        if name == SEARCH:
-            result, score, note = best_structure(data, seed)
-        else:
-            model = make_model(choice)
-            # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
-            sized = isinstance(choice, AbstractHysteresis) or ":" in name.replace(".py:", "")
-            sizes = {} if sized else model.sizes()
-            result, score, note = best_size(sizes, data, seed) if sizes else (fit(model, data, seed=seed), None, "")
-        if score is None or left_out != "blocks":
-            score = left_out_error(result, left_out)
-        criterion = bic(result)
-    except DataError:
-        raise
-    except HystfitError as error:
-        return Row(name, None, None, None, None, time.perf_counter() - started, Status.FAILED, str(error)), None
-    span = _span(data)
-    row = Row(
-        name,
-        100 * score / span if np.isfinite(score) else None,
-        result.train.nrmse_percent,
-        result.train.max_error_percent,
-        len(result.free_names),
-        time.perf_counter() - started,
-        result.status,
-        note,
-        criterion if np.isfinite(criterion) else None,
+def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
+    """Fitted models first, then those that serve the purpose, then the smallest error on left-out data."""
+    return (
+        row.in_sample_percent is None,
+        row.status is Status.NO_LOOP,
+        purpose != "prediction" and not row.serves(purpose),
+        row.score_percent is None,
+        row.score_percent or row.in_sample_percent or 0.0,
     )
-    return row, result
 
 
-def _span(data: Dataset) -> float:
-    y = np.concatenate([record.y[record.used] for record in data])
-    return float(np.ptp(y)) or 1.0
-
-
-def best_structure(data: Dataset, seed: int) -> tuple[FitResult, float, str]:
-    """The Prandtl-Ishlinskii model whose terms and number of plays blocks left out choose: (fit, left-out error, terms in words)."""
-    search = search_structure(data)
-    best = min((search.resized(data, plays) for plays in _OTHER_PLAYS), key=lambda f: f.score)
-    best = best if best.score < 0.98 * search.score else search
-    result = fit(best.model, data, start="model", seed=seed)
-    texts = (
-        f"structure: {best.structure.words()}, {best.plays} plays",
-        *(f"structure search: {step}" for step in best.trail),
-    )
-    return result.with_notes(*(Note(Code.CHOICE, text) for text in texts)), best.score, best.structure.words()
-
-
-def best_size(sizes: dict[str, AbstractHysteresis], data: Dataset, seed: int) -> tuple[FitResult, float, str]:
-    """The fit of the size that blocks left out choose, its left-out error, and the size in words.
+class _Judge:
+    """Fits candidates one after the other and keeps their rows.
 
     Args:
-        sizes: models by their size in words; the first one is kept unless another is clearly better.
         data: records.
+        left_out, purpose: see `compare`.
         seed: of the starting points.
+        named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
     """
-    fits = [fit(model, data, seed=seed) for model in sizes.values()]
-    scores = [left_out_error(result) for result in fits]
-    best = int(np.argmin(scores)) if min(scores) < 0.98 * scores[0] else 0
-    note = list(sizes)[best]
-    return fits[best].with_notes(Note(Code.CHOICE, f"structure: {note}")), scores[best], note
+
+    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, seed: int, named: dict[str, Any]):
+        self.data, self.left_out, self.purpose, self.seed, self.named = data, left_out, purpose, seed, named
+        self.rows: list[Row] = []
+        self.fits: dict[str, FitResult] = {}
+        self.errors: list[Exception] = []
+
+    def add(self, name: str, progress: Callable[[str], object]) -> None:
+        """Fit and validate one candidate; an error leaves it out."""
+        started = time.perf_counter()
+        try:
+            row, result = self._judged(name, progress)
+        except _SOLVER_ERRORS as error:
+            self.errors.append(error)
+            row, result = Row(name, name, None, None, None, None, 0.0, Status.FAILED, f"left out: {error}"), None
+        row = dataclasses.replace(row, seconds=time.perf_counter() - started)
+        self.rows.append(row)
+        if result is not None:
+            self.fits[name] = result
+
+    def refusal(self, rows: Sequence[Row]) -> HystfitError:
+        """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
+        first = self.errors[0]
+        if isinstance(first, DataError) and all(str(error) == str(first) for error in self.errors):
+            return first
+        return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
+
+    def _judged(self, name: str, progress: Callable[[str], object]) -> tuple[Row, FitResult | None]:
+        if name == SEARCH:
+            result = fit(SEARCH, self.data, seed=self.seed)
+        else:
+            given = self.named.get(name, name)
+            model = make_model(given)
+            # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
+            sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
+            if not sized and (choice := choose_size(model, self.data, progress)).notes:
+                result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
+            elif not self.named and model.estimator is None and (row := self._stopped(name)):
+                return row, None
+            else:
+                result = fit(given, self.data, seed=self.seed)
+        progress("error on left-out data")
+        score, criterion = left_out_error(result, self.left_out), bic(result)
+        obstacles = {use: text for use in ("inverse", "export") if (text := result.model.obstacle(use))}
+        row = Row(
+            name=name if ".py:" in name else result.name,
+            asked=name,
+            score_percent=100 * score / self._span if np.isfinite(score) else None,
+            in_sample_percent=result.train.nrmse_percent,
+            max_error_percent=result.train.max_error_percent,
+            parameters=len(result.free_names),
+            seconds=0.0,
+            status=result.status,
+            bic=criterion if np.isfinite(criterion) else None,
+            obstacles=obstacles,
+        )
+        return row, result
+
+    def _stopped(self, name: str) -> Row | None:
+        """The row of a model whose quick fit is far from the best error on left-out data; None for a model that may win."""
+        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
+        best = min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
+        if best is None:
+            return None
+        data = thinned(self.data) if make_model(name).allows_thinning else self.data
+        quick = fit(name, data, starts=2, seed=self.seed, noise="iid")
+        error = quick.train.nrmse_percent
+        if error is None or error <= _HOPELESS * best:
+            return None
+        note = (
+            f"stopped after a first fit with an error of {error:.2g} %, because another model has {best:.2g} % on left-out data "
+            f"(hystfit compare --models {name} validates it)"
+        )
+        largest, count = quick.train.max_error_percent, len(quick.free_names)
+        return Row(name, name, None, error, largest, count, 0.0, quick.status, note)
+
+    @property
+    def _span(self) -> float:
+        y = np.concatenate([record.y[record.used] for record in self.data])
+        return float(np.ptp(y)) or 1.0

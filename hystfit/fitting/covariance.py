@@ -10,15 +10,14 @@ import numpy as np
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import ResidualAnalysis
-from hystfit.params.coordinates import BOTH, REAL
+from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
+from hystfit.params.space import relative_size
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless
 _RANK = 1e-7  # or when its singular value is below this fraction of the largest, where rounding dominates
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar
 _PART = 0.25  # components of a direction that its description includes
-_FEW = 60  # parameters up to which errors use the covariance of the noise; for more they grow by its correlation time
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,25 +70,26 @@ def uncertainty(
     space, x = problem.space, estimate.x
     residual, jacobian = problem.linearize_misfit(x)
     used = problem.used.reshape(-1)
-    relative = _relative_size(problem, x)
+    relative = relative_size(problem.space, x)
     at_bound = np.array([side is not None for side in problem.at_bound(x)])
     J = jacobian[used] * relative
     gain = np.linalg.norm(J, axis=0)
     inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
     live = ~at_bound & ~inactive
     y = problem.scales.y
-    few = int(live.sum()) <= _FEW
+    few = int(live.sum()) <= FEW
     analysis = ResidualAnalysis.of(problem.setting, residual * y, (jacobian * relative)[:, live] if few else None)
     time = analysis.correlation_time if correlated or root is not None else 1.0
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
     variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
-    if root is None and correlated and analysis.correlated and few and live.any() and analysis.noise is not None:
+    slow = analysis.of_errors if correlated and root is None else None
+    if slow is not None:
         root = np.zeros((int(live.sum()), x.size))
         # The noise may have pushed a parameter to its bound: the errors of the others allow for that.
         pushed = at_bound & (gain > 1e-9 * gain.max()) & ~np.array([info.linear for info in space.infos])
         order = np.concatenate([np.flatnonzero(pushed), np.flatnonzero(live)])
-        triangle = np.linalg.qr(least_squares_root(analysis.noise, J[:, order] * y), mode="r")
+        triangle = np.linalg.qr(least_squares_root(slow, J[:, order] * y), mode="r")
         root[:, live] = triangle[pushed.sum() :, pushed.sum() :] / relative[live]
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
@@ -119,7 +119,7 @@ def _determined(
         live: parameters on no bound and with influence, shape (p,), bool.
         ridge: what regularization adds to the normal matrix of x, diagonal, shape (p,).
     """
-    relative = _relative_size(problem, x)
+    relative = relative_size(problem.space, x)
     covariance, determined = np.full((x.size, x.size), np.nan), live.copy()
     if not live.any():
         return {
@@ -148,15 +148,6 @@ def _determined(
     }
 
 
-def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
-    """Analysis of the residuals at physical x, shape (p,)."""
-    residual, jacobian = problem.with_loss("linear").linearize_misfit(x)
-    live = np.array([side is None for side in problem.at_bound(x)])
-    few = live.any() and int(live.sum()) <= _FEW
-    columns = jacobian[:, live] * _relative_size(problem, x)[live] if few else None
-    return ResidualAnalysis.of(problem.setting, residual * problem.scales.y, columns)
-
-
 def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Standard errors of a least-squares fit under the noise in its residuals, over those for independent noise.
 
@@ -169,13 +160,13 @@ def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
     """
     residuals = analyze(problem, x)
     ratios = np.full(x.size, np.sqrt(residuals.correlation_time))
-    if not residuals.correlated or not residuals.basis.shape[1] or residuals.noise is None:
+    if residuals.of_errors is None:
         return ratios
     live = np.array([side is None for side in problem.at_bound(x)])
     used = problem.used.reshape(-1)
     jacobian = problem.with_loss("linear").linearize_misfit(x)[1]
-    J = jacobian[used][:, live] * _relative_size(problem, x)[live]
-    root = least_squares_root(residuals.noise, J * problem.scales.y)
+    J = jacobian[used][:, live] * relative_size(problem.space, x)[live]
+    root = least_squares_root(residuals.of_errors, J * problem.scales.y)
     plain = float(np.sum(residuals.residual**2)) / max(int(used.sum()) - int(live.sum()), 1) / problem.scales.y**2
     ratios[live] = np.exp(_log_ratios(root, J, plain))
     return np.where(np.isfinite(ratios), ratios, np.sqrt(residuals.correlation_time))
@@ -202,20 +193,6 @@ def _spectrum(J: np.ndarray, ridge: np.ndarray | None) -> tuple[np.ndarray, np.n
         J = np.asarray(np.linalg.qr(J, mode="r"))
     _, values, rows = np.linalg.svd(J, full_matrices=True)
     return np.pad(values, (0, rows.shape[0] - values.size)), rows.T
-
-
-def _relative_size(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Size in which each parameter's error is judged: its distance to the bounds, or its natural scale where it has none."""
-    c = problem.space.coordinates
-    lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
-    with np.errstate(invalid="ignore"):
-        both = (x - lower) * (upper - x) / (upper - lower)
-        one = np.where(np.isfinite(lower), x - lower, upper - x)
-    natural = np.maximum(scale, np.abs(x))
-    weight = np.array([info.linear for info in problem.space.infos])
-    # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
-    one = np.where(weight, np.maximum(one, scale), one)
-    return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))
 
 
 def _room(problem: Problem, x: np.ndarray) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 from hystfit.config import require_x64
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
+from hystfit.fitting.comparison import Purpose
 from hystfit.fitting.estimate import AbstractEstimator
 from hystfit.fitting.fit import changed_settings, with_test
 from hystfit.fitting.fit import fit as fit_model
@@ -16,7 +17,8 @@ from hystfit.fitting.registry import is_sequential
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
 from hystfit.reading.in_memory import is_frame, records_of
 from hystfit.results.result import FitResult
 
@@ -46,7 +48,8 @@ def fit(
     `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
 
     Args:
-        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`.
+        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`. "prandtl-ishlinskii-search"
+            searches that family for the terms that predict left-out data best, and the result names them.
         data: a record, several, or a data frame (pandas, polars, a dictionary of columns); or the input, shape (T,). Windows are set
             by `Record.window`.
         y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
@@ -99,19 +102,21 @@ def fit(
     return result if tested is None else with_test(result, tested)
 
 
-def best_model(data: Dataset, seed: int = 0, progress: Callable[[str], None] | None = None) -> FitResult:
-    """The fit of the model that wins the comparison, with a note on the choice.
+def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") -> FitResult:
+    """The fit of the model that wins the comparison, with notes on the choice.
 
     Args:
         data: records to fit.
         seed: of the starting points.
-        progress: called with a line of text for each model.
+        purpose: see `compare`.
     """
-    comparison = compare(data, seed=seed, progress=progress)
+    comparison = compare(data, purpose=purpose, seed=seed)
     best, count = comparison.rows[0], len(comparison.rows)
     score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
     reason = (
         f"is the best of {count} models by cross-validation" if count > 1 else "is the only candidate for these data"
     )
-    text = f"{best.name} {reason}{score}; hystfit compare shows the ranking"
-    return comparison.winner.with_notes(Note(Code.CHOICE, text), first=True)
+    choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
+    failed = [row for row in comparison.rows if row.status is Status.FAILED]
+    left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]
+    return comparison.winner.with_notes(choice, *left_out, first=True)

@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,6 +21,7 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
+from hystfit.fitting.structure import search_structure
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
 from hystfit.inference.noise.base import AbstractNoise
@@ -28,7 +30,7 @@ from hystfit.inference.objective import Loss
 from hystfit.inference.problem import LOSSES, Problem, check_fittable
 from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import make_model
+from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
@@ -66,7 +68,12 @@ def fit(
     require_x64()
     require_seed(seed)
     named = not isinstance(model, AbstractHysteresis)
-    model, data = make_model(model), Dataset.of(data)
+    data = Dataset.of(data)
+    notes: list[Note] = []
+    if isinstance(model, str) and model == SEARCH and not is_sequential(method):
+        found = search_structure(data)
+        model, start, notes = found.model, "model", list(found.notes())
+    model = make_model(model)
     watch = Stopwatch()
     if is_sequential(method):
         given = {"fix": fix, "free": free, "start": start, "starts": starts, "loss": loss, "noise": noise}
@@ -83,7 +90,6 @@ def fit(
         model = model.start(list(data))
     problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
-    notes: list[Note] = []
     if name == "convex" and start == "data" and model.has_rest:
         problem, notes = _choose_rest(problem, fix, free, loss)
     estimate = solve(problem, name, starts, seed)
@@ -209,7 +215,10 @@ def _choose_rest(
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
         return problem, []
-    other = Problem(problem.model.with_rest("first"), problem.data, fix=fix, free=free, loss=loss)
+    first = problem.model.with_rest("first")
+    if eqx.tree_equal(first, problem.model):  # chosen by the user
+        return problem, []
+    other = Problem(first, problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
         x = _settled(candidate, candidate.space.vector(candidate.model))

@@ -64,10 +64,10 @@ class SmoothWeights(AbstractEstimator):
         x[weights], penalty[weights] = fit.weights[now.place[weights]], fit.penalty[now.place[weights]] / size**2
         texts = [] if family is None else [family.words(), *family.notes]
         texts += now.system.notes()
-        if fit.left_out.size:
+        if fit.error is not None:
             texts.append(
                 f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {int(now.system.judged.sum())} blocks "
-                f"(error there {100 * fit.left_out.min():.2f} % of the range)",
+                f"(error there {100 * fit.error:.2g} % of the range)",
             )
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2
@@ -93,7 +93,15 @@ class SmoothWeights(AbstractEstimator):
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
-def left_out_score(problem: Problem, x: np.ndarray) -> float:
-    """Root mean square error on the blocks left out that choose the smoothness, output units, at physical x, shape (p,)."""
+def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
+    """Root mean square error on the blocks left out that choose the smoothness, output units.
+
+    Args:
+        problem: the model and records.
+        x: physical parameters, shape (p,); weights are solved for.
+        smoothness: strengths to choose among, two or more.
+    """
     now = Split.of(problem.space, list(problem.data), x)
-    return float(fit_smooth(now.system).left_out.min()) * now.system.size
+    error = fit_smooth(now.system, smoothness, held=now.held).error
+    assert error is not None
+    return error * now.system.size

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, get_args
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -21,13 +20,19 @@ from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.compose import Series, Sum
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
-from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii, Rest
+from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest
 from hystfit.models.rate import SaturatingRate, Viscous
+from hystfit.models.registry import model_name
+from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 
-_GAIN = 0.98  # a term is taken only if it lowers the error on left-out blocks by at least 2 %
+_GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
+_DEGREES = (1, 3, 5)
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
-_ALL = ("identity", "square", "mirror")
+_ALL = get_args(Envelope)
+_PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
+_FEWEST = 3  # plays, however few the samples are
+_LEVELS = 200  # inputs closer than this part of their range count as one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,17 +57,37 @@ class Structure:
     lag: float = 0.0
     creep: bool = False
     rate: int = 0
-    hardening: float = 0.0
+    hardening: int = 0
 
-    def words(self) -> str:
-        """In words, for a report."""
-        parts = [f"{self.operator}s", "3 envelopes" if self.envelopes == 3 else "1 envelope", f"degree {self.degree}"]
-        parts += [f"lag {self.lag:g} samples"] if self.lag else []
-        parts += ["creep"] if self.creep else []
-        parts += [("", "viscous", "viscous and saturating force")[self.rate]] if self.rate else []
-        parts += [f"hardening over {self.hardening:g} ranges"] if self.hardening else []
-        parts += ["at rest on the first input"] if self.rest == "first" else []
-        return ", ".join(parts)
+    def columns(self, plays: int, records: int) -> int:
+        """Number of weights with this many plays, one offset a record included."""
+        return plays * (self.envelopes + (self.hardening > 0)) + self.degree + records + self.creep + self.rate
+
+    def change_from(self, other: Structure) -> str:
+        """The one term in which it differs from another structure, in words."""
+        field = next(f.name for f in dataclasses.fields(self) if getattr(self, f.name) != getattr(other, f.name))
+        match field:
+            case "operator":
+                return f"{self.operator}s instead of {other.operator}s"
+            case "envelopes":
+                return (
+                    "one envelope for symmetric loops"
+                    if self.envelopes == 1
+                    else "three envelopes for asymmetric loops"
+                )
+            case "degree":
+                return f"a single-valued part of degree {self.degree}"
+            case "rest":
+                return f"rest on the {'first input' if self.rest == 'first' else 'input 0'} before the record"
+            case "lag":
+                return f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag"
+            case "creep":
+                return f"{'adding' if self.creep else 'leaving out'} creep"
+            case "hardening":
+                return (
+                    f"hardening over {self.hardening} input ranges" if self.hardening else "leaving out the hardening"
+                )
+        return ("leaving out forces of the rate", "a viscous force", "a viscous and a saturating force")[self.rate]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,39 +110,66 @@ class Found:
     tried: int
     trail: tuple[str, ...]
 
-    def resized(self, data: Dataset, plays: int) -> Found:
-        """The same structure with another number of plays."""
-        score = _Bench(data, plays).score(self.structure)
-        return dataclasses.replace(self, model=build(self.structure, data, plays), plays=plays, score=score)
+    def notes(self) -> tuple[Note, ...]:
+        """The choice, and each step towards it."""
+        first = f"{model_name(self.model)} is the best of {self.tried} combinations of terms by cross-validation"
+        return tuple(Note(Code.CHOICE, text) for text in (first, *self.trail))
 
 
-def search_structure(data: Dataset, *, plays: int = 20) -> Found:
+def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
     """Start from plays with one envelope and take, while it pays, the single change that lowers the left-out error most.
 
     Args:
         data: records; only samples that count are fitted or judged.
-        plays: number of thresholds.
+        plays: number of thresholds; None for the number that blocks left out choose among those that the data can determine.
     """
-    bench = _Bench(data, plays)
+    most = most_plays(data)
+    bench = _Bench(data, min(_PLAYS, most) if plays is None else plays)
     options = bench.options()
-    structure, score = min(((s, bench.score(s)) for s in map(Structure, ("play", "stop"))), key=lambda pair: pair[1])
-    trail = [f"{structure.operator}s"]
+    structure, score = min(((s, bench.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
+    trail: list[str] = []
     while True:
         changes = [
-            dataclasses.replace(structure, **{field: value})
+            changed
             for field, values in options.items()
             for value in values
             if value != getattr(structure, field)
+            and bench.served(changed := dataclasses.replace(structure, **{field: value}))
         ]
-        best = min(changes, key=bench.score)
+        best = min(changes, key=bench.score, default=structure)
         if bench.score(best) >= _GAIN * score:
             break
-        changed = next(f for f in options if getattr(best, f) != getattr(structure, f))
-        trail.append(
-            f"{changed} {getattr(best, changed)} reduced the cross-validation error by {100 * (1 - bench.score(best) / score):.0f} %"
-        )
+        trail.append(_step(best.change_from(structure), score, bench.score(best), bench.span))
         structure, score = best, bench.score(best)
-    return Found(build(structure, data, plays), structure, plays, score, len(bench.scores), tuple(trail))
+    tried, chosen = len(bench.scores), bench.plays
+    for other in _OTHER_PLAYS if plays is None else ():
+        resized = _Bench(data, other)
+        if other > most or other == bench.plays or not resized.served(structure):
+            continue
+        tried += 1
+        if resized.score(structure) < _GAIN * score:
+            trail.append(
+                _step(f"{other} instead of {chosen} {structure.operator}s", score, resized.score(structure), bench.span)
+            )
+            chosen, score = other, resized.score(structure)
+    return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
+
+
+def most_plays(data: Dataset) -> int:
+    """Number of thresholds that the samples and the distinct levels of the input can determine."""
+    samples = sum(int(record.used.sum()) for record in data)
+    inputs = np.concatenate([record.u[record.used] for record in data])
+    levels = np.unique(np.round(_LEVELS * inputs / (float(np.ptp(inputs)) or 1.0))).size
+    return max(_FEWEST, min(samples // 8, levels // 2, max(_OTHER_PLAYS)))
+
+
+def _step(change: str, before: float, after: float, span: float) -> str:
+    before, after = 100 * before / span, 100 * after / span
+    digits = max(0, 1 - int(np.floor(np.log10(after)))) if after > 0 else 2
+    return (
+        f"{change} cut the error on left-out data by {100 * (1 - after / before):.0f} %, from {before:.{digits}f} to "
+        f"{after:.{digits}f} % of the range"
+    )
 
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:
@@ -131,13 +183,11 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
     play = PrandtlIshlinskii.of(
         plays,
         structure.degree,
-        envelopes=_ALL[: structure.envelopes],
+        envelopes=structure.envelopes,
         operator=structure.operator,
-        hardening=structure.hardening > 0,
+        hardening=structure.hardening,
         rest=structure.rest,
     )
-    if structure.hardening:
-        play = eqx.tree_at(lambda m: m.s0, play, jnp.asarray(structure.hardening))
     parts: list[AbstractHysteresis] = [play]
     if structure.creep:
         parts.append(LinearCreep(rest=structure.rest))
@@ -164,18 +214,24 @@ class _Bench:
     def __init__(self, data: Dataset, plays: int):
         self.data, self.plays = data, plays
         self.timed = _interval(data) > 0 and all(record.t is not None for record in data)
+        self.span = float(np.ptp(np.concatenate([record.y[record.used] for record in data]))) or 1.0
+        self.samples = sum(int(record.used.sum()) for record in data)
         self.scores: dict[Structure, float] = {}
+
+    def served(self, structure: Structure) -> bool:
+        """Whether there are two samples for each weight."""
+        return 2 * structure.columns(self.plays, len(self.data)) <= self.samples
 
     def options(self) -> dict[str, tuple[Any, ...]]:
         """Values of each field that these data allow."""
-        options: dict[str, tuple[Any, ...]] = {"operator": ("play", "stop"), "envelopes": (1, 3), "degree": (1, 3, 5)}
+        options: dict[str, tuple[Any, ...]] = {"operator": ("play", "stop"), "envelopes": (1, 3), "degree": _DEGREES}
         span = max(float(np.ptp(record.u)) for record in self.data)
         if any(abs(record.u[0]) > 1e-3 * span for record in self.data):
             options["rest"] = ("level", "first")
         if self.timed:
             # Lags up to six samples; hardening would stand in for what creep and rate describe.
             return {**options, "lag": (0.0, *np.arange(1.0, 6.1, 0.5)), "creep": (False, True), "rate": (0, 1, 2)}
-        return {**options, "hardening": (0.0, 1.0, 3.0, 10.0)}
+        return {**options, "hardening": (0, 1, 3, 10)}
 
     def score(self, structure: Structure) -> float:
         """Root mean square error on blocks left out, output units."""
@@ -184,14 +240,17 @@ class _Bench:
         return self.scores[structure]
 
     def system(self, s: Structure) -> LinearSystem:
-        """The linear system of a structure: its columns out of the columns of the largest."""
-        whole, groups = self._plays(s.rest, s.lag, s.operator, s.hardening)
-        at = groups["w"][: s.envelopes * self.plays] + groups["b"][: s.degree] + groups["offset"]
-        at += groups["hardening"] if s.hardening else []
-        beside = ["creep"] * s.creep + ["viscous", "saturating"][: s.rate]
-        parts = [whole.take(at), *(self._beside(term, s.rest, s.lag) for term in beside)]
+        """The linear system of a structure, joined from the columns of its terms."""
+        plays = [self._plays(s.rest, s.lag, s.operator, kind, 0) for kind in _ALL[: s.envelopes]]
+        parts = [play["w"] for play in plays]
+        parts += [plays[0]["b"].take(range(s.degree)), plays[0]["offset"]]
+        parts += [self._plays(s.rest, s.lag, s.operator, _ALL[0], s.hardening)["hardening"]] if s.hardening else []
+        parts += [
+            self._beside(term, s.rest, s.lag) for term in ["creep"] * s.creep + ["viscous", "saturating"][: s.rate]
+        ]
         join = lambda name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
-        return LinearSystem(join("columns"), whole.target, join("free"), join("ridged"), whole.block)
+        # With all weights at zero every term is zero: the target is the output itself.
+        return LinearSystem(join("columns"), parts[0].target, join("free"), join("ridged"), parts[0].block)
 
     @functools.cache  # noqa: B019  (the bench lives as long as one search)
     def _beside(self, term: str, rest: Rest, lag: float) -> LinearSystem:
@@ -203,16 +262,16 @@ class _Bench:
         return self._respond(part, rest, lag)[1]
 
     @functools.cache  # noqa: B019  (the bench lives as long as one search)
-    def _plays(
-        self, rest: Rest, lag: float, operator: Operator, fade: float
-    ) -> tuple[LinearSystem, dict[str, list[int]]]:
-        model = PrandtlIshlinskii.of(self.plays, 5, envelopes=_ALL, operator=operator, hardening=True, rest=rest)
-        model = eqx.tree_at(lambda m: m.s0, model, jnp.asarray(fade or 1.0))
+    def _plays(self, rest: Rest, lag: float, operator: Operator, kind: Envelope, fade: int) -> dict[str, LinearSystem]:
+        """Columns of one envelope by the name of their weights: w, b, offset, and hardening where the weights fade."""
+        model = PrandtlIshlinskii.of(
+            self.plays, max(_DEGREES), envelopes=(kind,), operator=operator, hardening=fade, rest=rest
+        )
         problem, system = self._respond(model, rest, lag)
-        groups: dict[str, list[int]] = {"w": [], "b": [], "offset": [], "hardening": []}
+        groups: dict[str, list[int]] = {}
         for k, name in enumerate(problem.space.names):
-            groups[name.partition("[")[0].partition("@")[0]].append(k)
-        return system, groups
+            groups.setdefault(name.partition("[")[0].partition("@")[0], []).append(k)
+        return {name: system.take(at) for name, at in groups.items()}
 
     def _respond(self, part: AbstractHysteresis, rest: Rest, lag: float) -> tuple[Problem, LinearSystem]:
         data = self.data

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.batch import Batch, bucket
+from hystfit.data.record import Dataset
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.quality.loops import reversals
@@ -26,9 +27,7 @@ def thin(problem: Problem) -> Objective | None:
     """
     if not problem.model.allows_thinning:
         return None
-    turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in problem.data]
-    most = max(turn.size for turn in turns)
-    length = bucket(max(_SAMPLES // len(turns), _LEAST, _A_BRANCH * most))
+    turns, length = _plan(problem.data)
     if _PAYS * length > problem.objective.batch.u.shape[1]:
         return None
     batch = on_host(problem.objective.batch)
@@ -38,6 +37,23 @@ def thin(problem: Problem) -> Objective | None:
     ]
     thinned = Batch(*(jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True)))
     return eqx.tree_at(lambda o: o.batch, problem.objective, thinned)
+
+
+def thinned(data: Dataset) -> Dataset:
+    """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are."""
+    turns, length = _plan(data)
+    pairs = zip(data, turns, strict=True)
+    return Dataset(
+        tuple(r.take(kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),
+        data.name,
+    )
+
+
+def _plan(data: Dataset) -> tuple[list[np.ndarray], int]:
+    """Reversals of the input of every record, and the number of samples to keep of each."""
+    turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in data]
+    most = max(turn.size for turn in turns)
+    return turns, bucket(max(_SAMPLES // len(turns), _LEAST, _A_BRANCH * most))
 
 
 def kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:

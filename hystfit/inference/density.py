@@ -15,7 +15,6 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import Objective
 from hystfit.inference.priors import AbstractPrior
-from hystfit.models.base import AbstractHysteresis
 from hystfit.params.coordinates import Coordinates
 
 
@@ -93,9 +92,8 @@ class Density(eqx.Module):
 
     @property
     def _scans(self) -> bool:
-        """Whether one scan of `step` is the model's own way over the samples, so that it can include the noise."""
-        model = self.objective.coordinates.assemble(jnp.zeros(self.p))
-        return type(model).sweep is AbstractHysteresis.sweep
+        """Whether the scan over the samples can include the noise."""
+        return self.objective.coordinates.assemble(jnp.zeros(self.p)).one_scan
 
     def squares(self, x: Float[Array, " p"]) -> Float[Array, ""]:
         """Weighted sum of squared residuals at physical x [y^2]; no trajectory is kept."""

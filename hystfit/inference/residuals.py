@@ -13,18 +13,21 @@ from hystfit.inference.autocorrelation import autocorrelation_time, is_correlate
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoiseFit, fit_slow_noise
+from hystfit.inference.noise.slow_likelihood import POINTS, Contrasts, Samples, SlowNoiseFit, fit_slow_noise
+from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note, Severity
+from hystfit.params.space import relative_size
 
 CHANCE = 0.02  # p-value, under slow noise alone, below which the model error counts as repeating,
 REPEATS = 0.02  # if it is at least this fraction of the residual variance
-_POINTS, _LENGTH = 12, 0.3  # inducing points and length scale (relative to the input range) of the curves tested for
+_LENGTH = 0.3  # length scale (relative to the input range) of the curves tested for
 _LENGTHS = (0.1, 0.15, 0.22, 0.3, 0.45, 0.7)  # length scales, of which the most probable describes the curve
 _LARGEST = 3.0  # largest plausible standard deviation of noise, in that of the residuals
 _TURNS = 8  # reversals of the input needed to detect a repeating error
 _ENOUGH = 240  # samples needed for the same
 _TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are heavy
 _DRAWS = 20_000
+FEW = 60  # parameters up to which errors use the covariance of the noise; for more they grow by its correlation time
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +97,11 @@ class ResidualAnalysis:
             return self._curved
         return self.slow if self._plausible(self.slow) else None
 
+    @property
+    def of_errors(self) -> SlowNoiseFit | None:
+        """`noise` where least-squares errors allow for it: for correlated residuals, with the derivatives of the parameters."""
+        return self.noise if self.correlated and self.basis.shape[1] else None
+
     @functools.cached_property
     def _curved(self) -> SlowNoiseFit:
         slow = self.slow.noise
@@ -120,7 +128,16 @@ class ResidualAnalysis:
 
     def _with_curve(self, length: float) -> Contrasts:
         power = (self.repeating.share if self.repeating else 0.0) * float(np.mean(self.residual**2))
-        return Contrasts(self.samples, self.residual, self.basis, curves(self.samples, length), power)
+        return Contrasts(self.samples, self.residual, self.basis, curves(self.samples, length), power, length)
+
+
+def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
+    """Analysis of the residuals at physical x, shape (p,)."""
+    residual, jacobian = problem.with_loss("linear").linearize_misfit(x)
+    live = np.array([side is None for side in problem.at_bound(x)])
+    few = live.any() and int(live.sum()) <= FEW
+    columns = jacobian[:, live] * relative_size(problem.space, x)[live] if few else None
+    return ResidualAnalysis.of(problem.setting, residual * problem.scales.y, columns)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -222,7 +239,7 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
-    shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), _POINTS))
+    shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), POINTS))
     shapes = shapes * np.sqrt(samples.weight)[:, None]
     return np.hstack([shapes * samples.rising[:, None], shapes * ~samples.rising[:, None]])
 

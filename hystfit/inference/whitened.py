@@ -31,7 +31,12 @@ class Whitened(eqx.Module):
 
     def normal(self, x: Float[Array, " p"]) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
         """Cost, gradient and information matrix with respect to physical x."""
-        r, J = self.objective.linearize(x)
+        return self.normal_of(*self.objective.linearize(x))
+
+    def normal_of(
+        self, r: Float[Array, "R T"], J: Float[Array, "R T p"]
+    ) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
+        """`normal` from residuals and their derivatives."""
         return self._project(jnp.concatenate([r[..., None], J], axis=-1))
 
     def cost_at(self, z: Float[Array, " p"]) -> Float[Array, ""]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +25,8 @@ from hystfit.models.design import Block, DesignMatrix
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
+
+Use = Literal["inverse", "export"]
 
 
 class AbstractHysteresis(eqx.Module):
@@ -108,6 +111,11 @@ class AbstractHysteresis(eqx.Module):
         return (state[None] if single else state), y
 
     @property
+    def one_scan(self) -> bool:
+        """Whether a scan of `step` is as fast as `sweep`, so that sums over the samples can share it."""
+        return True
+
+    @property
     def short_cut(self) -> bool:
         """Whether `free_run` is faster than a scan over the samples."""
         return False
@@ -128,6 +136,14 @@ class AbstractHysteresis(eqx.Module):
     def linear_in_input(self) -> bool:
         """Whether the output is linear in the signal that comes in, apart from a constant of the initial state: linear filters."""
         return False
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """Choices besides the values of parameters, as they follow a name (`preisach:n=60`): whole numbers, words and switches.
+
+        By default the fields that are no parameters; to override where the model is built by other settings than its fields.
+        """
+        values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
+        return {name: value for name, value in values if isinstance(value, (int, str))}
 
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
 
@@ -189,10 +205,12 @@ class AbstractHysteresis(eqx.Module):
         """Whether every record starts from saturation, so that its input need not turn back (reversal curves)."""
         return False
 
-    def sizes(self) -> dict[str, AbstractHysteresis]:
-        """Numbers of elements that a comparison should try: this model first and others of its kind, by their size in words.
+    def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
+        """Models of its kind that a comparison should try on these records, by their size in words.
 
-        Empty where there is nothing to choose.
+        First the model itself, where needed with fewer elements than given, as many as the records can determine; then models that
+        differ from it by one choice: the number of elements, where they are, the state before the records. Empty where there is
+        nothing to choose.
         """
         return {}
 
@@ -219,6 +237,20 @@ class AbstractHysteresis(eqx.Module):
 
     def led(self) -> Led | None:
         """The resonance at the end of the model, which is inverted by leading the reference; None where there is none."""
+        return None
+
+    def obstacle(self, use: Use) -> str | None:
+        """Why the model cannot be inverted, or exported to C; None where it can.
+
+        A resonance at the end of a model is no obstacle to an inverse, because the reference leads it.
+        """
+        try:
+            if use == "export":
+                self.c_part()
+            elif self.led() is None:
+                self.step_inverse()
+        except ModelError as error:
+            return str(error)
         return None
 
     def c_part(self) -> CPart:

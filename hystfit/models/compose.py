@@ -43,6 +43,8 @@ class AbstractComposition(AbstractHysteresis):
 
     parts: eqx.AbstractVar[tuple[AbstractHysteresis, ...]]
 
+    one_scan: ClassVar[bool] = False
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(repr(part) for part in self.parts)})"
 
@@ -92,10 +94,10 @@ class AbstractComposition(AbstractHysteresis):
             return None
         return type(self)(*(part if other is None else other for part, other in zip(self.parts, still, strict=True)))
 
-    def sizes(self) -> dict[str, AbstractHysteresis]:
-        """Those of the first part that has a choice."""
+    def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
+        """Those of the first part that has a choice, on the records as they are: no part changes the number of samples or levels."""
         for k, part in enumerate(self.parts):
-            if found := part.sizes():
+            if found := part.sizes(records):
                 return {
                     words: type(self)(*self.parts[:k], other, *self.parts[k + 1 :]) for words, other in found.items()
                 }

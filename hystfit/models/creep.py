@@ -37,6 +37,7 @@ class LogCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
 
     gamma: Float[Array, " k"] = param(
@@ -172,6 +173,7 @@ class LinearCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
     needs: ClassVar[Needs] = Needs(loop=False, time=True, creep=True)

@@ -82,6 +82,10 @@ class Duhem(AbstractHysteresis):
             raise ModelError(f"orders of polynomials are 0 or more, got {f} and {g}")
         return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], scheme=scheme, **fields)
 
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        return {"f": self.f.shape[0] - 1, "g": self.g.shape[0] - 1, "scheme": self.scheme}
+
     @classmethod
     def from_powers(
         cls,

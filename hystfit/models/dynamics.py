@@ -57,6 +57,10 @@ class Delay(AbstractHysteresis):
         """Refused: see `_no_inverse`."""
         raise _no_inverse(self)
 
+    def c_part(self) -> CPart:
+        """A line of fixed length."""
+        return CPart(template("delay.c"), self.longest + 1, {"LAG": self.lag, "LONGEST": self.longest})
+
 
 class Lag(AbstractHysteresis):
     """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.

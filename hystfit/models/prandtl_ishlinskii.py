@@ -105,9 +105,9 @@ class PrandtlIshlinskii(AbstractHysteresis):
         plays: int = 20,
         degree: int = 1,
         *,
-        envelopes: Sequence[Envelope] = ("identity",),
+        envelopes: Sequence[Envelope] | int = 1,
         operator: Operator = "play",
-        hardening: bool = False,
+        hardening: int = 0,
         rest: Rest = "level",
     ) -> PrandtlIshlinskii:
         """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range: dense where loops are small.
@@ -115,21 +115,34 @@ class PrandtlIshlinskii(AbstractHysteresis):
         Args:
             plays: number of thresholds.
             degree: of the single-valued polynomial.
-            envelopes: of the input, one row of weights each.
+            envelopes: of the input, one row of weights each: their names, or 1 (symmetric loops) or 3 (all, for asymmetric loops).
             operator: "play" or "stop".
-            hardening: add weights that fade with the path.
+            hardening: path, in input ranges, over which additional weights fade; 0 for none.
             rest: where the input rested before the record.
 
         Raises:
-            ModelError: fewer than one play or degree one.
+            ModelError: fewer than one play or degree one, another number of envelopes, a negative path.
         """
         if plays < 1 or degree < 1:
             raise ModelError(f"at least one play and degree one are needed, got {plays} plays and degree {degree}")
+        if hardening < 0:
+            raise ModelError(f"hardening fades over a path of at least 0 input ranges, got {hardening}")
+        if isinstance(envelopes, int):
+            if envelopes not in (1, 3):
+                raise ModelError(f"there are 1 or 3 envelopes, got {envelopes}")
+            envelopes = get_args(Envelope)[:envelopes]
         r = 0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2
         w = np.full((len(envelopes), plays), 0.01)
         fading = np.zeros(plays if hardening else 0)
         return cls(
-            w=w, r=r, b=np.eye(degree)[0], hardening=fading, envelopes=tuple(envelopes), operator=operator, rest=rest
+            w=w,
+            r=r,
+            b=np.eye(degree)[0],
+            hardening=fading,
+            s0=float(hardening or 3.0),
+            envelopes=tuple(envelopes),
+            operator=operator,
+            rest=rest,
         )
 
     @classmethod
@@ -141,7 +154,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
             degree: of the single-valued polynomial.
             **options: others of `of`.
         """
-        return cls.of(plays, degree, envelopes=("identity", "square", "mirror"), **options)
+        return cls.of(plays, degree, envelopes=3, **options)
 
     def _position(self, u: Array) -> Array:
         return (u - self.low) / (self.high - self.low)
@@ -188,6 +201,13 @@ class PrandtlIshlinskii(AbstractHysteresis):
             self,
             (w, b, jnp.asarray(out.center), jnp.asarray(low), jnp.asarray(high)),
         )
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        count, plays = self.w.shape
+        path = round(float(self.s0)) if self.hardening.size else 0
+        shape = {"plays": plays, "degree": self.b.shape[0], "envelopes": count}
+        return shape | {"operator": self.operator, "hardening": path, "rest": self.rest}
 
     def with_rest(self, rest: str) -> PrandtlIshlinskii:
         """See the base class."""

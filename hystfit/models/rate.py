@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
 from hystfit.params.param import param
 
 
@@ -35,6 +36,10 @@ class Viscous(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Viscous:
         """No damping; it follows from the fit."""
         return type(self)(c=0.0)
+
+    def c_part(self) -> CPart:
+        """A difference quotient."""
+        return CPart(template("rate.c"), 1, {"FORCE": self.c, "SATURATES": 0})
 
 
 class SaturatingRate(AbstractHysteresis):
@@ -61,6 +66,10 @@ class SaturatingRate(AbstractHysteresis):
         rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
         typical = float(np.sqrt(np.mean(rates**2))) if rates.size else 1.0
         return type(self)(F=0.0, v0=0.25 * typical or 1.0)
+
+    def c_part(self) -> CPart:
+        """A difference quotient."""
+        return CPart(template("rate.c"), 1, {"FORCE": self.F, "V0": self.v0, "SATURATES": 1})
 
 
 def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:

@@ -21,14 +21,24 @@ from hystfit.models.dynamics import Delay, Lag, SecondOrder
 from hystfit.models.oscillator import BoucWenOscillator
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
 from hystfit.quality.needs import Needs
 from hystfit.registry import class_from_file, file_of, near, refuse_unfinished
 
-# Loops that lag (counter-clockwise: piezo actuators with time, and creep; magnetic materials without), force that leads, and curves.
-DataKind = Literal["lagging-timed", "lagging-untimed", "leading", "reversal-curves"]
+# What `check` finds about records decides which models are compared on them: output that lags (counter-clockwise loops) with time
+# (piezo actuators) or without, loops that are symmetric about zero input (magnetic materials), force that leads, force that depends
+# on the rate, resonances, and first-order reversal curves.
+DataKind = Literal[
+    "lagging-timed", "lagging-untimed", "point-symmetric", "leading", "leading-with-rate", "dynamic", "reversal-curves"
+]
 _LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
+SEARCH = "prandtl-ishlinskii-search"  # no model of its own: a fit searches that family for its terms on the data
+
+
+def _word(value: int | bool | str) -> int | str:
+    return ("no", "yes")[value] if isinstance(value, bool) else value
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +51,7 @@ class Entry:
         doc: what it is for, one line.
         variant: whether a model of this class is this variant; the last entry that fits gives its name.
         compared_on: kinds of data on which `compare` tries it by default.
-        compared_as: the expression that is tried; the name by default.
+        compared_as: the expressions that are tried; the name by default.
     """
 
     make: Callable[..., AbstractHysteresis]
@@ -49,7 +59,7 @@ class Entry:
     doc: str
     variant: Callable[[Any], bool] = lambda model: True
     compared_on: tuple[DataKind, ...] = ()
-    compared_as: str = ""
+    compared_as: tuple[str, ...] = ()
 
     def settings(self) -> dict[str, int | bool | str]:
         """Settings besides the values of parameters, with their defaults."""
@@ -58,8 +68,12 @@ class Entry:
 
     def shown(self) -> str:
         """The settings as `make_model` takes them."""
-        words = lambda value: ("no", "yes")[value] if isinstance(value, bool) else value
-        return ":".join(f"{name}={words(value)}" for name, value in self.settings().items())
+        return ":".join(f"{name}={_word(value)}" for name, value in self.settings().items())
+
+    def changed(self, model: AbstractHysteresis) -> list[str]:
+        """Settings of a model that differ from the defaults, as `make_model` takes them."""
+        chosen = model.settings()
+        return [f"{name}={_word(chosen[name])}" for name, value in self.settings().items() if chosen[name] != value]
 
 
 MODELS: dict[str, Entry] = {
@@ -85,7 +99,10 @@ MODELS: dict[str, Entry] = {
         compared_on=("leading",),
     ),
     "bouc-wen-oscillator": Entry(
-        BoucWenOscillator, "core", "mass, damper and Bouc-Wen spring; force in, displacement out; needs time"
+        BoucWenOscillator,
+        "core",
+        "mass, damper and Bouc-Wen spring; force in, displacement out; needs time",
+        compared_on=("dynamic",),
     ),
     "preisach": Entry(
         partial(Preisach.of, n=30, spacing="quantile"),
@@ -98,7 +115,7 @@ MODELS: dict[str, Entry] = {
         "core",
         "Preisach of a material without remembered sign: mirror cells are tied",
         lambda model: model.symmetric,
-        compared_on=("lagging-untimed",),
+        compared_on=("point-symmetric",),
     ),
     "preisach-relays": Entry(
         partial(Preisach.of, n=20, elements="relays", spacing="quantile"),
@@ -113,6 +130,12 @@ MODELS: dict[str, Entry] = {
         lambda model: model.spacing == "reversal-curves",
         compared_on=("reversal-curves",),
     ),
+    "preisach-forc-signed": Entry(
+        partial(SignedPreisach.of, n=40, spacing="reversal-curves"),
+        "core",
+        "the same with masses of either sign: closer to the curves, no inverse",
+        compared_on=("reversal-curves",),
+    ),
     "prandtl-ishlinskii": Entry(
         PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"
     ),
@@ -123,13 +146,13 @@ MODELS: dict[str, Entry] = {
         lambda model: model.operator == "stop",
     ),
     "prandtl-ishlinskii-generalized": Entry(
-        PrandtlIshlinskii.generalized,
+        partial(PrandtlIshlinskii.of, degree=5, envelopes=3),
         "core",
         "weighted plays with envelopes: asymmetric loops; convex solve",
         lambda model: model.operator == "play" and len(model.envelopes) > 1,
     ),
     "prandtl-ishlinskii-hardening": Entry(
-        partial(PrandtlIshlinskii.of, degree=3, operator="stop", hardening=True),
+        partial(PrandtlIshlinskii.of, degree=3, operator="stop", hardening=3),
         "core",
         "weighted stops that fade with the path: cyclic hardening",
         lambda model: model.hardening.size > 0,
@@ -142,13 +165,25 @@ MODELS: dict[str, Entry] = {
         "after",
         "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time",
         compared_on=("lagging-timed",),
-        compared_as="bouc-wen+log-creep",
+        compared_as=("bouc-wen+log-creep",),
     ),
-    "viscous": Entry(Viscous, "beside", "force in proportion to the input's rate; needs time"),
+    "viscous": Entry(
+        Viscous,
+        "beside",
+        "force in proportion to the input's rate; needs time",
+        compared_on=("leading-with-rate",),
+        compared_as=("bouc-wen-force+viscous",),
+    ),
     "saturating-rate": Entry(SaturatingRate, "beside", "force that saturates in the input's rate; needs time"),
     "offset": Entry(Offset, "beside", "a constant for each record"),
     "relaxation": Entry(Relaxation, "after", "a part of the output follows slowly (curved actuators); needs time"),
-    "second-order": Entry(SecondOrder, "after", "a resonance; needs time"),
+    "second-order": Entry(
+        SecondOrder,
+        "after",
+        "a resonance; needs time",
+        compared_on=("dynamic",),
+        compared_as=("bouc-wen+second-order", "prandtl-ishlinskii+second-order"),
+    ),
 }
 
 
@@ -160,7 +195,7 @@ def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> A
 
     Raises:
         ModelError: an unknown name or setting (the message lists what there is), a filter without a hysteresis, a file without
-            such a class, a class that is not finished, or something else than a model.
+            such a class, a class that is not finished, a search, or something else than a model.
     """
     if isinstance(choice, AbstractHysteresis):
         return choice
@@ -179,6 +214,10 @@ def _composed(expression: str) -> AbstractHysteresis:
     if ".py:" in expression:
         path, _, name = expression.rpartition(":")
         return _made(class_from_file(path, name, AbstractHysteresis, ModelError))
+    if expression == SEARCH:
+        raise ModelError(
+            f"{SEARCH} chooses its terms on data: fit or compare it, and use the model that the result names"
+        )
     places: dict[str, list[AbstractHysteresis]] = {"before": [], "core": [], "beside": [], "after": []}
     for part in expression.split("+"):
         name, mark, given = (text.strip() for text in part.partition(":"))
@@ -236,14 +275,14 @@ def _made(kind: type[AbstractHysteresis]) -> AbstractHysteresis:
 
 
 def model_name(model: AbstractHysteresis) -> str:
-    """Names as `make_model` takes them, joined by "+" in the order of the signal; the class's own for a model of the user's.
+    """The expression that makes the model again, with the settings that differ from its name's defaults.
 
-    Arguments that are no choice of a model, such as the number of plays, are not in the name.
+    Parts are in the order of the signal. A model of the user's has the name of its class.
     """
     if isinstance(model, AbstractComposition):
         return "+".join(model_name(part) for part in model.parts)
     fitting = [name for name, kind in _kinds().items() if type(model) is kind and MODELS[name].variant(model)]
-    return fitting[-1] if fitting else type(model).__name__
+    return ":".join([fitting[-1], *MODELS[fitting[-1]].changed(model)]) if fitting else type(model).__name__
 
 
 @functools.cache
@@ -251,9 +290,10 @@ def _kinds() -> dict[str, type[AbstractHysteresis]]:
     return {name: type(entry.make()) for name, entry in MODELS.items()}
 
 
-def compared(kind: DataKind) -> tuple[str, ...]:
-    """Models that a comparison tries on data of a kind unless others are named."""
-    return tuple(entry.compared_as or name for name, entry in MODELS.items() if kind in entry.compared_on)
+def compared(*kinds: DataKind) -> tuple[str, ...]:
+    """Models that a comparison tries on data of these kinds unless others are named."""
+    chosen = (item for item in MODELS.items() if set(kinds) & set(item[1].compared_on))
+    return tuple(expression for name, entry in chosen for expression in entry.compared_as or (name,))
 
 
 def judged() -> dict[str, Needs]:

@@ -59,6 +59,7 @@ class Code(enum.StrEnum):
     OPEN_SIDE = "open-side"  # no confidence limit on one side
     OTHER_OPTIMUM = "other-optimum"  # the likelihood is larger elsewhere than at the fit
     BLOCKS = "blocks"  # block length of a robust covariance
+    ERRORS_DIFFER = "errors-differ"  # standard errors differ from those of the fit, and why
     CLOSES = "closes"  # the proposed input determines what the present data do not
     LOCAL = "local"  # the design holds near the fitted values
     # predictions, inverses and simulated records
@@ -84,6 +85,9 @@ class Code(enum.StrEnum):
     DRIFT = "drift"  # the mean of like cycles drifts
     LAG = "lag"  # the output keeps moving after the input has turned
     SPEED_DEPENDENT = "speed-dependent"  # the output depends on the speed of the input
+    DYNAMICS = "dynamics"  # the response changes with frequency as that of a resonance
+    TOO_FEW_SAMPLES = "too-few-samples"  # fewer samples than branches or parameters need
+    MINOR_LOOPS = "minor-loops"  # one amplitude alone: minor loops are not determined
     REVERSAL_CURVES = "reversal-curves"  # the records are first-order reversal curves
 
 

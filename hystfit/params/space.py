@@ -233,6 +233,13 @@ class ParameterSpace:
         slope = self.slope(z)
         return slope[:, None] * np.asarray(covariance_z) * slope[None, :]
 
+    @property
+    def weights(self) -> np.ndarray:
+        """Which free elements are non-negative weights: elements of an array in which the output is linear, shape (p,), bool."""
+        shapes = [self.leaves[number].shape for number, _, _ in self.sources]
+        rows = zip(self.infos, shapes, strict=True)
+        return np.array([info.linear and info.bounds[0] == 0.0 and bool(shape) for info, shape in rows], dtype=bool)
+
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""
         flat = jax.tree_util.tree_leaves(self.template)
@@ -244,3 +251,22 @@ class ParameterSpace:
                 if (number, k) not in free:
                     rows.append((f"{self._leaf_names[number]}{leaf.element(k)}", float(values[k]), leaf.info))
         return rows
+
+
+def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
+    """Size in which each parameter's error is judged: its distance to the bounds, or its natural scale where it has none.
+
+    Args:
+        space: the free parameters.
+        x: their physical values, shape (p,).
+    """
+    c = space.coordinates
+    lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
+    with np.errstate(invalid="ignore"):
+        both = (x - lower) * (upper - x) / (upper - lower)
+        one = np.where(np.isfinite(lower), x - lower, upper - x)
+    natural = np.maximum(scale, np.abs(x))
+    weight = np.array([info.linear for info in space.infos])
+    # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
+    one = np.where(weight, np.maximum(one, scale), one)
+    return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))

@@ -11,6 +11,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
 from hystfit.quality.drift import Drift, drift
+from hystfit.quality.dynamics import Dynamics, estimate_dynamics
 from hystfit.quality.faults import clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left
@@ -103,16 +104,22 @@ class RecordQuality:
     velocity_gain: float | None
     rate_effect: float | None
     stiffness_left: float | None
+    dynamics: Dynamics | None
     clipped: int
     spikes: int
 
     @property
+    def dynamic(self) -> bool:
+        """Whether the response changes with frequency as that of an oscillator does, beyond a lag or a velocity term."""
+        return self.dynamics is not None and self.dynamics.resonant
+
+    @property
     def degrading(self) -> bool:
-        """Whether the loop loses more stiffness from cycle to cycle than loops without damage do."""
+        """Whether the loop loses more stiffness from cycle to cycle than loops without damage do; unknown in a resonance."""
         left = self.stiffness_left
-        return (
-            self.shape is not None and left is not None and (left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6))
-        )
+        if self.shape is None or left is None or self.dynamic:
+            return False
+        return left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
 
     @property
     def lags(self) -> bool:
@@ -128,7 +135,8 @@ class RecordQuality:
     def speed_dependent(self) -> bool:
         """Whether the output turns early and velocity terms explain most of what is unexplained, or the area changes."""
         explained = self.velocity_gain is not None and self.velocity_gain > 0.5
-        return (self.leads and explained) or (self.rate_effect is not None and abs(self.rate_effect) > 0.1)
+        widens = self.rate_effect is not None and abs(self.rate_effect) > 0.1
+        return not self.dynamic and ((self.leads and explained) or widens)
 
     @property
     def creeps(self) -> bool:
@@ -145,10 +153,11 @@ def summarize(record: Record) -> RecordQuality:
     u_column, y_column = _column(u), _column(y)
     motion, turns, cycles, loops = _motion(record, u_column)
     moving = np.ptp(u) > 0
-    sampling = _sampling(record)
-    lag = gain = None
-    if moving and t is not None and sampling.uniform and sampling.repeated_stamps == 0:
-        lag = estimate_lag(u, y, record.sampling_interval, turns, u_noise=u_column.known_noise)
+    sampling, interval = _sampling(record), record.sampling_interval
+    lag = gain = dynamics = None
+    if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
+        lag = estimate_lag(u, y, interval, turns, u_noise=u_column.known_noise)
+        dynamics = estimate_dynamics(u, y, interval)
         if motion.cycles >= 1:
             late = max(0, round(lag.samples)) if lag else 0
             gain = velocity_gain(u[: u.size - late], y[late:], t[: u.size - late])
@@ -165,6 +174,7 @@ def summarize(record: Record) -> RecordQuality:
         velocity_gain=gain,
         rate_effect=rate_effect(u, y, t, cycles),
         stiffness_left=stiffness_left(u, y, cycles),
+        dynamics=dynamics,
         clipped=clipped_samples(u, y),
         spikes=int(spikes(y, y_column.noise_rms, turns).size),
     )

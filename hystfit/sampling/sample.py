@@ -22,6 +22,7 @@ from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
+from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult, provenance
 from hystfit.sampling.base import AbstractSampler, Progress
 from hystfit.sampling.chunks import claim
@@ -90,7 +91,14 @@ def sample(
         stats=raw.stats,
         convergence=convergence,
         status=status,
-        notes=(*_of_the_fit(result), *setup.notes, *raw.notes, *problems, *beside_priors(setup, draws)),
+        notes=(
+            *_of_the_fit(result),
+            *setup.notes,
+            *raw.notes,
+            *problems,
+            *beside_priors(setup, draws),
+            *_beside_fit(result, setup, draws),
+        ),
         priors=setup.describe_priors(),
         seconds=seconds,
         seed=seed,
@@ -151,6 +159,22 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
     if isinstance(prior, LogNormal):
         x = np.log(np.maximum(prior.side * (x - float(prior.edge)), 1e-300))
     return float(np.subtract(*np.quantile(x, [0.75, 0.25])))
+
+
+def _beside_fit(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+    """A note where the draws are wider or narrower than the standard errors of the fit."""
+    wide = draws.reshape(-1, draws.shape[-1]).std(axis=0)
+    errors = {name: float(sd) for name, sd in zip(setup.names, wide, strict=True) if np.isfinite(sd)}
+    if result.noise.refines and result.noise.name == setup.noise:
+        reason = "the posterior includes the priors and the uncertainty of the noise, and need not be symmetric"
+    elif result.noise.name == "iid":
+        reason = f"the fit takes its residuals as independent, the posterior has noise {setup.noise}"
+    else:
+        reason = (
+            f"the posterior weighs the samples by its noise model, least squares weighs them alike; noise={setup.noise!r} in the fit "
+            "gives the estimate of the posterior"
+        )
+    return differences(result, errors, "the posterior", reason)
 
 
 def _of_the_fit(result: FitResult) -> list[Note]:

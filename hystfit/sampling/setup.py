@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.errors import DataError, ParameterError
-from hystfit.fitting.covariance import analyze
 from hystfit.fitting.noise_refinement import refine
 from hystfit.inference.density import Density
 from hystfit.inference.newton import maximize
@@ -19,7 +18,7 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import ResidualAnalysis, diagnose
+from hystfit.inference.residuals import ResidualAnalysis, analyze, diagnose
 from hystfit.outcome import Code, Note
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.space import ParameterSpace

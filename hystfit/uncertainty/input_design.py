@@ -17,16 +17,17 @@ from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
-from hystfit.models.base import run, simulate
+from hystfit.inference.information import Moments
+from hystfit.models.base import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table
 from hystfit.outcome.note import warn
-from hystfit.params.coordinates import REAL, Coordinates
+from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
+from hystfit.uncertainty.predicted_errors import PRIOR, Plan, covariance_with
 
 SCHEMA = "hystfit.design/1"
 _TURNS = 14  # turning levels of the optimized input
 _LOOSE = 0.5  # relative error above which a combination counts as undetermined
-_PRIOR = 3.0  # standard deviation in relative size that each parameter has before any measurement
 _UNKNOWN = 0.5  # fraction of that prior above which a standard error comes from the prior, not from the data
 
 
@@ -150,7 +151,8 @@ def design(
 
     Families of signals (one and two amplitudes, decaying, growing, random reversals) and, with "gradient", turning levels
     optimized through the simulation are compared by the standard errors that the linearized model predicts from the present data, the
-    new input and a wide prior. The design is local: measure, fit again, design again.
+    new input and a wide prior, under the noise behind the standard errors of the fit. The design is local: measure, fit again, design
+    again.
 
     Args:
         result: the fit, with its present standard errors.
@@ -176,31 +178,27 @@ def design(
     high = max(float(r.u.max()) for r in result.data) if high is None else high
     if not low < high or samples < 100:
         raise ParameterError(f"design needs low < high and at least 100 samples, got {low}, {high} and {samples}")
-    c = problem.space.coordinates
-    size = _sizes(c, x)
-    sigma = result.sigma * result.error_ratio
-    typical = result.data.sampling_interval or 0.0
-    prior = jnp.eye(x.size) / _PRIOR**2
-    per_record = jnp.asarray([info.per_record for info in problem.space.infos])
-    setting = (c, jnp.asarray(x), jnp.asarray(size / sigma), jnp.asarray(typical), per_record)
-    now = prior + sum(_present(*setting[:3], record, jnp.asarray(k)) for k, record in enumerate(problem.data))
+    plan = Plan.of(result)
+    now = plan.present(problem, x)
     counted = jnp.asarray([name in chosen for name in names])
     inputs = _families(low, high, samples, seed)
     if method == "gradient":
-        inputs["optimized turning points"] = _optimize(setting, now, counted, low, high, samples, steps, seed)
+        inputs["optimized turning points"] = _optimize(plan, now, counted, low, high, samples, steps, seed)
 
-    def errors(matrix: Array) -> dict[str, float | None]:
-        relative = np.sqrt(np.diag(np.linalg.inv(np.asarray(matrix))))
-        known = np.where(relative < _UNKNOWN * _PRIOR, relative * size, np.nan)
+    def errors(covariance: np.ndarray) -> dict[str, float | None]:
+        relative = np.sqrt(np.diag(covariance))[: x.size]
+        known = np.where(relative < _UNKNOWN * PRIOR, relative * np.asarray(plan.size), np.nan)
         return {name: float(e) if np.isfinite(e) else None for name, e in zip(names, known, strict=True)}
 
-    candidates = []
-    for name, u in inputs.items():
-        matrix = now + _added(*setting, jnp.asarray(u))
-        candidates.append(Candidate(name, np.asarray(u), errors(matrix), float(_score(matrix, counted))))
+    covariances = {name: covariance_with(plan, now, jnp.asarray(u)) for name, u in inputs.items()}
+    candidates = [
+        Candidate(name, np.asarray(u), errors(np.asarray(covariances[name])), float(_score(covariances[name], counted)))
+        for name, u in inputs.items()
+    ]
     candidates.sort(key=lambda one: one.score)
-    closes = _closed(np.asarray(now), np.asarray(now + _added(*setting, jnp.asarray(candidates[0].u))), list(names))
-    present = {name: None if result[name].stderr is None else error for name, error in errors(now).items()}
+    before = np.asarray(plan.covariance(now))
+    closes = _closed(before, np.asarray(covariances[candidates[0].name]), list(names))
+    present = {name: None if result[name].stderr is None else error for name, error in errors(before).items()}
     notes = []
     if not result.usable:
         text = f"the fit is not usable ({result.status}): {result.advice}"
@@ -209,56 +207,22 @@ def design(
         text = f"the input {candidates[0].name!r} determines {combination}, which the present data do not"
         notes.append(Note(Code.CLOSES, text))
     if None in present.values():
-        text = f"each parameter has a prior of {100 * _PRIOR:.0f} % of its size; '-' where the data add no information to that"
+        text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to that"
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
-    dt = None if all(record.t is None for record in result.data) else typical
+    notes += differences(
+        result,
+        present,
+        "the present data alone",
+        "design weighs the data against a wide prior and no other regularization",
+    )
+    dt = None if all(record.t is None for record in result.data) else result.data.sampling_interval
     return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, tuple(notes))
 
 
-def _sizes(c: Coordinates, x: np.ndarray) -> np.ndarray:
-    """Relative size of each parameter: its value, or its scale where it may be zero."""
-    scale, kind = np.asarray(c.scale), np.asarray(c.kinds)
-    return np.where(kind == REAL, np.maximum(np.abs(x), scale), np.maximum(np.abs(x), 1e-3 * scale))
-
-
-def _present(c: Coordinates, x: Array, scale: Array, record: Record, number: Array) -> Float[Array, "p p"]:
-    """Information about x / size from a record as it was fitted: with its own parameters, and the samples that counted."""
-    weight = np.where(record.used, record.weight, 0.0)
-    return _information(c, x, scale, *(jnp.asarray(v) for v in (record.u, record.dt, weight)), number)
-
-
-@eqx.filter_jit
-def _information(
-    c: Coordinates,
-    x: Array,
-    scale: Array,
-    u: Float[Array, " T"],
-    dt: Float[Array, " T"],
-    weight: Float[Array, " T"],
-    number: Array,
-) -> Float[Array, "p p"]:
-    push = lambda t: jax.jvp(lambda x: run(c.assemble(x, number), u, dt)[0], (x,), (t,))[1]
-    J = jax.vmap(push)(jnp.eye(x.shape[0])) * scale[:, None] * jnp.sqrt(weight)
-    return J @ J.T
-
-
-@eqx.filter_jit
-def _added(
-    c: Coordinates, x: Array, scale: Array, dt: Array, per_record: Array, u: Float[Array, " T"]
-) -> Float[Array, "p p"]:
-    """Information from a further record with this input, whose own parameters (such as its offset) are unknown."""
-    F = _information(c, x, scale, u, jnp.full_like(u, dt), jnp.ones_like(u), jnp.asarray(0))
-    nuisance = jnp.where(per_record, 1.0, 0.0)
-    A = F * nuisance
-    inner = A * nuisance[:, None] + jnp.diag(jnp.where(per_record, _PRIOR**-2, 1.0))
-    rest = F - A @ jnp.linalg.solve(inner, A.T)
-    return rest * (1 - nuisance) * (1 - nuisance)[:, None]
-
-
-def _score(matrix: Array, counted: Array) -> Array:
+def _score(covariance: Array, counted: Array) -> Array:
     """Mean log standard error of the parameters in `aim`, which does not depend on their units."""
-    variance = jnp.diag(jnp.linalg.inv(matrix))
+    variance = jnp.diag(covariance)[: counted.shape[0]]
     return 0.5 * jnp.sum(jnp.where(counted, jnp.log(variance), 0.0)) / jnp.sum(counted)
 
 
@@ -287,24 +251,23 @@ def _through(levels: Float[Array, " k"], samples: int, start: float) -> Float[Ar
 
 
 def _optimize(
-    setting: tuple[Any, ...], now: Array, counted: Array, low: float, high: float, samples: int, steps: int, seed: int
+    plan: Plan, now: Moments, counted: Array, low: float, high: float, samples: int, steps: int, seed: int
 ) -> np.ndarray:
     """Turning levels by Adam from three random starts, through the simulation."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     rng = np.random.default_rng(seed)
     starts = np.concatenate([np.tile([[1.0, -1.0]], (1, _TURNS // 2)), rng.normal(size=(2, _TURNS))])
 
-    def score(w: Array, setting: tuple[Any, ...], now: Array) -> Array:
-        u = _through(middle + half * jnp.tanh(w), samples, middle)
-        return _score(now + _added(*setting, u), counted)
+    def score(w: Array, plan: Plan, now: Moments) -> Array:
+        return _score(covariance_with(plan, now, _through(middle + half * jnp.tanh(w), samples, middle)), counted)
 
     adam = optax.adam(0.1, b2=0.99, eps=1e-9)
 
     @eqx.filter_jit
-    def descend(w: Array, setting: tuple[Any, ...], now: Array) -> tuple[Array, Array]:
+    def descend(w: Array, plan: Plan, now: Moments) -> tuple[Array, Array]:
         def once(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
             w, state, best, least = carry
-            value, g = jax.value_and_grad(score)(w, setting, now)
+            value, g = jax.value_and_grad(score)(w, plan, now)
             better = value < least
             best, least = jnp.where(better, w, best), jnp.where(better, value, least)
             update, state = adam.update(jnp.where(jnp.isfinite(g), g, 0.0), state)
@@ -314,16 +277,22 @@ def _optimize(
         _, _, best, least = jax.lax.scan(once, begin, length=steps)[0]
         return best, least
 
-    ends = [descend(jnp.asarray(w), setting, now) for w in starts]
+    ends = [descend(jnp.asarray(w), plan, now) for w in starts]
     best = min(ends, key=lambda end: float(end[1]))[0]
     return np.asarray(_through(middle + half * jnp.tanh(best), samples, middle))
 
 
 def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str]:
-    """Combinations that the present data do not determine (a relative error above one half) and the new input does."""
-    values, vectors = np.linalg.eigh(before)
+    """Combinations that the present data do not determine (a relative error above one half) and the new input does.
+
+    Args:
+        before, after: covariances in relative size with the present data alone, and with the input.
+        names: of the parameters that come first in both.
+    """
+    p = len(names)
+    values, vectors = np.linalg.eigh(before[:p, :p])
     return [
         describe(v, names)
         for value, v in zip(values, vectors.T, strict=True)
-        if value < _LOOSE**-2 and v @ np.linalg.inv(after) @ v < (0.5 * _LOOSE) ** 2
+        if value > _LOOSE**2 and v @ after[:p, :p] @ v < (0.5 * _LOOSE) ** 2
     ]

@@ -1,87 +1,170 @@
-"""The paths along which profile likelihoods are followed, compiled once for all parameters of a fit."""
+"""The paths along which profile likelihoods are followed: one parameter stepped outward, all others refitted within their bounds."""
 
 from __future__ import annotations
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
+import dataclasses
+import functools
+
 import numpy as np
-from jaxtyping import Array, Float
 
-from hystfit.inference.newton import descend
-from hystfit.inference.whitened import Whitened
+from hystfit.fitting.multistart import spread_starts
+from hystfit.inference.bounded_newton import BoundedNewton, Point
 
+_ORDINARY = (
+    0.2  # deviation of the root statistic from that of the curvature, relative, up to which one descent is enough
+)
+_SPREAD = 8  # further starts of a refit that ends a path
 _STEPS = 24  # points on each side at most
 _STRIDE = 0.6  # target rise of the root statistic from point to point
+_JUMP = 1.5  # rise of the root statistic above which a step is shortened
+_SHORTER = 5  # times a step is shortened at most
 _FAR = 12.0  # distance in z beyond which a side counts as open: a factor of 160 000, or within 6e-6 of a bound
-_FITS = 12  # Levenberg-Marquardt steps at each point
+_BACK = 8.0  # |z| at the other bound of a parameter that starts on one
+_FAR_LINEAR = 1e4  # the same for a linear parameter, in its scale
+_LOWER = 1e-3  # decrease of the value below the optimum that counts as another optimum
 
 
-@eqx.filter_jit
-def follow_all(
-    whitened: Whitened, x: Array, moving: Array, at: Array, wider: Array, limit: float
-) -> tuple[Float[Array, "sides n"], Float[Array, "sides n"], Array, Float[Array, "sides p"]]:
-    """Paths to both sides of each parameter.
+class LowerOptimum(Exception):
+    """A refit ended below the optimum from which the paths started."""
 
-    Args:
-        whitened: the whitened problem.
-        x: where the fit ended, physical, shape (p,).
-        moving: parameters that are refitted, shape (p,), bool.
-        at: positions of the parameters to profile.
-        wider: reported over i.i.d. standard error of each of them.
-        limit: of the statistic, where a path ends.
+    def __init__(self, point: Point):
+        super().__init__(point.value)
+        self.point = point
 
-    Returns:
-        z along each path, the statistic, whether each point counts, and the optimum; for each parameter first down, then up.
+
+@dataclasses.dataclass(frozen=True)
+class Path:
+    """One side of a profile.
+
+    Attributes:
+        v: the parameter's coordinate along the path, away from the optimum, shape (n,).
+        statistic: -2 delta log likelihood there, divided by the squared widening of the errors, shape (n,).
+        points: the refits.
     """
-    c = whitened.objective.coordinates
-    start = c.unconstrained(x)
 
-    cost, normal = whitened.cost_at, whitened.normal_at
-    start, _, _ = descend(cost, normal, start, moving, 50, 1e-10)  # a fit's tolerance is wide beside a profile's
-    least, _, matrix = normal(start)
-    floor = jnp.where(moving, 0.0, 1.0)
-    size = jnp.sqrt(jnp.diag(matrix)) + 1e-12
-    scaled = jnp.where(moving[:, None] & moving, matrix / size[:, None] / size, 0.0) + jnp.diag(floor + 1e-10)
-    error = jnp.sqrt(jnp.diag(jnp.linalg.inv(scaled))) / size
+    v: np.ndarray
+    statistic: np.ndarray
+    points: tuple[Point, ...]
 
-    def side(task: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        k, sign, wider = task
-        others = moving & (jnp.arange(start.shape[0]) != k)
-        first = jnp.clip(_STRIDE * wider * error[k], 1e-6, 1.0)
-
-        def walk(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-            z, step, before, done = carry
-            ahead = z.at[k].add(sign * step)
-            refit, value, _ = jax.lax.cond(
-                done,
-                lambda a: (a, least, jnp.ones((), bool)),
-                lambda a: descend(cost, normal, a, others, _FITS, 1e-4),
-                ahead,
-            )
-            root = jnp.sqrt(jnp.maximum(2 * (value - least), 0.0)) / wider
-            rise = jnp.maximum(root - before, 1e-3)
-            change = jnp.clip(_STRIDE / rise, 0.4, 3.0)
-            kept = jnp.where(done, z, refit)
-            over = (root**2 > 1.3 * limit) | (jnp.abs(refit[k] - start[k]) > _FAR)
-            out = (refit[k], root**2, ~done)
-            return (kept, jnp.minimum(step * change, 2.0), jnp.where(done, before, root), done | over), out
-
-        begin = (start, first, jnp.zeros(()), jnp.zeros((), bool))
-        z, statistic, counts = jax.lax.scan(walk, begin, None, length=_STEPS)[1]
-        return z, statistic, counts
-
-    tasks = (jnp.repeat(at, 2), jnp.tile(jnp.asarray([-1.0, 1.0]), at.shape[0]), jnp.repeat(wider, 2))
-    z, statistic, counts = jax.lax.map(side, tasks)
-    return z, statistic, counts, jnp.broadcast_to(start, (2 * at.shape[0], start.shape[0]))
+    def crossing(self, start: float, limit: float) -> float | None:
+        """Where the root of the statistic crosses the limit, by linear interpolation; None where it does not."""
+        root = np.sqrt(np.concatenate([[0.0], self.statistic]))
+        v = np.concatenate([[start], self.v])
+        above = np.flatnonzero(root > np.sqrt(limit))
+        if not above.size:
+            return None
+        j = int(above[0])
+        part = (np.sqrt(limit) - root[j - 1]) / (root[j] - root[j - 1])
+        return float(v[j - 1] + part * (v[j] - v[j - 1]))
 
 
-def crossing(z0: float, z: np.ndarray, statistic: np.ndarray, limit: float) -> float | None:
-    """Where the root of the statistic crosses the limit, by linear interpolation; None where it does not."""
-    root, z = np.sqrt(np.concatenate([[0.0], statistic])), np.concatenate([[z0], z])
-    above = np.flatnonzero(root > np.sqrt(limit))
-    if not above.size:
-        return None
-    j = int(above[0])
-    part = (np.sqrt(limit) - root[j - 1]) / (root[j] - root[j - 1])
-    return float(z[j - 1] + part * (z[j] - z[j - 1]))
+@dataclasses.dataclass(frozen=True)
+class Walk:
+    """The way along one parameter from the optimum.
+
+    Attributes:
+        newton: the least-squares problem.
+        optimum: where all parameters are at their best.
+        k: position of the parameter.
+        wider: reported over i.i.d. standard error of it.
+        limit: of the statistic, where a path ends.
+    """
+
+    newton: BoundedNewton
+    optimum: Point
+    k: int
+    wider: float
+    limit: float
+
+    def root(self, point: Point) -> float:
+        """Root of the statistic at a refit."""
+        return float(np.sqrt(max(2 * (point.value - self.optimum.value), 0.0))) / self.wider
+
+    def follow(self, sign: int) -> Path:
+        """The path upward or downward in the parameter's coordinate.
+
+        Raises:
+            LowerOptimum: a refit fits better than the optimum.
+        """
+        points, before, shorter = [self.optimum], 0.0, 0
+        start, low, high = self.optimum.v[self.k], *(side[self.k] for side in self.newton.limits)
+        linear = self.newton.linear[self.k]
+        step = float(np.clip(_STRIDE * self._error, 1e-6, 10.0 if linear else 1.0))
+        far = _FAR_LINEAR if linear else max(_FAR, abs(start) + _BACK)
+        while len(points) <= _STEPS:
+            value = float(np.clip(points[-1].v[self.k] + sign * step, low, high))
+            if value == points[-1].v[self.k]:
+                break
+            point = self._best_refit(value, points[-1])
+            rise = self.root(point) - before
+            if rise > _JUMP and shorter < _SHORTER:
+                step, shorter = 0.3 * step, shorter + 1
+                continue
+            points.append(point)
+            before, shorter = before + rise, 0
+            if before**2 > 1.3 * self.limit or abs(value - start) > far:
+                break
+            step *= float(np.clip(_STRIDE / max(rise, 1e-3), 0.4, 3.0))
+            step = step if linear else min(step, 2.0)
+        return self._back(points)
+
+    @functools.cached_property
+    def _error(self) -> float:
+        """Standard error of the coordinate by the curvature, the parameters on their bounds left out."""
+        low, high = self.newton.limits
+        v = self.optimum.v
+        free = (v > low) & (v < high)
+        free[self.k] = True
+        size = np.sqrt(np.maximum(np.diag(self.optimum.matrix)[free], 1e-24))
+        scaled = self.optimum.matrix[np.ix_(free, free)] / np.outer(size, size)
+        error = np.sqrt(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True).diagonal()) / size
+        return self.wider * float(error[np.flatnonzero(free) == self.k][0])
+
+    def _ordinary(self, point: Point) -> bool:
+        """Whether the statistic of a refit is negligible or about that of the curvature: one that stopped elsewhere is larger."""
+        expected = abs(point.v[self.k] - self.optimum.v[self.k]) / max(self._error, 1e-300)
+        root = self.root(point)
+        return bool(root < 0.5 * _STRIDE or abs(root - expected) < _ORDINARY * expected)
+
+    def _best_refit(self, value: float, before: Point) -> Point:
+        """The best refit with the parameter at a value.
+
+        From the refit before; where its statistic is not that of the curvature, from the optimum too; and where it would end the path,
+        from further starts.
+        """
+        point = self._refit(value, before.v)
+        if self._ordinary(point):
+            return point
+        candidates = [point, self._refit(value, self.optimum.v)]
+        if min(self.root(one) for one in candidates) ** 2 > self.limit:
+            candidates.append(self._refit(value, *self._spread(), steps=30))
+        return min(candidates, key=lambda one: one.value)
+
+    def _spread(self) -> list[np.ndarray]:
+        """Starts spread about the optimum, for a refit that would end the path; a problem linear in the others needs none."""
+        newton = self.newton
+        others = np.arange(newton.linear.size) != self.k
+        if newton.linear[others].all():
+            return [self.optimum.v]
+        space = newton.problem.space
+        center = space.unconstrained(newton.physical(self.optimum.v))
+        return [newton.coordinates(space.physical(z)) for z in spread_starts(newton.problem, center, _SPREAD, 0)]
+
+    def _refit(self, value: float, *others: np.ndarray, steps: int = 8) -> Point:
+        """The best refit with the parameter at a value, from several starts of the other parameters."""
+        moving = np.arange(others[0].size) != self.k
+        starts = [np.where(moving, other, value) for other in others]
+        point = self.newton.best(starts, moving, self.k, steps)
+        if point.value < self.optimum.value - _LOWER:
+            raise LowerOptimum(point)
+        return point
+
+    def _back(self, points: list[Point]) -> Path:
+        """The path; where a refit is not ordinary, each is repeated from its outer neighbor and the better one kept."""
+        unusual = not all(self._ordinary(point) for point in points[1:])
+        for j in range(len(points) - 2, 0, -1) if unusual else ():
+            again = self._refit(float(points[j].v[self.k]), points[j + 1].v)
+            if again.value < points[j].value:
+                points[j] = again
+        roots = np.array([self.root(point) for point in points[1:]])
+        return Path(np.array([point.v[self.k] for point in points[1:]]), roots**2, tuple(points[1:]))

@@ -9,7 +9,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.stats import chi2
 
@@ -17,18 +16,19 @@ from hystfit.config import require_x64
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import error_ratios
 from hystfit.fitting.noise_refinement import refine_moving
+from hystfit.inference.bounded_newton import BoundedNewton, Point
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
 from hystfit.outcome import Code, Note, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
-from hystfit.params.space import ParameterSpace
 from hystfit.params.units import axis_label
+from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
-from hystfit.uncertainty.profile_paths import crossing, follow_all
+from hystfit.uncertainty.profile_paths import LowerOptimum, Path, Walk
 
 SCHEMA = "hystfit.profile/1"
 
@@ -152,16 +152,16 @@ class Profiles:
 
 def profile(
     result: FitResult,
-    names: Sequence[str] | None = None,
+    names: str | Sequence[str] | None = None,
     *,
     noise: str | type[AbstractNoise] = "auto",
     level: float = 0.95,
 ) -> Profiles:
-    """Profile likelihoods of a fit's parameters.
+    """Profile likelihoods of a fit's parameters: at each point all other parameters are refitted within their bounds.
 
     Args:
         result: the fit.
-        names: parameters; all free ones by default.
+        names: parameters, or arrays of them ("w" for all its weights); by default all free ones that are not non-negative weights.
         noise: "auto" uses the noise of the fit: its noise model if it had one, else the sum of squares, which for autocorrelated
             residuals is divided by the square of each parameter's reported over its i.i.d. standard error (Kent 1982); or a noise
             model, whose values are those at the optimum.
@@ -173,38 +173,95 @@ def profile(
     require_x64()
     if not 0 < level < 1:
         raise ParameterError(f"level must lie between 0 and 1, got {level}")
-    problem, x = result.problem.with_loss("linear"), result.x
-    chosen = list(names) if names else list(problem.space.names)
-    unknown = [name for name in chosen if name not in problem.space.names]
-    if unknown:
-        raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(problem.space.names)}")
-    sides = problem.at_bound(x)
+    problem = result.problem.with_loss("linear")
+    chosen, notes = _chosen(problem, [names] if isinstance(names, str) else names)
+    sides = problem.at_bound(result.x)
     moving = np.array([side is None for side in sides])
-    described, x, whitened, wider = _whitened(result, problem, x, moving, noise)
-    at = np.array([problem.space.names.index(name) for name in chosen], dtype=int)
+    described, x, whitened, wider = _whitened(result, problem, result.x, moving, noise)
     limit = float(chi2.ppf(level, 1))
-    traced = [
-        np.asarray(v)
-        for v in follow_all(
-            whitened, jnp.asarray(x), jnp.asarray(moving), jnp.asarray(at), jnp.asarray(wider[at]), limit
-        )
-    ]
+    newton = BoundedNewton(problem, whitened, x)
+    optimum, paths = _follow(newton, x, chosen, wider, limit)
     profiles: dict[str, Profile] = {}
-    notes = []
-    for k, name in enumerate(chosen):
-        curve = _collect(problem.space, int(at[k]), [v[2 * k : 2 * k + 2] for v in traced], limit)
-        profiles[name] = curve
+    for k, pair in zip(chosen, paths, strict=True):
+        curve = _collect(newton, optimum, int(k), pair, limit)
+        profiles[curve.name] = curve
         for bound in (curve.open_lower, curve.open_upper):
             if bound:
-                text = f"the data do not bound {name} towards {bound}: a symmetric error bar is meaningless"
+                text = f"the data do not bound {curve.name} towards {bound}: a symmetric error bar is meaningless"
                 notes.append(warn(Code.OPEN_SIDE, text))
     notes += [
         warn(Code.AT_BOUND, f"{name} lies on its {side} bound in the fit")
         for name, side in zip(problem.space.names, sides, strict=True)
-        if side
+        if side and name in profiles
     ]
     notes += _other_optimum(result, profiles)
+    halves = {
+        name: (p.upper - p.lower) / (2 * np.sqrt(limit)) if p.lower is not None and p.upper is not None else None
+        for name, p in profiles.items()
+    }
+    notes += differences(result, halves, "half the distance between the limits", _reason(result, noise))
     return Profiles(result, profiles, level, described, tuple(notes))
+
+
+def _reason(result: FitResult, noise: str | type[AbstractNoise]) -> str:
+    """Why limits differ from the standard errors of the fit."""
+    if has(result.notes, Code.REGULARIZED):
+        return "the fit includes the regularization, the profile does not"
+    if noise in ("auto", result.noise.name):
+        return "the likelihood is not symmetric about its maximum, which one standard error cannot show"
+    return f"the profile assumes noise {NOISES.label(noise)}, the fit {result.noise.name}"
+
+
+def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], list[Note]]:
+    """Positions of the parameters to profile, and a note where weights are left out.
+
+    Raises:
+        ParameterError: no free parameter has that name.
+    """
+    space, weights = problem.space, problem.space.weights
+    if not names:
+        chosen = np.flatnonzero(~weights) if not weights.all() else np.arange(len(space))
+        arrays = sorted({name.partition("[")[0] for name, on in zip(space.names, weights, strict=True) if on})
+        if chosen.size == len(space):
+            return list(map(int, chosen)), []
+        first = next(name for name, on in zip(space.names, weights, strict=True) if on)
+        text = (
+            f"{int(weights.sum())} weights are not profiled unless they are chosen by name: {arrays[0]} for all of an array, "
+            f"{first} for one"
+        )
+        return list(map(int, chosen)), [Note(Code.CHOICE, text)]
+    positions: list[int] = []
+    unknown = []
+    for name in names:
+        hits = [k for k, one in enumerate(space.names) if name in (one, one.partition("[")[0], one.partition("@")[0])]
+        unknown += [] if hits else [name]
+        positions += [k for k in hits if k not in positions]
+    if unknown:
+        raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(space.names)}")
+    return positions, []
+
+
+def _follow(
+    newton: BoundedNewton, x: np.ndarray, chosen: Sequence[int], wider: np.ndarray, limit: float
+) -> tuple[Point, list[tuple[Path, Path]]]:
+    """The optimum, and the paths downward and upward in each parameter; from the start again where a path finds a better optimum.
+
+    Args:
+        newton: the least-squares problem.
+        x: where the fit ended, physical, shape (p,).
+        chosen: positions of the parameters.
+        wider: reported over i.i.d. standard error of each parameter, shape (p,).
+        limit: of the statistic.
+    """
+    start = newton.coordinates(x)
+    everything = np.ones(x.size, dtype=bool)
+    optimum = newton.best([start], everything)
+    while True:
+        try:
+            walks = [Walk(newton, optimum, k, float(wider[k]), limit) for k in chosen]
+            return optimum, [(walk.follow(-1), walk.follow(1)) for walk in walks]
+        except LowerOptimum as found:
+            optimum = newton.best([found.point.v], everything)
 
 
 def _other_optimum(result: FitResult, profiles: dict[str, Profile]) -> list[Note]:
@@ -226,13 +283,12 @@ def _whitened(
     result: FitResult, problem: Problem, x: np.ndarray, moving: np.ndarray, noise: str | type[AbstractNoise]
 ) -> tuple[str, np.ndarray, Whitened, np.ndarray]:
     """(noise as text, optimum, the whitened problem, reported over i.i.d. standard errors), by which profiles are drawn."""
-    trimmed = problem.trimmed()
     choice = result.noise.name if noise == "auto" else noise
     if choice not in ("auto", "iid"):
         if not NOISES.find(choice).gaussian:  # type: ignore[attr-defined]
             raise ParameterError("profiles need Gaussian noise: use noise='ou', or sample the posterior")
         refined = refine_moving(problem, x, choice, moving)
-        return NOISES.label(choice), refined.x, trimmed.whitened(refined.noise), np.ones(x.size)
+        return NOISES.label(choice), refined.x, problem.whitened(refined.noise), np.ones(x.size)
     r = problem.residuals(x) * np.sqrt(np.asarray(problem.objective.batch.weight))
     used = problem.used
     wider = error_ratios(problem, x) if choice == "auto" else np.ones(x.size)
@@ -242,42 +298,38 @@ def _whitened(
         text = (
             f"independent, intervals widened {wider.min():.3g} to {wider.max():.3g} times for autocorrelated residuals"
         )
-    return text, x, trimmed.whitened(White(noise_white=sd)), wider
+    return text, x, problem.whitened(White(noise_white=sd)), wider
 
 
-def _collect(space: ParameterSpace, k: int, traced: list[np.ndarray], limit: float) -> Profile:
-    """A profile from the paths down and up in z."""
+def _collect(newton: BoundedNewton, optimum: Point, k: int, paths: tuple[Path, Path], limit: float) -> Profile:
+    """A profile from the paths down and up in the coordinate of parameter k."""
+    space, start = newton.problem.space, float(optimum.v[k])
     c = space.coordinates
-    z0 = traced[3][0]
 
-    def physical(values: np.ndarray) -> np.ndarray:
-        rows = np.tile(z0, (len(values), 1))
-        rows[:, k] = values
-        return np.array([np.asarray(c.physical(jnp.asarray(row)))[k] for row in rows])
+    def physical(value: float) -> float:
+        v = optimum.v.copy()
+        v[k] = value
+        return float(newton.physical(v)[k])
 
     kind, lower, upper = c.kinds[k], float(c.lower[k]), float(c.upper[k])
-    paths = [(z[on], s[on]) for z, s, on in zip(*traced[:3], strict=True)]
-    limits = [crossing(z0[k], *path, limit) for path in paths]
-    down_is_up = kind == UPPER  # with an upper bound alone, x falls as z rises
-    ends = [None if limit_z is None else float(physical(np.array([limit_z]))[0]) for limit_z in limits]
-    z = np.concatenate([paths[0][0][::-1], [z0[k]], paths[1][0]])
-    s = np.concatenate([paths[0][1][::-1], [0.0], paths[1][1]])
-    values = physical(z)
+    if kind == UPPER and not newton.linear[k]:  # with an upper bound alone, x falls as z rises
+        paths = (paths[1], paths[0])
+    down, up = paths
+    crossings = [path.crossing(start, limit) for path in paths]
+    ends = [None if at is None else physical(at) for at in crossings]
     bounds = [
         f"its bound {lower:g}" if kind in (LOWER, BOTH) else "-infinity",
         f"its bound {upper:g}" if kind in (UPPER, BOTH) else "+infinity",
     ]
-    if down_is_up:
-        ends, values, s = ends[::-1], values[::-1], s[::-1]
     open_to = [None if end is not None else bound for end, bound in zip(ends, bounds, strict=True)]
     return Profile(
-        space.names[k],
-        space.units[k],
-        float(c.physical(jnp.asarray(z0))[k]),
-        values,
-        s,
-        ends[0],
-        ends[1],
-        open_to[0],
-        open_to[1],
+        name=space.names[k],
+        unit=space.units[k],
+        value=physical(start),
+        x=np.array([physical(v) for v in (*down.v[::-1], start, *up.v)]),
+        statistic=np.concatenate([down.statistic[::-1], [0.0], up.statistic]),
+        lower=ends[0],
+        upper=ends[1],
+        open_lower=open_to[0],
+        open_upper=open_to[1],
     )

@@ -13,6 +13,7 @@ from hystfit.errors import ParameterError
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.note import warn
+from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.errors/1"
@@ -144,6 +145,11 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         errors[kind] = np.where(np.isfinite(fit), other.stderr, np.nan)
         text = f"the {kind} uses blocks of {span} samples; it does not include errors that repeat every loop"
         notes.append(Note(Code.BLOCKS, text))
+        blocks = sum(int(record.used.sum()) for record in result.data) / span
+        known = 100 / np.sqrt(2 * blocks)
+        reason = f"with {blocks:.0f} blocks such an error is known to {known:.0f} % at best, and tends to be too small"
+        by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
+        notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
     if unknown:
         text = f"no rule has a standard error for parameters that the data do not determine: {', '.join(unknown)}"

@@ -17,6 +17,7 @@ from scipy.linalg.lapack import dpttrf, dpttrs
 
 from hystfit.inference.noise.setting import Setting
 
+POINTS = 12  # inducing points of curves over the input
 _RATIOS = (1e-2, 1.0, 1e2)  # of white to slow variance, tried before the search
 _LEAST, _MOST = 1e-6, 1e6  # of that ratio
 _SHORTEST = 0.2  # correlation time, samples
@@ -70,6 +71,7 @@ class SlowNoise:
         time: correlation time of the slow part, typical sampling intervals.
         shapes: columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0.
         loop: see `shapes`.
+        length: length scale of the shapes in the input, relative to its range.
     """
 
     samples: Samples
@@ -78,6 +80,7 @@ class SlowNoise:
     time: float
     shapes: Float[np.ndarray, "n k"]
     loop: float = 0.0
+    length: float = 1.0
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -141,6 +144,7 @@ class Contrasts:
         shapes: see `SlowNoise`.
         power: mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about
             the value that gives this on average, because shapes too smooth for the residuals would otherwise grow without limit.
+        length: length scale of the shapes.
     """
 
     samples: Samples
@@ -148,6 +152,7 @@ class Contrasts:
     basis: Float[np.ndarray, "n p"]
     shapes: Float[np.ndarray, "n k"]
     power: float = 0.0
+    length: float = 1.0
 
     @functools.cached_property
     def rows(self) -> np.ndarray:
@@ -207,9 +212,9 @@ def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
 
     def noise(at: np.ndarray, slow: float, loop: float) -> SlowNoise:
         ratio, time = inside(at)
-        return SlowNoise(
-            samples, float(np.sqrt(ratio * slow)), float(np.sqrt(slow)), float(time), contrasts.shapes, loop**0.5
-        )
+        white = float(np.sqrt(ratio * slow))
+        shapes, length = contrasts.shapes, contrasts.length
+        return SlowNoise(samples, white, float(np.sqrt(slow)), float(time), shapes, loop**0.5, length)
 
     others = tuple(noise(at, *v[1:]) for at, v in zip(about, values, strict=True))
     return SlowNoiseFit(noise(center, *contrasts.at(*inside(center))[1:]), others, shares / shares.sum())

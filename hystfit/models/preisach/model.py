@@ -35,7 +35,16 @@ _SMALL = (
     4_000_000  # samples times weights up to which columns on the host beat compiling look-ups for yet another shape
 )
 _RIDGE = 1e-3  # penalty on the weights themselves, relative to that on their second differences
-_OTHER_LEVELS = (16, 24)  # cells along an axis that a comparison tries besides the model's own
+_SIZES = (
+    8,
+    12,
+    16,
+    24,
+    30,
+    40,
+    60,
+)  # cells along an axis that a comparison tries, one step from the model's own at a time
+_MOST = {True: 60, False: 40}  # the largest of them, for reversal curves and for other records
 
 
 class Preisach(AbstractPlane):
@@ -235,6 +244,20 @@ class Preisach(AbstractPlane):
 
     # -- optional methods ------------------------------------------------------------------------------------------------
 
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        return {
+            "n": self.n,
+            "symmetric": self.symmetric,
+            "reversible": bool(self.slopes.size),
+            "degree": self.b.shape[0],
+            "elements": self.elements,
+            # Reversal curves start from the saturation that they came from, whatever is set.
+            "initial": "demagnetized" if self.from_saturation else self.initial,
+            "spacing": self.spacing,
+            "depth": self.depth,
+        }
+
     @property
     def from_saturation(self) -> bool:
         """Whether its levels come from reversal curves."""
@@ -272,12 +295,21 @@ class Preisach(AbstractPlane):
         )
         return DesignMatrix(tuple(blocks), np.zeros(len(columns)), index)
 
-    def sizes(self) -> dict[str, Preisach]:
-        """This model and two of other numbers of levels; none to choose from where reversal curves give the levels."""
-        if self.from_saturation:
-            return {}
-        others = (Preisach.of(n, symmetric=self.symmetric, elements=self.elements) for n in _OTHER_LEVELS)
-        return {f"{model.levels.size} levels": model for model in (self, *others)}
+    def sizes(self, records: Sequence[Record]) -> dict[str, Preisach]:
+        """This model with no more cells than distinct inputs; one more or fewer, other levels, another state before the records."""
+        distinct = np.unique(np.concatenate([record.u[record.used] for record in records])).size
+        even = lambda n: max(n - n % 2, 2) if self.symmetric else max(n, 1)
+        n = even(min(self.n, distinct))
+        changes: list[dict[str, Any]] = [{"n": n}]
+        known = sorted({even(size) for size in _SIZES if size <= min(distinct, _MOST[self.from_saturation])})
+        changes += [{"n": size} for size in ([k for k in known if k < n][-1:] + [k for k in known if k > n][:1])]
+        if not self.from_saturation:
+            spacings = ("square", "uniform") if self.symmetric else ("quantile", "uniform")
+            changes += [{"n": n, "spacing": spacing} for spacing in spacings if spacing != self.spacing]
+            if not self.symmetric and not _start_at_an_end(records):
+                changes += [{"n": n, "initial": rest} for rest in get_args(Rest) if rest != self.initial]
+        models = [type(self).of(**{**self.settings(), **change}) for change in changes]
+        return {_size_words(model): model for model in models}
 
     def reach(self) -> tuple[float, float]:
         """From the lowest to the highest level."""
@@ -312,6 +344,16 @@ class Preisach(AbstractPlane):
         arrays |= {"knots": knots, "first": solver.excursion, "b": np.append(0.0, np.asarray(self.b))}
         arrays["straight"] = solver.straight if self.slopes.size else np.zeros(knots.size)
         return CPart(template("preisach.c"), 1 + 2 * self.depth, numbers, arrays)
+
+
+def _size_words(model: Preisach) -> str:
+    state = "" if model.from_saturation else f", {model.initial} before the record"
+    return f"{model.n} cells an axis, {model.spacing} levels{state}"
+
+
+def _start_at_an_end(records: Sequence[Record]) -> bool:
+    """Whether every record starts at its lowest or highest input, where the state before it hardly matters."""
+    return all(min(r.u[0] - r.u.min(), r.u.max() - r.u[0]) <= 0.01 * np.ptp(r.u) for r in records)
 
 
 @functools.lru_cache(maxsize=16)

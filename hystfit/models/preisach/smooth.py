@@ -164,6 +164,7 @@ class SmoothFit:
         weights: all p weights, in output units; held ones as given.
         smoothness: strength of the penalty, relative to the number of samples.
         left_out: root mean square error on blocks left out, in parts of the output's range, for each strength tried.
+        error: the same for the strength chosen and weights inside their bounds; None where there was no choice.
         rss: sum of squared residuals, output units.
         cost: the same with the penalty added.
         penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,).
@@ -172,6 +173,7 @@ class SmoothFit:
     weights: np.ndarray
     smoothness: float
     left_out: np.ndarray
+    error: float | None
     rss: float
     cost: float
     penalty: np.ndarray
@@ -196,29 +198,38 @@ def fit_smooth(
     total, n = grams.sum(axis=0), system.counts.sum()
     rough, bounded = system.roughness[np.ix_(free, free)], system.bounded[free]
     trial = bounded if free.size <= _MANY else np.zeros_like(bounded)
-    left_out = []
+    left_out: list[float] = []
     starts: list[np.ndarray | None] = [None] * len(grams)
     judged = np.flatnonzero(system.judged)[: 2 if free.size > _MANY else None]
-    for strength in strengths if len(strengths) > 1 else ():
+
+    def left_out_error(strength: float, bounds: np.ndarray) -> float:
         error = 0.0
         for k in judged:
             gram, count = grams[k], system.counts[k]
             near = starts[k] if starts[k] is not None else starts[judged[0]]
-            v, starts[k] = _solve(total - gram, strength * (n - count) * rough, trial, near)
+            v, starts[k] = _solve(total - gram, strength * (n - count) * rough, bounds, near)
             r = np.append(-v, 1.0)
             error += max(float(r @ gram @ r), 0.0)
-        left_out.append(np.sqrt(error / system.counts[judged].sum()))
+        return float(np.sqrt(error / system.counts[judged].sum()))
+
+    for strength in strengths if len(strengths) > 1 else ():
+        left_out.append(left_out_error(strength, trial))
         # Once the error has tripled, stiffer weights only make it larger.
         if left_out[-1] > 3 * min(left_out):
             break
     best = strengths[int(np.argmin(left_out))] if left_out else strengths[0]
-    v, _ = _solve(total, best * n * rough, bounded, starts[judged[0]] if free.size <= _MANY else None)
+    exact = free.size <= _MANY
+    v, near = _solve(total, best * n * rough, bounded, starts[judged[0]] if exact else None)
+    error = min(left_out, default=None)
+    if error is not None and not exact and bounded.any():
+        starts = [near] * len(grams)
+        error = left_out_error(best, bounded)
     r = np.append(-v, 1.0)
     rss = max(float(r @ total @ r), 0.0) * system.size**2
     cost = rss + best * n * float(v @ rough @ v) * system.size**2
     weights = held.copy()
     weights[free] = v * system.size
-    return SmoothFit(weights, best, np.array(left_out), rss, cost, best * n * np.diag(system.roughness))
+    return SmoothFit(weights, best, np.array(left_out), error, rss, cost, best * n * np.diag(system.roughness))
 
 
 def _reduced(system: SmoothSystem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -89,7 +89,7 @@ def fit_preisach(
         for r, constant in zip(records, constants, strict=True)
     ]
     span = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or np.nan
-    error = float(100 * fit.left_out.min()) if fit.left_out.size else None
+    error = None if fit.error is None else 100 * fit.error
     return PreisachFit(
         fitted,
         constants,

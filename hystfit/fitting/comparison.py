@@ -1,0 +1,139 @@
+"""A ranking of models: its rows, its winner, and the table that shows it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+from hystfit.fitting.left_out import Scheme
+from hystfit.outcome import Column, Status, Table, fragment
+from hystfit.results.result import FitResult
+
+SCHEMA = "hystfit.compare/2"
+Purpose = Literal["prediction", "inverse", "export"]
+_WORDS = {
+    "blocks": "on contiguous blocks (or records) that the fit did not use",
+    "future": "on the last three fifths of each record, each fifth predicted from a fit to what came before it",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One model in a comparison.
+
+    Attributes:
+        name: makes the model again, with the size and terms that were chosen.
+        asked: what was asked for: the same, a name without settings, or a search.
+        score_percent: error on left-out data, in percent of the output's range; None where it is not known.
+        in_sample_percent, max_error_percent: on the samples fitted.
+        parameters: number of free ones.
+        seconds: what fit and validation took.
+        status: of the fit, or "failed".
+        note: why it was left out or stopped early.
+        bic: Bayesian information criterion, see `hystfit.fitting.left_out.bic`; None where it is not known.
+        obstacles: why the model cannot be inverted or exported, by purpose; None where it is not known.
+    """
+
+    name: str
+    asked: str
+    score_percent: float | None
+    in_sample_percent: float | None
+    max_error_percent: float | None
+    parameters: int | None
+    seconds: float
+    status: Status
+    note: str = ""
+    bic: float | None = None
+    obstacles: dict[str, str] | None = None
+
+    def serves(self, purpose: Purpose) -> bool | None:
+        """Whether the model can be used for a purpose; None where it was not fitted."""
+        return None if self.obstacles is None else purpose not in self.obstacles
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """A ranking: rows from best to worst, and the fit of the best.
+
+    Attributes:
+        rows: one for each model.
+        winner: the fitted result of the first row.
+        fits: every fit that was completed, by what was asked for.
+        left_out: what was left out, "blocks" or "future".
+        purpose: models that cannot be used for it rank below the others.
+        reason: why these models were tried.
+    """
+
+    rows: tuple[Row, ...]
+    winner: FitResult
+    fits: dict[str, FitResult]
+    left_out: Scheme = "blocks"
+    purpose: Purpose = "prediction"
+    reason: str = ""
+
+    def table(self) -> Table:
+        """The ranking."""
+        columns = (
+            Column("model"),
+            Column("left out %", "score_percent", ".3g"),
+            Column("fitted %", "in_sample_percent", ".3g"),
+            Column("largest %", "max_error_percent", ".3g"),
+            Column("params", "parameters"),
+            Column("BIC above", "bic_above", ".1f"),
+            Column("invert", left=True),
+            Column("export", left=True),
+            Column("seconds", form=".1f"),
+            Column("status", left=True),
+        )
+        least = min((row.bic for row in self.rows if row.bic is not None), default=0.0)
+        rows = [
+            [
+                row.name,
+                row.score_percent,
+                row.in_sample_percent,
+                row.max_error_percent,
+                row.parameters,
+                None if row.bic is None else row.bic - least,
+                row.serves("inverse"),
+                row.serves("export"),
+                row.seconds,
+                str(row.status),
+            ]
+            for row in self.rows
+        ]
+        return Table(columns, rows)
+
+    def text(self) -> str:
+        """The ranking as text."""
+        lines = [
+            f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
+            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
+            "'invert', 'export': whether the model has an inverse and C code.",
+        ]
+        lines += [f"Compared because {self.reason}."] if self.reason else []
+        lines += self.table().lines()
+        lines += [f"  - {row.name}: {row.note}" for row in self.rows if row.note]
+        lines.append(f"winner: {self.rows[0].name}{'' if self.purpose == 'prediction' else f' (for {self.purpose})'}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return self.text()
+
+    def _repr_html_(self) -> str:
+        explained = f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}."
+        reason = f"Compared because {self.reason}." if self.reason else ""
+        remarks = [f"{row.name}: {row.note}" for row in self.rows if row.note]
+        return fragment(f"winner: {self.rows[0].name}", (explained, reason, self.table(), *remarks))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
+        return {
+            "schema": SCHEMA,
+            "status": self.winner.status,
+            "winner": self.rows[0].name,
+            "left_out": self.left_out,
+            "purpose": self.purpose,
+            "reason": self.reason,
+            "rows": [dataclasses.asdict(row) for row in self.rows],
+            "provenance": self.winner.provenance,
+        }

@@ -1,0 +1,202 @@
+"""Least squares within bounds on the host: Levenberg-Marquardt steps on whitened normal equations, each a bounded quadratic problem.
+
+A linear parameter moves in units of its scale, between its bounds: with hundreds of non-negative weights any of them may reach zero or
+leave it in one step, and a problem that is linear in all parameters is solved exactly. The others move in unconstrained coordinates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array, Float
+
+from hystfit.inference.problem import Problem
+from hystfit.inference.whitened import Whitened
+from hystfit.params.coordinates import BOTH, LOWER, UPPER
+
+_LONGEST = 2.0  # step of an unconstrained coordinate
+_EDGE = 8.0  # |z| beyond which a parameter counts as lying on its bound: within 3e-4 of the scale or the interval
+_END = 16.0  # |z| beyond which no step leads towards a bound
+_INSIDE = 3.0  # |z| from which a search is started again where a parameter lies on its bound
+_DAMPING = 1e-9, 1e6  # least and largest
+_STEPS, _TRIAL = 30, 8  # of a descent, and of those from several starts of which the best is continued
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """Where a descent ended.
+
+    Attributes:
+        v: coordinates, shape (p,).
+        value: half the squared whitened residual.
+        gradient, matrix: of the value with respect to v, shapes (p,) and (p, p).
+    """
+
+    v: np.ndarray
+    value: float
+    gradient: np.ndarray
+    matrix: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class BoundedNewton:
+    """Whitened least squares of a problem within the bounds of its parameters.
+
+    Attributes:
+        problem: model and data.
+        whitened: the noise.
+        origin: physical parameters about which a problem that is linear in all of them is expanded, shape (p,).
+    """
+
+    problem: Problem
+    whitened: Whitened
+    origin: np.ndarray
+
+    # -- coordinates ---------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def linear(self) -> np.ndarray:
+        """Which parameters move in units of their scale, shape (p,), bool."""
+        return np.array([info.linear for info in self.problem.space.infos], dtype=bool)
+
+    @functools.cached_property
+    def _kind(self) -> np.ndarray:
+        return np.asarray(self.problem.space.coordinates.kinds)
+
+    @functools.cached_property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lower and upper bounds and scales, physical."""
+        c = self.problem.space.coordinates
+        return np.asarray(c.lower), np.asarray(c.upper), np.asarray(c.scale)
+
+    @functools.cached_property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest coordinates, shapes (p,)."""
+        kind, (lower, upper, scale) = self._kind, self._bounds
+        low = np.where((kind == LOWER) | (kind == UPPER) | (kind == BOTH), -_END, -np.inf)
+        high = np.where(kind == BOTH, _END, np.inf)
+        return np.where(self.linear, lower / scale, low), np.where(self.linear, upper / scale, high)
+
+    def coordinates(self, x: np.ndarray) -> np.ndarray:
+        """v of physical parameters; nonlinear parameters on a bound are moved to `_EDGE`."""
+        kind = self._kind
+        with np.errstate(all="ignore"):
+            z = self.problem.space.coordinates.unconstrained(x, 1e-9, np)
+        z = np.where((kind == LOWER) | (kind == UPPER), np.maximum(z, -_EDGE), z)
+        z = np.where(kind == BOTH, np.clip(z, -_EDGE, _EDGE), z)
+        return np.where(self.linear, x / self._bounds[2], z)
+
+    def physical(self, v: np.ndarray) -> np.ndarray:
+        """Physical parameters at v."""
+        x = self.problem.space.physical(np.where(self.linear, 0.0, v))
+        return np.where(self.linear, v * self._bounds[2], x)
+
+    def inside(self, v: np.ndarray, held: int = -1) -> np.ndarray | None:
+        """v with the nonlinear parameters that lie on a bound moved away from it; None where there is none.
+
+        Args:
+            v: coordinates, shape (p,).
+            held: position of a parameter that stays.
+        """
+        kind = self._kind
+        low = (kind == LOWER) | (kind == UPPER) | (kind == BOTH)
+        near = ~self.linear & ((low & (v < -_INSIDE)) | ((kind == BOTH) & (v > _INSIDE)))
+        near &= np.arange(v.size) != held
+        return np.where(near, np.sign(v) * _INSIDE, v) if near.any() else None
+
+    # -- descent -------------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _expansion(self) -> tuple[float, np.ndarray, np.ndarray]:
+        return self._traced(self.origin)
+
+    def _traced(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        r, J = self.problem.linearize(x)
+        value, gradient, matrix = _normal(self.whitened, jnp.asarray(r), jnp.asarray(J))
+        return float(value), np.asarray(gradient), np.asarray(matrix)
+
+    def at(self, v: np.ndarray) -> Point:
+        """Value, gradient and Gauss-Newton matrix at v."""
+        x = self.physical(v)
+        if self.linear.all():
+            value, gradient, matrix = self._expansion
+            move = x - self.origin
+            value, gradient = value + gradient @ move + 0.5 * move @ matrix @ move, gradient + matrix @ move
+        else:
+            value, gradient, matrix = self._traced(x)
+        slope = np.where(self.linear, self._bounds[2], self.problem.space.slope(v))
+        return Point(v, value, gradient * slope, matrix * np.outer(slope, slope))
+
+    def descend(self, v: np.ndarray, moving: np.ndarray, steps: int = _STEPS, tolerance: float = 1e-5) -> Point:
+        """The least-squares estimate from one start.
+
+        Args:
+            v: start, shape (p,).
+            moving: which parameters may change, shape (p,), bool.
+            steps: at most.
+            tolerance: predicted decrease of the value at which it stops.
+        """
+        low, high = self.limits
+        point, damping = self.at(np.clip(v, low, high)), _DAMPING[0]
+        for _ in range(steps):
+            step = _step(point, damping, low, high, moving)
+            longest = np.max(np.abs(step[~self.linear]), initial=0.0)
+            step = step * min(1.0, _LONGEST / max(longest, 1e-300))
+            gain = -(point.gradient @ step + 0.5 * step @ point.matrix @ step)
+            if not gain > tolerance:
+                break
+            new = self.at(np.clip(point.v + step, low, high))
+            if new.value < point.value:
+                point, damping = new, max(0.1 * damping, _DAMPING[0])
+            else:
+                damping = 10.0 * max(damping, 1e-5)
+            if damping > _DAMPING[1]:
+                break
+        return point
+
+    def best(self, starts: Sequence[np.ndarray], moving: np.ndarray, held: int = -1, steps: int = _TRIAL) -> Point:
+        """The lowest of the descents from several starts, and from inside the bounds on which they lie.
+
+        Args:
+            starts: coordinates, each of shape (p,).
+            moving: which parameters may change, shape (p,), bool.
+            held: position of a parameter that stays where it is.
+            steps: of each, before the best is continued.
+        """
+        inner = [v for start in starts if (v := self.inside(start, held)) is not None]
+        several = [*starts, *inner]
+        if len(several) == 1:
+            return self.descend(several[0], moving)
+        points = [self.descend(v, moving, steps) for v in several]
+        return self.descend(min(points, key=lambda point: point.value).v, moving)
+
+
+def _step(point: Point, damping: float, low: np.ndarray, high: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """The minimum of the damped quadratic model within the bounds."""
+    at, step = np.flatnonzero(moving), np.zeros(point.v.size)
+    diagonal = np.diag(point.matrix)[at]
+    size = 1 / np.sqrt(np.maximum(diagonal, 1e-14 * max(diagonal.max(initial=0.0), 1e-280)))
+    A = point.matrix[np.ix_(at, at)] * np.outer(size, size) + damping * np.eye(at.size)
+    b = -size * point.gradient[at]
+    below, above = (low - point.v)[at] / size, (high - point.v)[at] / size
+    try:
+        scaled = np.linalg.solve(A, b)
+        if np.any(scaled < below) or np.any(scaled > above):
+            root = np.linalg.cholesky(A).T
+            target = np.linalg.solve(root.T, b)
+            scaled = scipy.optimize.lsq_linear(root, target, (below, above), method="bvls").x
+    except np.linalg.LinAlgError:
+        return step
+    step[at] = np.clip(scaled, below, above) * size
+    return step
+
+
+@eqx.filter_jit
+def _normal(whitened: Whitened, r: Float[Array, "R T"], J: Float[Array, "R T p"]) -> tuple[Array, Array, Array]:
+    return whitened.normal_of(r, J)

@@ -1,0 +1,71 @@
+"""Progress of long computations, where somebody can see it: on a terminal or in a notebook."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+Update = Callable[..., None]
+_LINE = 110  # characters of a line in a notebook
+
+
+@contextlib.contextmanager
+def progress(task: str) -> Iterator[Update]:
+    """A line on stderr that shows the task, on a terminal or in a notebook; yields a function that updates it.
+
+    The function takes a text, and the fraction that is done (0 to 1) where it is known, which is shown as a bar.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if console.is_jupyter:
+        with _in_notebook(task) as update:
+            yield update
+    elif console.is_terminal:
+        with _on_terminal(task, console) as update:
+            yield update
+    else:
+        yield lambda *_: None
+
+
+@contextlib.contextmanager
+def _in_notebook(task: str) -> Iterator[Update]:
+    """One line of the cell's output, rewritten in place and cleared at the end; rich would need a widget for this."""
+    started = time.perf_counter()
+
+    def write(line: str) -> None:
+        sys.stderr.write("\r" + line[:_LINE].ljust(_LINE))
+        sys.stderr.flush()
+
+    def update(text: str, fraction: float | None = None) -> None:
+        share = "" if fraction is None else f"{100 * fraction:3.0f} % "
+        write(f"{share}{task}: {text} ({time.perf_counter() - started:.0f} s)")
+
+    write(task)
+    try:
+        yield update
+    finally:
+        write("")
+        sys.stderr.write("\r")
+
+
+@contextlib.contextmanager
+def _on_terminal(task: str, console: Any) -> Iterator[Update]:
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    bar = (SpinnerColumn(), BarColumn(30), TaskProgressColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as display:
+        line = display.add_task(escape(task), total=None)
+
+        def update(text: str, fraction: float | None = None) -> None:
+            if fraction is not None:
+                display.columns = bar
+            total = None if fraction is None else 1.0
+            display.update(line, description=escape(f"{task}: {text}"), total=total, completed=fraction or 0.0)
+
+        yield update

@@ -1,0 +1,231 @@
+"""Dynamics: a response that changes with frequency as that of an oscillator does, as distinct from hysteresis, lag and viscosity.
+
+Two descriptions of the output are fitted by least squares: hysteresis (plays and a cubic) of the delayed or lagged input with
+velocity terms, and the same hysteresis followed by an underdamped second-order filter. The record is dynamic where the filter
+explains most of what the first description does not, and the response at the excited frequencies changes accordingly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.quality.lag import plays
+
+_LEAST, _MOST = 200, 12_000  # samples used
+_EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
+_BANDS = 6  # bands of the frequency response per octave
+_APART = 1.5  # least ratio of excited frequencies between which a change of the response is visible
+_DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
+_DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
+_UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
+_EXPLAINED = 0.75  # least share of the unexplained variance that the resonance explains
+_VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the range of y
+_GAIN, _PHASE = (
+    1.25,
+    40.0,
+)  # least change of the gain (as a ratio) or of the phase [degrees] between the excited frequencies
+
+
+@dataclasses.dataclass(frozen=True)
+class Dynamics:
+    """Frequency response at two excited frequencies, and the resonance that explains it.
+
+    Attributes:
+        natural_frequency: of the resonance [cycles per unit of time].
+        damping_ratio: of the resonance.
+        explained: share of the variance unexplained by hysteresis, lag and velocity terms that the resonance explains.
+        error_without, error_with: rms error without and with the resonance, as fractions of the range of y.
+        low, high: excited frequencies that are compared: the lowest, and that at which the response differs most from there
+            [cycles per unit of time].
+        gain_ratio: gain at `high` over gain at `low`.
+        phase_low, phase_high: phase of the output against the input there; negative where the output lags [degrees].
+    """
+
+    natural_frequency: float
+    damping_ratio: float
+    explained: float
+    error_without: float
+    error_with: float
+    low: float
+    high: float
+    gain_ratio: float
+    phase_low: float
+    phase_high: float
+
+    @property
+    def resonant(self) -> bool:
+        """Whether a resonance explains most of the change of the response with frequency."""
+        changes = (
+            max(self.gain_ratio, 1 / max(self.gain_ratio, 1e-9)) > _GAIN
+            or abs(self.phase_high - self.phase_low) > _PHASE
+        )
+        visible = self.error_without > _VISIBLE
+        return changes and visible and self.explained > _EXPLAINED and self.damping_ratio < _UNDERDAMPED
+
+
+@dataclasses.dataclass(frozen=True)
+class _Response:
+    """Frequency response in the excited bands: frequencies [1/interval], gains [y/u] and unwrapped phases [degrees], shape (B,)."""
+
+    frequency: np.ndarray
+    gain: np.ndarray
+    phase: np.ndarray
+
+
+def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics | None:
+    """Frequency response and resonance of a record.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,); missing values are bridged in the response and omitted in the fits.
+        interval: time between the evenly spaced samples [unit of t].
+
+    Returns:
+        None with fewer than 200 samples, or where the input excites a single frequency only.
+    """
+    u, y = np.asarray(u, dtype=float)[:_MOST], np.asarray(y, dtype=float)[:_MOST]
+    used = np.isfinite(y)
+    if used.sum() < max(_LEAST, 0.5 * y.size) or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+        return None
+    x = 2 * (u - u.min()) / np.ptp(u) - 1
+    y = (y - y[used].mean()) / np.ptp(y[used])
+    bridged = np.interp(np.arange(y.size), np.flatnonzero(used), y[used])
+    response = _frequency_response(x, bridged)
+    if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
+        return None
+    columns = _Columns.of(x, bridged, used)
+    without = columns.error_without()
+    error, frequency, damping = columns.best_resonance(response)
+    other = _most_different(response)
+    return Dynamics(
+        natural_frequency=frequency / interval,
+        damping_ratio=damping,
+        explained=1 - (error / without) ** 2 if without > 0 else 0.0,
+        error_without=without,
+        error_with=error,
+        low=float(response.frequency[0]) / interval,
+        high=float(response.frequency[other]) / interval,
+        gain_ratio=float(response.gain[other] / response.gain[0]),
+        phase_low=float(response.phase[0]),
+        phase_high=float(response.phase[other]),
+    )
+
+
+def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
+    """Cross spectrum over the input's spectrum in bands of a sixth of an octave, where the input is excited."""
+    taper = np.hanning(x.size)
+    level = lambda values: (values - values.mean()) * taper
+    spectrum, answer = np.fft.rfft(level(x))[2:], np.fft.rfft(level(y))[2:]
+    number = np.arange(2, spectrum.size + 2)
+    band = np.floor(_BANDS * np.log2(number)).astype(int)
+    power = np.bincount(band, np.abs(spectrum) ** 2)
+    cross = answer * np.conj(spectrum)
+    total = np.bincount(band, cross.real) + 1j * np.bincount(band, cross.imag)
+    middle = np.bincount(band, number * np.abs(spectrum) ** 2) / np.maximum(power, 1e-300) / x.size
+    excited = (power > _EXCITED * power.max()) & (np.abs(total) > 0)
+    ratio = total[excited] / power[excited]
+    return _Response(middle[excited], np.abs(ratio), np.degrees(np.unwrap(np.angle(ratio))))
+
+
+def _most_different(response: _Response) -> int:
+    """Band whose gain (in octaves) and phase (in quarter turns) differ most from those of the lowest band."""
+    gain = np.log2(np.maximum(response.gain, 1e-12) / response.gain[0])
+    return int(np.argmax(np.hypot(gain, (response.phase - response.phase[0]) / 90)))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Columns:
+    """Regressors: `hysteresis` (T, K) of the input, `beside` (T, M) (constant, trend, relaxations), `speed` (T, 3), and the output."""
+
+    hysteresis: np.ndarray
+    beside: np.ndarray
+    speed: np.ndarray
+    y: np.ndarray
+    used: np.ndarray
+
+    @classmethod
+    def of(cls, x: np.ndarray, y: np.ndarray, used: np.ndarray) -> _Columns:
+        play = plays(x, np.geomspace(0.03, 0.8, 5))
+        speed = np.gradient(x)
+        speed = speed / np.sqrt(np.mean(speed**2))
+        slow = [_lagged(x[:, None], part * x.size)[:, 0] for part in (0.01, 0.05, 0.25)]
+        return cls(
+            np.stack([x, x**2, x**3, *play.T], axis=1),
+            np.stack([np.ones_like(x), np.linspace(-1, 1, x.size), *slow], axis=1),
+            np.stack([speed, np.tanh(speed), np.tanh(3 * speed)], axis=1),
+            y,
+            used,
+        )
+
+    def _error(self, *parts: np.ndarray) -> float:
+        design = np.hstack(parts)[self.used]
+        design = design / np.linalg.norm(design, axis=0).clip(1e-300)
+        solution = np.linalg.lstsq(design, self.y[self.used], rcond=1e-7)[0]
+        return float(np.sqrt(np.mean((self.y[self.used] - design @ solution) ** 2)))
+
+    def error_without(self) -> float:
+        """Least rms error of hysteresis with velocity terms, over delays and lags of the input."""
+        fixed = (self.beside, self.speed)
+        delayed = [self._error(_delayed(self.hysteresis, delay), *fixed) for delay in _DELAYS]
+        lags = np.geomspace(0.5, max(1.0, 0.02 * self.y.size), 8)
+        lagged = [self._error(_lagged(_lagged(self.hysteresis, lag), lag), *fixed) for lag in lags]
+        return min(*delayed, *lagged)
+
+    def _error_with(self, frequency: float, damping: float) -> float:
+        return self._error(_filtered(self.hysteresis, frequency, damping), self.beside)
+
+    def best_resonance(self, response: _Response) -> tuple[float, float, float]:
+        """Least rms error with a second-order filter, its natural frequency [1/interval] and its damping ratio."""
+        from scipy.optimize import minimize
+
+        low, high = response.frequency[0], min(0.4, 8 * response.frequency[-1])
+        peak = response.frequency[int(np.argmax(response.gain))]
+        grid = [*np.geomspace(low, high, max(4, round(4 * np.log2(high / low)))), peak, _natural_frequency(response)]
+        starts = [(self._error_with(f, d), f, d) for f in np.clip(grid, low, high) for d in _DAMPING]
+        _, frequency, damping = min(starts)
+        bounded = lambda z: (float(np.clip(np.exp(z[0]), low, high)), float(np.clip(np.exp(z[1]), 1e-3, 2.0)))
+        found = minimize(
+            lambda z: self._error_with(*bounded(z)),
+            np.log([frequency, damping]),
+            method="Nelder-Mead",
+            options={"maxfev": 50, "xatol": 0.01, "fatol": 1e-7},
+        )
+        return float(found.fun), *bounded(found.x)
+
+
+def _natural_frequency(response: _Response) -> float:
+    """Natural frequency by least squares of u/y = k - m w^2 + i w c over the excited bands [1/interval]."""
+    inverse = np.exp(-1j * np.radians(response.phase)) / np.maximum(response.gain, 1e-12)
+    design = np.stack([np.ones_like(response.frequency), -(response.frequency**2)], axis=1)
+    weight = response.gain[:, None]
+    stiffness, mass = np.linalg.lstsq(design * weight, inverse.real * weight[:, 0], rcond=None)[0]
+    return float(np.sqrt(stiffness / mass)) if stiffness > 0 and mass > 0 else float(response.frequency[-1])
+
+
+def _delayed(columns: np.ndarray, delay: float) -> np.ndarray:
+    """Columns delayed by a number of samples, linear between samples."""
+    when = np.maximum(np.arange(len(columns)) - delay, 0.0)
+    whole = np.floor(when).astype(int)
+    part = (when - whole)[:, None]
+    return columns[whole] * (1 - part) + columns[np.minimum(whole + 1, len(columns) - 1)] * part
+
+
+def _lagged(columns: np.ndarray, time: float) -> np.ndarray:
+    """Columns behind a first-order lag of this time constant [samples], from rest."""
+    from scipy.signal import lfilter
+
+    keep = float(np.exp(-1 / time))
+    return columns[0] + lfilter([1 - keep], [1, -keep], columns - columns[0], axis=0)
+
+
+def _filtered(columns: np.ndarray, frequency: float, damping: float) -> np.ndarray:
+    """Columns behind a second-order filter of static gain one, from rest (bilinear transform, exact at its natural frequency)."""
+    from scipy.signal import lfilter
+
+    w = np.tan(np.pi * frequency)
+    norm = 1 + 2 * damping * w + w**2
+    numerator = w**2 / norm * np.array([1.0, 2.0, 1.0])
+    denominator = [1.0, 2 * (w**2 - 1) / norm, (1 - 2 * damping * w + w**2) / norm]
+    return columns[0] + lfilter(numerator, denominator, columns - columns[0], axis=0)

@@ -1,0 +1,323 @@
+"""The comparison of models: what is tried, what is left out and why, sizes that follow the data, names that make the winner again."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Float
+
+import hystfit as hf
+from hystfit.errors import ModelError
+from hystfit.fitting.candidates import candidates
+from hystfit.fitting.compare import _Judge
+from hystfit.fitting.comparison import Row
+from hystfit.fitting.sizes import choose_size
+from hystfit.fitting.smooth_weights import left_out_score
+from hystfit.fitting.structure import Structure, build, most_plays, search_structure
+from hystfit.fitting.thinning import thinned
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.outcome import Code, Status, progress
+
+T = np.arange(0.0, 6.0, 0.02)
+U = 4 * (0.4 + 0.6 * np.abs(np.sin(np.pi * T / 6))) * np.sin(2 * np.pi * 0.7 * T)
+
+
+def stepped_loops(amplitudes=(1.0, 2.0, 3.0), samples=21, noise=1e-3) -> hf.Dataset:
+    """Centered loops from their positive tip, as a DC magnetometer steps through them: a branching process by hand, no time."""
+    rng, records = np.random.default_rng(0), []
+    for amplitude in amplitudes:
+        down = np.linspace(amplitude, -amplitude, samples // 2 + 1)
+        u = np.concatenate([down, down[::-1][1:]])
+        widths, x0 = np.linspace(0.05, 1.5, 40), 0.0
+        plays = np.zeros(widths.size)
+        y = []
+        for x in np.concatenate([[x0, amplitude], u]):
+            plays = np.maximum(x - widths, np.minimum(x + widths, plays))
+            y.append(np.tanh(plays / 1.2).mean() + 0.05 * x)
+        records.append(hf.Record(u, np.array(y[2:]) + rng.normal(0, noise, u.size), name=f"{amplitude:g}"))
+    return hf.Dataset(tuple(records))
+
+
+class Unsolvable(AbstractHysteresis):
+    """A model whose start needs the inverse of a singular matrix."""
+
+    rate_independent: ClassVar[bool] = True
+    gain: Float[Array, ""] = hf.param(1.0, doc="slope")
+
+    def init(self, u0):
+        return jnp.zeros((1,))
+
+    def step(self, state, u0, u1, dt):
+        return state, self.gain * u1
+
+    def start(self, records):
+        np.linalg.inv(np.zeros((2, 2)))
+        return self
+
+
+def test_few_samples_of_stepped_loops_get_an_answer():
+    data = stepped_loops()
+    assert sum(len(record) for record in data) == 63
+    found = hf.compare(data)
+    assert found.winner.usable
+    assert found.rows[0].score_percent < 2.0
+    search = next(row for row in found.rows if row.asked == SEARCH)
+    assert search.parameters <= 63 / 2
+    assert search.status is not Status.FAILED
+
+
+def test_a_candidate_that_cannot_be_fitted_is_named_and_left_out(tmp_path):
+    file = tmp_path / "unsolvable.py"
+    file.write_text(
+        f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom test_compare import Unsolvable as Mine\n"
+    )
+    many, broken = "prandtl-ishlinskii-generalized:plays=30", f"{file}:Mine"
+    found = hf.compare(stepped_loops(), [many, "duhem", broken])
+    assert found.rows[0].asked == "duhem"
+    rows = {row.asked: row for row in found.rows[1:]}
+    assert {rows[many].status, rows[broken].status} == {Status.FAILED}
+    assert all(row.note and row.score_percent is None for row in rows.values())
+    assert set(found.fits) == {"duhem"}
+
+
+def test_data_that_no_model_can_use_are_refused_as_such():
+    flat = hf.Record(np.ones(50), np.arange(50.0))
+    with pytest.raises(hf.HystfitError) as refused:
+        hf.compare(flat, ["bouc-wen", "duhem"])
+    assert "no model" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("samples", "levels", "least", "most"), [(4000, 4000, 40, 40), (63, 63, 3, 8), (800, 9, 3, 4)])
+def test_plays_follow_samples_and_levels(samples, levels, least, most):
+    u = np.round((levels - 1) * (0.5 + 0.5 * np.sin(np.linspace(0, 20, samples)))) / (levels - 1)
+    assert least <= most_plays(hf.Dataset.of(hf.Record(u, u))) <= most
+
+
+STRUCTURES = [
+    (Structure(), 12, "prandtl-ishlinskii:plays=12"),
+    (Structure("stop", 1, 5, "first", hardening=10), 20, None),
+    (Structure("play", 3, 3, "first", lag=3.5, creep=True, rate=2), 40, None),
+    (Structure("stop", 3, 1, "level", rate=1), 7, None),
+]
+
+
+@pytest.mark.parametrize(("structure", "plays", "name"), STRUCTURES)
+def test_the_name_of_a_structure_makes_it_again(structure, plays, name):
+    data = hf.Dataset.of(hf.Record(U + 1, U, T))
+    model = build(structure, data, plays)
+    again = make_model(model_name(model))
+    assert name in (None, model_name(model))
+    assert jax.tree_util.tree_structure(again) == jax.tree_util.tree_structure(model)
+    shapes = lambda m: [leaf.shape for leaf in jax.tree_util.tree_leaves(m)]
+    assert shapes(again) == shapes(model)
+    if structure.hardening:
+        assert float(again.s0) == structure.hardening
+
+
+def test_the_search_is_a_model_name_and_its_winner_another():
+    """The winner is fitted again by its printed name: the same free parameters and the same error, up to the lag found."""
+    made = hf.Sum(hf.PrandtlIshlinskii.of(8), hf.LinearCreep(a=[0.3])).start([hf.Record(U, U, T)])
+    made = eqx.tree_at(lambda m: m.parts[1].a, made, jnp.asarray([0.3]))
+    y = np.asarray(hf.simulate(made, U, 0.02)[0])
+    record = hf.Record(U, y + np.random.default_rng(1).normal(0, 2e-3, y.size), T)
+    found = hf.fit(SEARCH, record)
+    assert "creep" in found.name.split("+")
+    again = hf.fit(found.name, record)
+    assert (again.name, again.free_names) == (found.name, found.free_names)
+    assert again.train.rmse == pytest.approx(found.train.rmse, rel=0.02)
+    assert sum(note.code is Code.CHOICE for note in found.notes) >= 2
+    with pytest.raises(ModelError):
+        make_model(SEARCH)
+
+
+def test_a_rest_state_in_the_name_is_kept():
+    record = hf.Record(U + 5, U, T)
+    assert hf.fit("prandtl-ishlinskii:plays=6:rest=first", record).model.rest == "first"
+
+
+# -- candidates ------------------------------------------------------------------------------------------------------------
+
+
+def test_candidates_follow_what_check_finds():
+    force = np.asarray(hf.simulate(hf.BoucWenForce(), U)[0])
+    leading = candidates(hf.Dataset.of(hf.Record(U, force, T))).names
+    assert {"bouc-wen-force", SEARCH} <= set(leading)
+    assert not {"bouc-wen", "preisach"} & set(leading)
+    magnetic = candidates(stepped_loops()).names
+    assert "preisach-magnetic" in magnetic
+    assert not any("creep" in name for name in magnetic)
+    lagging = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.4, tau=0.5), U + 4)[0])
+    piezo = candidates(hf.Dataset.of(hf.Record(U + 4, lagging, T))).names
+    assert {"bouc-wen+log-creep", SEARCH} <= set(piezo)
+    assert not {"preisach-magnetic", "bouc-wen-oscillator"} & set(piezo)
+    curves = [
+        hf.Record(u := np.linspace(low, 1.0, 20), np.tanh(3 * u - low), name=f"{low:g}")
+        for low in np.linspace(-1, 0.5, 8)
+    ]
+    assert set(candidates(hf.Dataset(tuple(curves))).names) == {"preisach-forc", "preisach-forc-signed"}
+
+
+def test_a_resonance_brings_the_oscillator():
+    t = np.arange(0.0, 20.0, 0.01)
+    u = np.sin(2 * np.pi * (0.2 * t + 0.5 * (2.5 - 0.2) / 20 * t**2))
+    plays = np.asarray(hf.simulate(hf.PrandtlIshlinskii.of(10), u)[0])
+    y = np.asarray(hf.simulate(hf.SecondOrder(omega=9.0, zeta=0.1), plays, 0.01)[0])
+    names = candidates(hf.Dataset.of(hf.Record(u, y, t))).names
+    assert {"bouc-wen-oscillator", "prandtl-ishlinskii+second-order"} <= set(names)
+
+
+# -- what is stopped, what the winner is for -------------------------------------------------------------------------------
+
+
+def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison():
+    data = stepped_loops()
+    default = {row.asked: row for row in hf.compare(data).rows}
+    assert default["bouc-wen"].score_percent is None
+    assert default["bouc-wen"].note
+    assert default["bouc-wen"].in_sample_percent > 2 * min(r.score_percent for r in default.values() if r.score_percent)
+    named = {row.asked: row for row in hf.compare(data, ["preisach-magnetic", "bouc-wen"]).rows}
+    assert named["bouc-wen"].score_percent > default["bouc-wen"].in_sample_percent / 2
+
+
+def test_only_a_model_that_serves_the_purpose_stops_others():
+    rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
+    for purpose in ("inverse", "prediction"):
+        judge = _Judge(stepped_loops(), "blocks", purpose, 0, thorough=False)
+        judge.rows.append(rival)
+        judge.add("duhem", lambda _: None)
+        assert (judge.rows[1].score_percent is None) == (purpose == "prediction")
+
+
+def test_thinned_records_keep_their_branches():
+    t = np.arange(0.0, 50.0, 0.001)
+    record = hf.Record(np.sin(2 * np.pi * 0.5 * t), t, t)
+    short = thinned(hf.Dataset.of(record))[0]
+    assert 500 <= len(short) <= 3000
+    assert np.ptp(short.u) == np.ptp(record.u)
+    fast = hf.Record(np.sin(2 * np.pi * 20 * t), t, t)
+    assert len(thinned(hf.Dataset.of(fast))[0]) >= 10 * 2 * 20 * 50
+    brief = hf.Dataset.of(hf.Record(U, U, T))
+    assert thinned(brief)[0] is brief[0]
+
+
+def test_the_purpose_decides_between_models():
+    """An output three samples late: only a delay describes it, and a delay has no inverse."""
+    y = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.4, tau=0.5, rho=0.5), U)[0])
+    late = np.concatenate([np.full(3, y[0]), y[:-3]]) + np.random.default_rng(2).normal(0, 1e-3, y.size)
+    record = hf.Record(U, late, T)
+    names = ["delay+bouc-wen", "bouc-wen"]
+    forward = hf.compare(record, names)
+    assert [row.asked for row in forward.rows] == names
+    assert [row.serves("inverse") for row in forward.rows] == [False, True]
+    assert [row.serves("export") for row in forward.rows] == [True, True]
+    assert forward.table().to_list()[0]["invert"] is False
+    inverse = hf.compare(record, names, purpose="inverse")
+    assert [row.asked for row in inverse.rows] == names[::-1]
+    assert hf.invert(inverse.winner, record.y[:20], record.dt[:20]).u.size == 20
+    with pytest.raises(ModelError, match="shift or lead"):
+        hf.compare(record, names[:1], purpose="inverse")
+
+
+# -- sizes -----------------------------------------------------------------------------------------------------------------
+
+
+def test_no_more_cells_than_levels_and_the_choice_is_the_best_of_its_neighbors():
+    data = stepped_loops(samples=11)
+    records = list(data)
+    model = make_model("preisach")
+    distinct = np.unique(np.concatenate([record.u for record in records])).size
+    assert all(size.n <= distinct for size in model.sizes(records).values())
+    chosen = choose_size(model, data).model
+
+    def error(candidate):
+        problem = hf.Problem(candidate.start(records), data)
+        return left_out_score(problem, problem.space.vector(problem.model))
+
+    assert error(chosen) <= min(error(other) for other in chosen.sizes(records).values()) / 0.98
+    assert error(chosen) <= error(model)
+
+
+def test_other_levels_are_tried_where_they_predict_better():
+    """Samples crowd where nothing switches: levels at their quantiles miss the step of the density, even ones do not."""
+    u = np.concatenate([4 * np.abs(np.sin(np.linspace(0, 40, 1500))) ** 0.15 * a for a in (1.0, 0.9, 0.8)])
+    truth = hf.Preisach.of(30, spacing="uniform").start([hf.Record(u, u)])
+    up, down = (np.asarray(part) for part in truth.thresholds())
+    truth = eqx.tree_at(lambda m: m.w, truth, jnp.asarray(np.exp(-(((up - 1.5) / 0.5) ** 2) - ((down - 1) / 0.5) ** 2)))
+    data = hf.Dataset.of(hf.Record(u, truth.free_run(u) + np.random.default_rng(3).normal(0, 1e-3, u.size)))
+    chosen = choose_size(make_model("preisach"), data)
+    assert chosen.model.spacing == "uniform"
+    assert [note.code for note in chosen.notes] == [Code.CHOICE]
+
+
+# -- progress --------------------------------------------------------------------------------------------------------------
+
+
+def test_progress_is_called_with_what_will_be_tried():
+    lines = []
+    hf.compare(stepped_loops(), ["duhem", "bouc-wen"], progress=lambda text, done=None: lines.append((text, done)))
+    assert {"duhem", "bouc-wen"} <= set(lines[0][0].replace(",", "").split())
+    fractions = [done for _, done in lines]
+    assert fractions == sorted(fractions)
+    assert (fractions[0], fractions[-1]) == (0.0, 0.5)
+
+
+def test_progress_in_a_notebook_rewrites_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("rich.console.Console.is_jupyter", True, raising=False)
+    monkeypatch.setattr("rich.console.Console.__init__", lambda self, **_: None)
+    with progress.progress("comparing") as update:
+        update("duhem", 0.25)
+        written = capsys.readouterr().err
+    assert "duhem" in written
+    assert "25 %" in written
+    assert "\n" not in written
+    assert not capsys.readouterr().err.strip()
+
+
+def test_progress_is_silent_where_nobody_looks(capsys):
+    with progress.progress("comparing") as update:
+        update("duhem")
+    assert capsys.readouterr().err == ""
+
+
+def test_the_search_states_numbers_that_agree():
+    """Each step gives its error before and after: the last one is the score of the search."""
+    found = search_structure(hf.Dataset.of(hf.Record(U, U**3, T)))
+    assert found.trail
+    span = np.ptp(U**3)
+    last = float(found.trail[-1].rsplit(" to ", 1)[1].split()[0])
+    assert last == pytest.approx(100 * found.score / span, rel=0.06)
+
+
+# -- measured loops ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [40, 63, 120])
+@pytest.mark.parametrize("name", ["M130_27s", "MnZn_ferrite"])
+def test_thinned_measured_loops_get_an_answer(measured, name, count):
+    rows = np.genfromtxt(measured / "tidy" / f"mag_bh_{name}.csv", delimiter=",", skip_header=1)
+    loops = [rows[rows[:, 0] == k] for k in np.unique(rows[:, 0])]
+    part = [loop[np.linspace(0, len(loop) - 1, count // len(loops)).round().astype(int)] for loop in loops]
+    data = hf.Dataset(tuple(hf.Record(loop[:, 1], loop[:, 2], name=f"{k}") for k, loop in enumerate(part)))
+    found = hf.compare(data)
+    # The samples between those fitted are the test: the status is right where they are predicted.
+    whole = [hf.Record(loop[:, 1], loop[:, 2], name=f"{k}") for k, loop in enumerate(loops)]
+    assert found.winner.usable == (found.winner.metrics(whole).nrmse_percent < 3.0)
+    assert found.winner.metrics(whole).nrmse_percent < 3.0
+
+
+def test_reversal_curves_of_a_raw_file_by_the_bare_search(measured):
+    """Every fourth curve fitted: the others are predicted within 0.05 % of the range; with an inverse, within 0.1 %."""
+    curves = list(hf.read(measured / "mag_forc_pyforc" / "hchb_forc"))
+    held = [curve for k, curve in enumerate(curves) if k % 4]
+    found = hf.compare(curves[::4])
+    assert found.winner.metrics(held).nrmse_percent <= 0.05
+    assert found.rows[0].serves("inverse") is False
+    inverse = next(row for row in found.rows if row.serves("inverse"))
+    assert found.fits[inverse.asked].metrics(held).nrmse_percent <= 0.1
+    # The error on left-out curves is that of weights inside their bounds, however many they are.
+    assert inverse.score_percent >= 0.9 * inverse.in_sample_percent

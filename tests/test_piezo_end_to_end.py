@@ -1,0 +1,75 @@
+"""The way of a piezo actuator from its record to the board, at the shell: fit, sample, invert, export, compile, run."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit.cli import run
+from tests.test_export import FLAGS, GCC
+
+
+def columns(path: Path) -> dict[str, np.ndarray]:
+    table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    return {name: table[name] for name in table.dtype.names}
+
+
+def compiled(folder: Path) -> Path:
+    if GCC is None:
+        pytest.skip("no C compiler: install gcc to test the exported code")
+    program = folder / "stack"
+    subprocess.run(
+        [GCC, *FLAGS, str(folder / "stack.c"), str(folder / "stack_main.c"), "-o", str(program), "-lm"], check=True
+    )
+    return program
+
+
+def through(program: Path, mode: str, u0: float, values: np.ndarray, dt: float) -> np.ndarray:
+    lines = [f"{u0!r}", *(f"{float(value)!r} {dt!r}" for value in values)]
+    done = subprocess.run([str(program), mode], input="\n".join(lines), capture_output=True, text=True, check=True)
+    return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])
+
+
+@pytest.mark.slow
+def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, tmp_path: Path) -> None:
+    rows = np.genfromtxt(measured / "piezo_dbo" / "Model_Vi_Do.dat")[1000:1800, [0, 4]]
+    dt, t = 0.005, 0.005 * np.arange(800)
+    loop, fit = tmp_path / "loop.csv", tmp_path / "fit"
+    np.savetxt(loop, np.column_stack([t, rows]), delimiter=",", header="t_s,u_V,y_um", comments="", fmt="%.9g")
+    assert run(["fit", str(loop), "--out", str(fit)]) == 0
+    result = json.loads((fit / "result.json").read_text())
+    assert result["metrics"]["train"]["nrmse_percent"] < 0.4
+    assert result["model"].startswith("lag")
+
+    posterior = tmp_path / "posterior"
+    quick = ["--draws", "20", "--warmup", "20", "--chains", "2"]
+    assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (0, 1)  # too few draws to converge
+    assert (posterior / "posterior.nc").is_file()
+
+    # A slow triangle inside the measured range.
+    low, high = np.quantile(rows[:, 1], [0.2, 0.8])
+    wanted = np.interp(t[:300], [0, 0.5, 1.5], [low, high, low])
+    reference = tmp_path / "reference.csv"
+    np.savetxt(reference, np.column_stack([t[:300], wanted]), delimiter=",", header="t_s,y_um", comments="", fmt="%.9g")
+    assert (
+        run(["invert", str(fit), str(reference), "--output", "y_um", "--time", "t_s", "--out", str(tmp_path / "u")])
+        == 0
+    )
+    inverse = columns(tmp_path / "u" / "inverse.csv")
+    assert set(inverse["status"]) == {"ok"}
+
+    board = tmp_path / "board"
+    assert run(["export", str(fit), "--c", str(board), "--name", "stack"]) == 0
+    program = compiled(board)
+    assert run(["predict", str(fit), str(loop), "--out", str(tmp_path / "predicted")]) == 0
+    predicted = columns(tmp_path / "predicted" / "prediction.csv")["predicted_um"]
+    forward = through(program, "f", float(rows[0, 0]), rows[:, 0], dt)[:, 0]
+    span = np.ptp(rows[:, 1])
+    assert np.abs(forward - predicted).max() <= 1e-9 * span
+    u0 = inverse["u_V"][0]
+    u, y, status = through(program, "i", float(u0), wanted, dt).T
+    assert not status.any()
+    assert np.abs(y - wanted).max() <= 1e-5 * span
+    assert np.abs(u - inverse["u_V"]).max() <= 1e-4 * np.ptp(rows[:, 0])
