@@ -10,7 +10,7 @@ from .data.record import Dataset as Dataset
 from .data.record import Record as Record
 from .errors import HystfitError as HystfitError
 from .fitting.compare import compare as compare
-from .fitting.fit import fit as fit
+from .fitting.entry import fit as fit
 from .inference import priors as priors
 from .inference.problem import Problem as Problem
 from .models import AsymmetricBoucWen as AsymmetricBoucWen
@@ -52,3 +52,4 @@ from .uncertainty.input_design import design as design
 from .uncertainty.profiles import profile as profile
 from .uncertainty.robust_errors import covariance as covariance
 from .uncertainty.robust_errors import standard_errors as standard_errors
+from .version import __version__ as __version__

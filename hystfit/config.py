@@ -41,7 +41,7 @@ def require_x64() -> None:
     import jax
 
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        raise PrecisionError("hystfit fits in double precision; call hystfit.enable_x64() before anything else")
+        raise PrecisionError("hystfit computes in double precision: call hystfit.enable_x64() before anything else")
 
 
 def require_seed(seed: int) -> int:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -59,7 +60,10 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
                 return class_from_file(path, name, self.base)
         if isinstance(choice, type) and issubclass(choice, self.base):
             return choice
-        raise ParameterError(f"{self.option} must be one of {', '.join(self)}, or my_file.py:MyClass; got {choice!r}")
+        hint = near(choice, self) if isinstance(choice, str) else ""
+        raise ParameterError(
+            f"{self.option} must be one of {', '.join(self)}, or my_file.py:MyClass; got {choice!r}{hint}"
+        )
 
     def holds(self, choice: Any) -> bool:
         """Whether a class or an object is a part of this kind."""
@@ -72,7 +76,7 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
             return choice
         kind = choice if isinstance(choice, type) else type(choice)
         named = [name for name, entry in self._entries.items() if entry == f"{kind.__module__}:{kind.__name__}"]
-        return named[0] if named else f"{inspect.getfile(kind)}:{kind.__name__}"
+        return named[0] if named else f"{file_of(kind)}:{kind.__name__}"
 
     def make(self, choice: Any) -> T:
         """A part with its default settings; a part that is made already is returned as it is.
@@ -80,7 +84,19 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         Raises:
             ParameterError: see `find`.
         """
-        return choice if isinstance(choice, self.base) else self.find(choice)()
+        if isinstance(choice, self.base):
+            return choice
+        maker = self.find(choice)
+        if isinstance(maker, type):
+            refuse_unfinished(maker)
+        return maker()
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """The known names that are spelled like `name`, as the end of a message: " (did you mean 'bouc-wen'?)"; "" where none is."""
+    spelled = {entry.casefold(): entry for entry in known}
+    close = difflib.get_close_matches(name.casefold(), spelled, n=3, cutoff=0.7)
+    return f" (did you mean {' or '.join(repr(spelled[entry]) for entry in close)}?)" if close else ""
 
 
 def attribute(place: str) -> Any:
@@ -117,5 +133,31 @@ def class_from_file(path: str, name: str, base: type, error: type[HystfitError] 
     found = getattr(module, name, None)
     if not (isinstance(found, type) and issubclass(found, base)):
         classes = [k for k, v in vars(module).items() if isinstance(v, type) and issubclass(v, base) and v is not base]
-        raise error(f"{path} has no class {name!r} of this kind; it has {classes}")
+        raise error(f"{path} has no class {name!r} of this kind; it has {classes}{near(name, classes)}")
     return found
+
+
+def refuse_unfinished(kind: type, error: type[HystfitError] = ParameterError) -> None:
+    """Refuse a class that lacks methods that its base class requires.
+
+    Args:
+        kind: the class.
+        error: class of the error raised.
+
+    Raises:
+        HystfitError: it lacks some; the message names the class, its file and the methods.
+    """
+    missing = sorted(getattr(kind, "__abstractmethods__", ()))
+    if missing:
+        listed = " and ".join([", ".join(missing[:-1]), missing[-1]] if len(missing) > 1 else missing)
+        raise error(
+            f"{kind.__name__} in {file_of(kind)} has no {listed}: write what {kind.__mro__[1].__name__} declares"
+        )
+
+
+def file_of(kind: type) -> str:
+    """The file that defines a class; "the session" for one that was typed into an interpreter."""
+    try:
+        return inspect.getfile(kind)
+    except (TypeError, OSError):
+        return "the session"

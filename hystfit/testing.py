@@ -21,6 +21,7 @@ from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, SearchStep, run, simulate
+from hystfit.models.registry import make_model
 from hystfit.params.space import ParameterSpace
 
 _EAGER = 5  # samples of the run without jit
@@ -35,7 +36,7 @@ class Probe(NamedTuple):
 
 
 def check_model(
-    model: AbstractHysteresis,
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
     *,
     seed: int = 0,
     amplitude: float = 1.0,
@@ -52,7 +53,7 @@ def check_model(
     The model is simulated as it is given: give it parameters away from their bounds and from values where its equations switch.
 
     Args:
-        model: any model.
+        model: any model; of a class or of my_file.py:MyModel the one with default values.
         seed: of the input.
         amplitude: the input runs within center +- amplitude [u].
         center: middle of the input [u].
@@ -65,9 +66,11 @@ def check_model(
 
     Raises:
         AssertionError: a law is broken; the message names it, with the deviation.
+        ModelError: a class lacks methods; the message names the class, its file and the methods.
         PrecisionError: double precision is off.
     """
     require_x64()
+    model = make_model(model)
     probe = _probe(seed, amplitude, center, dt, samples)
     name = type(model).__name__
     _check_interface(model, probe, name)
@@ -119,7 +122,6 @@ def _require(condition: bool, law: str) -> None:
 
 
 def _check_interface(model: AbstractHysteresis, probe: Probe, name: str) -> None:
-    _require(isinstance(model, AbstractHysteresis), f"{name} is not a subclass of AbstractHysteresis")
     _require(isinstance(model.rate_independent, bool), f"{name}.rate_independent must be True or False")
     ParameterSpace.of(model)  # refuses values outside their bounds, and a model without parameters
     u0, u1, dt = (jnp.asarray(x) for x in (probe.u[0], probe.u[1], probe.dt[1]))

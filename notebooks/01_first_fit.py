@@ -86,7 +86,7 @@ right.set(xlabel="voltage [V]", ylabel="displacement [µm]")
 plt.show()
 
 # %%
-print(hf.check(data))
+hf.check(data)
 
 # %% [markdown]
 # Two points matter below. The record covers many amplitudes, as most models need. And the output keeps moving for a fraction of
@@ -99,7 +99,7 @@ print(hf.check(data))
 
 # %%
 first = hf.fit("bouc-wen", data)
-print(first)
+first
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(9.6, 3.8), layout="constrained")
@@ -123,7 +123,7 @@ models = ["bouc-wen", "prandtl-ishlinskii", "bouc-wen+log-creep"]
 if not QUICK:
     models += ["duhem", "preisach"]
 comparison = hf.compare(data, models)
-print(comparison)
+comparison
 
 # %% [markdown]
 # With creep the cross-validation error falls to about the noise level and equals the error on the fitted samples: no sign of
@@ -149,7 +149,7 @@ print(f"{'measured':<20}", " ".join(f"{value:5.2f}" for value in data.y[returns]
 
 # %%
 best = comparison.winner
-print(best)
+best
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(12.8, 3.6), layout="constrained")
@@ -174,12 +174,20 @@ for name, true in truth.items():
     print(line)
 
 # %% [markdown]
+# The numbers of a result are at hand for further work: `best.values`, `best.residuals`, `best.confidence_intervals()`, and a table
+# of pandas by `best.to_dataframe()`. Here the 95 % intervals that contain the true value:
+
+# %%
+intervals = best.confidence_intervals(0.95)
+print([name for name, true in truth.items() if intervals[name][0] < true < intervals[name][1]])
+
+# %% [markdown]
 # Without creep in the model, its effect biases the other parameters. This is a systematic model error, which more data do not
 # reduce.
 #
 # ## An independent record
 # The same actuator on another day: a sine from -20 V to 100 V that was not used for any fit or comparison and that leaves the
-# fitted range of voltages. `extrapolates` warns about the range.
+# fitted range of voltages. `extrapolation` warns about the range.
 
 # %%
 sine = hf.datasets.load("stage-sine")
@@ -246,7 +254,7 @@ if not QUICK:
 best.save(folder / "fit")
 again = hf.load_fit(folder / "fit")
 print(sorted(path.name for path in (folder / "fit").iterdir()))
-print("same prediction:", np.array_equal(again.predict(sine), best.predict(sine)))
+print("same prediction:", np.array_equal(again.predict(sine.u, sine.t), best.predict(sine)))
 
 # %% [markdown]
 # The same at the shell, with the report as one HTML page:

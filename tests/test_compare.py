@@ -187,7 +187,7 @@ def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison():
 def test_only_a_model_that_serves_the_purpose_stops_others():
     rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
     for purpose in ("inverse", "prediction"):
-        judge = _Judge(stepped_loops(), "blocks", purpose, 0, thorough=False)
+        judge = _Judge(stepped_loops(), "blocks", purpose, 0, {})
         judge.rows.append(rival)
         judge.add("duhem", lambda _: None)
         assert (judge.rows[1].score_percent is None) == (purpose == "prediction")

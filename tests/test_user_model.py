@@ -13,6 +13,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.control import InverseStep, export_c
+from hystfit.errors import ModelError
 from hystfit.models.registry import make_model
 from hystfit.testing import check_model
 
@@ -162,3 +163,48 @@ def test_at_the_shell(expression: str, tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_it_keeps_the_laws(expression: str) -> None:
     check_model(make_model(expression), samples=24, kinked=["r"])
+
+
+START = SOURCE[SOURCE.index("    def start(") : SOURCE.index("    def reach(")]
+
+
+@pytest.mark.parametrize(("height", "width"), [(1.0, 1.0), (1e-6, 1e4)])
+def test_starting_values_are_found_for_a_model_without_start(height: float, width: float, tmp_path: Path) -> None:
+    """In every unit: outputs of micrometers in meters, inputs in tens of kilovolts."""
+    (tmp_path / "plain.py").write_text(SOURCE.replace(START, ""))
+    model = f"{tmp_path / 'plain.py'}:Backlash"
+    record = hf.Record(width * U, height * loop(), t=T)
+    started = make_model(model).start([record])
+    error = float(np.sqrt(np.mean((record.y - hf.simulate(started, record.u)[0]) ** 2)))
+    assert error < 0.1 * np.ptp(record.y)
+    result = hf.fit(model, record)
+    assert result.usable
+    slope = height / width
+    for name, truth in (("k", 2.0 * slope), ("w", 0.7 * slope), ("r", 0.4 * width)):
+        assert abs(result[name].value / truth - 1) < 0.01
+
+
+def test_default_starting_values_keep_bounds_fixed_values_and_linear_weights(tmp_path: Path) -> None:
+    (tmp_path / "plain.py").write_text(SOURCE.replace(START, ""))
+    model = make_model(f"{tmp_path / 'plain.py'}:Backlash")
+    check_model(model, samples=24, kinked=["r"])
+    result = hf.fit(model, hf.Record(U, loop(), t=T), fix={"r": 0.4}, starts=1)
+    assert result["r"].value == 0.4
+    other = hf.Record(U, loop() + 5.0, t=T, name="other")
+    both = hf.fit(model, [hf.Record(U, loop(), t=T), other], starts=1)
+    assert abs(both["offset@other"].value - 5.0) < 0.01
+    raised = model.start([other])
+    np.testing.assert_allclose(
+        float(raised.offset), np.mean(other.y - hf.simulate(raised.replace(offset=0.0), U)[0]), atol=1e-6
+    )
+
+
+def test_a_model_without_step_is_refused_by_name_and_file(tmp_path: Path) -> None:
+    (tmp_path / "half.py").write_text(SOURCE.replace("def step(self, state, u0", "def stride(self, state, u0"))
+    with pytest.raises(ModelError) as caught:
+        hf.fit(f"{tmp_path / 'half.py'}:Backlash", hf.Record(U, loop(), t=T))
+    with pytest.raises(ModelError) as checked:
+        check_model(f"{tmp_path / 'half.py'}:Backlash")
+    for word in ("Backlash", "step", "half.py"):
+        assert word in str(caught.value)
+        assert word in str(checked.value)

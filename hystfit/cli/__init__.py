@@ -17,6 +17,7 @@ from hystfit.cli.interrupts import INTERRUPTED, interruptible
 from hystfit.cli.verbs import VERBS, as_options, place
 from hystfit.config import compile_whole_loops
 from hystfit.errors import HystfitError
+from hystfit.version import __version__
 
 _HELP = """Fit hysteresis models to measured loops, report what the data determine, and use the fitted model.
 
@@ -28,17 +29,11 @@ Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 inte
 _CACHE_BYTES = 2**28  # of compiled programs; those unused for longest are removed first
 
 
-def _version() -> str:
-    import importlib.metadata
-
-    return importlib.metadata.version("hystfit")
-
-
 app = App(
     name="hystfit",
     help=_HELP,
     help_format="plaintext",
-    version=_version,
+    version=__version__,
     default_parameter=Parameter(negative=""),
     result_action="return_value",
     suppress_keyboard_interrupt=False,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -25,8 +23,6 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
-from hystfit.outcome import Code, Note, Status
-from hystfit.outcome.note import warn
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
@@ -72,19 +68,15 @@ def fit(
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
-    sequential = is_sequential(method)
-    if sequential and (unused := _changed(options)):
-        raise ParameterError(f"--{unused[0]} has no effect with --method {method}: leave it out")
-    if model == "auto" and not sequential:
+    if model == "auto" and not is_sequential(method):
         result = _winner(train, method, options, purpose, seed)
     elif purpose != "prediction":
         raise ParameterError("--for chooses among models: it has no effect with --model or a sequential method")
     else:
-        from hystfit.fitting.fit import fit as fit_model
+        from hystfit.fitting.entry import fit as fit_model
 
         with progress(f"fitting {model}"):
-            chosen = "duhem" if model == "auto" else model
-            result = fit_model(chosen, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
+            result = fit_model(model, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
     if test is not None:
         from hystfit.fitting.fit import with_test
 
@@ -105,32 +97,16 @@ def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Spli
     write_into(result, folder, test=test, refit_offset=split.refit_offset)
 
 
-def _changed(options: dict[str, Any]) -> list[str]:
-    """Options of `fit` with another value than their default."""
-    defaults = {name: p.default for name, p in inspect.signature(fit).parameters.items()}
-    return [name for name, value in options.items() if (value or None) != (defaults[name] or None)]
-
-
 def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, seed: int) -> FitResult:
     """The winner of `compare`, with a note on the choice."""
-    from hystfit.fitting.compare import compare as compare_models
+    from hystfit.fitting.entry import best_model
+    from hystfit.fitting.fit import changed_settings
 
-    if changed := _changed({**options, "method": method}):
+    if changed := changed_settings({**options, "method": method}):
         raise ParameterError(
             f"--{changed[0]} needs a chosen model: add --model NAME (hystfit models lists them, hystfit compare ranks them)"
         )
-    comparison = compare_models(train, purpose=purpose, seed=seed)
-    best, count = comparison.rows[0], len(comparison.rows)
-    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
-    reason = (
-        f"is the best of {count} models by cross-validation" if count > 1 else "is the only candidate for these data"
-    )
-    text = f"{best.name} {reason}{score}; hystfit compare shows the ranking, --model NAME fits another model"
-    left_out = [
-        warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in comparison.rows if row.status is Status.FAILED
-    ]
-    notes = (Note(Code.CHOICE, text), *left_out, *comparison.winner.notes)
-    return dataclasses.replace(comparison.winner, notes=notes)
+    return best_model(train, seed, purpose)
 
 
 def compare(

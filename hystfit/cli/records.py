@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from hystfit.cli.options import Output, Reading, Split, bounds_of
 from hystfit.errors import DataError
+from hystfit.registry import near
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset, Record
@@ -66,9 +66,8 @@ def _load_one(loop: str, reading: Reading) -> Dataset:
         return Dataset.of(read(loop, **dataclasses.asdict(reading)))
     if loop in datasets.names():
         return _by_name(loop, reading)
-    close = difflib.get_close_matches(loop, datasets.names(), n=3)
-    hint = f"did you mean {' or '.join(close)}?" if close else "hystfit datasets lists the data sets known by name"
-    raise DataError(f"no file {loop!r}, and no data set of that name; {hint}")
+    hint = near(loop, datasets.names()) or "; hystfit datasets lists the data sets known by name"
+    raise DataError(f"no file {loop!r}, and no data set of that name{hint}")
 
 
 def _by_name(name: str, reading: Reading) -> Dataset:

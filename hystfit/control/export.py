@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hystfit.config import require_x64
 from hystfit.control.online_inverse import InverseStep, Limits
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
@@ -41,6 +42,7 @@ def export_c(
     Raises:
         ModelError: a model without C code, or a name that is no C identifier.
     """
+    require_x64()
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ModelError(f"name must be a C identifier in lower case, got {name!r}")
     exported = model if isinstance(model, AbstractHysteresis) else model.model

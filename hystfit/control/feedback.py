@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import brentq
 from scipy.signal import tf2ss
 
+from hystfit.config import require_x64
 from hystfit.control.transfer import Margins, TransferFunction, damping, margins, second_order
 from hystfit.errors import ParameterError
 
@@ -195,6 +196,7 @@ class Controller(eqx.Module):
         Raises:
             ParameterError: the rate is not positive, or too low for the controller's poles.
         """
+        require_x64()
         if not rate > 0:
             raise ParameterError(f"the rate must be positive, got {rate}")
         fastest = float(np.max(np.abs(transfer.poles), initial=0.0))
@@ -218,7 +220,13 @@ class Controller(eqx.Module):
         return self.C @ state + self.D * error
 
     def step(self, state: Float[Array, " n"], error: Float[Array, ""], taken: Any = 0.0) -> Float[Array, " n"]:
-        """Its next state; `taken` is given less asked, what the limits changed."""
+        """Its next state; `taken` is given less asked, what the limits changed.
+
+        Args:
+            state: before the sample, shape (n,).
+            error: reference less output [y].
+            taken: input given less input asked for, which limits changed [u].
+        """
         return self.A @ state + self.B * error + self.L * taken
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from hystfit.config import require_x64
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Resume
 
@@ -81,6 +82,7 @@ class InverseStep(eqx.Module):
         Raises:
             ModelError: a delay or a resonance; no limits where the inverse is a search and the model names no range.
         """
+        require_x64()
         known, inverted = known_inputs(model)
         edges = limits if limits is not None else known
         low, high = (float(edge) for edge in edges) if edges is not None else (-np.inf, np.inf)

@@ -6,12 +6,12 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.record import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
@@ -20,10 +20,12 @@ from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import with_left_out
-from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.reversal_curves import recognize_family
+from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
@@ -32,8 +34,8 @@ _HOPELESS = 2.0  # a model whose quick fit errs this much more than the best on 
 
 
 def compare(
-    data: Record | Dataset | Sequence[Record],
-    models: Sequence[str] | None = None,
+    data: Any,
+    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto"] | None = None,
     *,
     left_out: Scheme = "blocks",
     purpose: Purpose = "prediction",
@@ -47,10 +49,11 @@ def compare(
     Test data never enter. A model that cannot be fitted is named with the reason, and the others are compared.
 
     Args:
-        data: one record or several.
-        models: names as `hystfit models` lists them (joined by "+"), or "prandtl-ishlinskii-search", which searches that family for
-            its terms. A name without settings stands for the number of elements that suits the data. None compares the models that
-            suit what `check` finds, and stops those whose first fit errs more than twice as much as the best model on left-out data.
+        data: one record or several, or a data frame.
+        models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
+            that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
+            None (or "auto") compares the models that suit what `check` finds, and stops those whose first fit errs more than twice
+            as much as the best model on left-out data.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -65,14 +68,12 @@ def compare(
     for what, value, known in (("left_out", left_out, SCHEMES), ("purpose", purpose, get_args(Purpose))):
         if value not in known:
             raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
-    data = Dataset.of(data)
+    data = records_of(data)
     if left_out == "future" and recognize_family(data) is not None:
         raise ModelError("reversal curves have no order in time: use left_out='blocks'")
-    chosen = Candidates(tuple(models), "") if models else candidates(data)
-    for name in chosen.names:
-        if name != SEARCH:
-            make_model(name)
-    judge = _Judge(data, left_out, purpose, seed, thorough=bool(models))
+    named = _named(models) if models and models != "auto" else {}
+    chosen = Candidates(tuple(named), "") if named else candidates(data)
+    judge = _Judge(data, left_out, purpose, seed, named)
     with _shown(progress) as update:
         count = len(chosen.names)
         update(f"{count} to try: {', '.join(chosen.names)}", 0.0)
@@ -90,6 +91,25 @@ def compare(
         )
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
     return Comparison(tuple(rows), judge.fits[best.asked], judge.fits, left_out, purpose, chosen.reason)
+
+
+def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
+    """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it.
+
+    Raises:
+        ModelError: one of them is no model.
+    """
+    chosen: dict[str, Any] = {}
+    for choice in [models] if isinstance(models, str) else models:
+        if isinstance(choice, str):
+            if choice != SEARCH:
+                make_model(choice)
+            chosen[choice] = choice
+            continue
+        base = model_name(make_model(choice))
+        count = sum(name == base or name.startswith(f"{base} (") for name in chosen)
+        chosen[f"{base} ({count + 1})" if count else base] = choice
+    return chosen
 
 
 @contextlib.contextmanager
@@ -120,11 +140,11 @@ class _Judge:
         data: records.
         left_out, purpose: see `compare`.
         seed: of the starting points.
-        thorough: validate every model, however poor its fit.
+        named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
     """
 
-    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, seed: int, *, thorough: bool):
-        self.data, self.left_out, self.purpose, self.seed, self.thorough = data, left_out, purpose, seed, thorough
+    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, seed: int, named: dict[str, Any]):
+        self.data, self.left_out, self.purpose, self.seed, self.named = data, left_out, purpose, seed, named
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
         self.errors: list[Exception] = []
@@ -153,15 +173,16 @@ class _Judge:
         if name == SEARCH:
             result = fit(SEARCH, self.data, seed=self.seed)
         else:
-            model = make_model(name)
-            # Settings in a name give the size; the colon of my_model.py:MyModel is none.
-            sized = ":" in name.replace(".py:", "")
+            given = self.named.get(name, name)
+            model = make_model(given)
+            # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
+            sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
             if not sized and (choice := choose_size(model, self.data, progress)).notes:
                 result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
-            elif not self.thorough and model.estimator is None and (row := self._stopped(name)):
+            elif not self.named and model.estimator is None and (row := self._stopped(name)):
                 return row, None
             else:
-                result = fit(name, self.data, seed=self.seed)
+                result = fit(given, self.data, seed=self.seed)
         progress("error on left-out data")
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):

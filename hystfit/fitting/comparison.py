@@ -6,7 +6,7 @@ import dataclasses
 from typing import Any, Literal
 
 from hystfit.fitting.left_out import Scheme
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Status, Table, fragment
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
@@ -118,6 +118,12 @@ class Comparison:
 
     def __repr__(self) -> str:
         return self.text()
+
+    def _repr_html_(self) -> str:
+        explained = f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}."
+        reason = f"Compared because {self.reason}." if self.reason else ""
+        remarks = [f"{row.name}: {row.note}" for row in self.rows if row.note]
+        return fragment(f"winner: {self.rows[0].name}", (explained, reason, self.table(), *remarks))
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""

@@ -1,4 +1,4 @@
-"""`fit`: from a model and data to a result, without starting values from the user."""
+"""The fit of one model to records, without starting values from the user; `hystfit.fit` in `entry` calls it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import ModelError, ParameterError
+from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.covariance import Uncertainty, uncertainty
@@ -45,7 +45,7 @@ _MANY = 4  # weights on a bound from which the convex solve is the default
 
 
 def fit(
-    model: AbstractHysteresis | str,
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
     data: Record | Dataset | Sequence[Record],
     *,
     method: str | AbstractEstimator = "auto",
@@ -59,52 +59,28 @@ def fit(
     test: Record | Dataset | Sequence[Record] | None = None,
     **settings: Any,
 ) -> FitResult:
-    """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
+    """Fit one model to records; arguments, result and errors as for `hystfit.fit`.
 
     Args:
-        model: a model, or its name (see `hystfit models`); "prandtl-ishlinskii-search" searches that family for the terms that
-            predict left-out data best, and the result names them.
-        data: one record or several; windows are set by `Record.window`.
-        method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
-            (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
-            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
-            "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
-        fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
-            the records where `start` is "data" and the model is given by name.
-        free: parameters to fit that the model holds by default.
-        start: "data" reads starting values off the records, "model" takes the model's own.
-        starts: number of starting points: the data-driven one, and a Latin hypercube about it; at most so many of a model that
-            reads several off the records.
-        seed: of the starting points.
-        loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that bends at 1 % of the output's range.
-        noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
-            slow (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" treats residuals as independent. "ou" (slow and
-            independent noise), "ar1", "student-t", "discrepancy" (model error that repeats every loop), my_noise.py:MyNoise or a
-            class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
-            standard errors under a repeating misfit need "discrepancy" (the notes say when).
-        test: records to report the error on, never fitted.
-        **settings: of a sequential identifier, see `hystfit.identify`.
-
-    Returns:
-        A result with a status; look at `usable` and `notes` before using its numbers.
-
-    Raises:
-        HystfitError: data, names or settings that cannot be used; the message names the remedy.
+        model: a model, its class or its name.
+        data: one record or several.
+        method, fix, free, start, starts, seed, loss, noise, settings: see `hystfit.fit`.
+        test: records to report the error on.
     """
     require_x64()
     require_seed(seed)
-    named = isinstance(model, str)
+    named = not isinstance(model, AbstractHysteresis)
     data = Dataset.of(data)
     notes: list[Note] = []
-    if named and model == SEARCH and not is_sequential(method):
+    if isinstance(model, str) and model == SEARCH and not is_sequential(method):
         found = search_structure(data)
         model, start, notes = found.model, "model", list(found.notes())
-    model = make_model(model) if isinstance(model, str) else model
-    if not isinstance(model, AbstractHysteresis):
-        raise ModelError(f"expected a hystfit model or its name, got {type(model).__name__}")
+    model = make_model(model)
     watch = Stopwatch()
     if is_sequential(method):
-        _refuse_batch_settings(method, fix=fix, free=free, start=start, starts=starts, loss=loss, noise=noise)
+        given = {"fix": fix, "free": free, "start": start, "starts": starts, "loss": loss, "noise": noise}
+        if changed := changed_settings(given):
+            raise ParameterError(f"{changed[0]}= has no effect with method={method!r}: leave it out")
         result = as_fit(identify(data, method, model, **settings), seed, watch)
         return result if test is None else with_test(result, test)
     if settings:
@@ -134,12 +110,10 @@ def fit(
     return result if test is None else with_test(result, test)
 
 
-def _refuse_batch_settings(method: Any, **given: Any) -> None:
-    """Refuse arguments that a sequential identifier does not use."""
+def changed_settings(given: Mapping[str, Any]) -> list[str]:
+    """Names of the settings of `fit` that have another value than their default."""
     defaults = {name: p.default for name, p in inspect.signature(fit).parameters.items()}
-    for name, value in given.items():
-        if (value or None) != (defaults[name] or None):
-            raise ParameterError(f"{name}= has no effect with method={method!r}: leave it out")
+    return [name for name, value in given.items() if (value or None) != (defaults[name] or None)]
 
 
 def _held(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:

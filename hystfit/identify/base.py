@@ -15,8 +15,8 @@ from jaxtyping import Array, Bool, Float
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify.identification import Identification, free_runs, run_metrics
-from hystfit.inference.problem import scales_of
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace

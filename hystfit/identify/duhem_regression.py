@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify.base import AbstractIdentifier, Judgment, Run, Sample
@@ -87,6 +88,7 @@ class DuhemRegressor(eqx.Module):
             ModelError: not a Duhem model, or its scheme is "exact".
             DataError: the input never moves.
         """
+        require_x64()
         if not isinstance(model, Duhem):
             raise ModelError(
                 f"this identifier needs a Duhem model, got {type(model).__name__}; use method='lm' or 'ukf'"

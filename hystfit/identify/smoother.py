@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.identify.base import Info, Sample
 from hystfit.identify.ukf import Ukf, UkfState
@@ -39,6 +40,7 @@ def smooth(ukf: Ukf, record: Record) -> Smoothed:
 
     Memory is of the order T n^2: a few megabytes for 1e4 samples of ten coordinates.
     """
+    require_x64()
     return _smooth(ukf, Sample.stream([record]))
 
 

@@ -18,8 +18,9 @@ from hystfit.errors import ParameterError
 from hystfit.identify import tuning
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, free_only, run_stream
 from hystfit.identify.sigma_points import Unscented, triangular
-from hystfit.inference.problem import check_fittable, scales_of
+from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.coordinates import Coordinates

@@ -25,10 +25,9 @@ from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.starting import input_range, output_range
+from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import BOTH
 from hystfit.params.space import ParameterSpace
-from hystfit.params.units import Scales
 
 LOSSES: tuple[str, ...] = get_args(Loss)
 Side = Literal["lower", "upper"]
@@ -269,16 +268,6 @@ class Problem:
 def _run(traced: Any, method: str, argument: Array) -> Any:
     """A method of an objective or density, compiled once for each method and shape."""
     return getattr(traced, method)(argument)
-
-
-def scales_of(data: Dataset) -> Scales:
-    """Natural sizes and units of a data set: half ranges of input and output, a hundred sampling intervals."""
-    records = list(data)
-    typical = data.sampling_interval or 0.01
-    units = data.units
-    return Scales(
-        input_range(records).half, output_range(records).half, 100 * typical, units["u"], units["y"], units["t"]
-    )
 
 
 def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:

@@ -14,12 +14,16 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from hystfit.config import require_x64
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
+from hystfit.errors import ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
+from hystfit.models.default_start import searched_start
+from hystfit.models.description import described
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.params.param import leaves_of
+from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
 
 Use = Literal["inverse", "export"]
@@ -30,8 +34,8 @@ class AbstractHysteresis(eqx.Module):
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
 
-    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init`, `step` and `start`. The
-    methods below `start` are optional: each has a default here, a model overrides those that it can do better, and `Sum` and
+    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init` and `step`. The methods
+    below `step` are optional: each has a default here, a model overrides those that it can do better, `start` first, and `Sum` and
     `Series` delegate all of them to their parts. `hystfit.testing.check_model` tests what a model gives.
     """
 
@@ -48,11 +52,32 @@ class AbstractHysteresis(eqx.Module):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Move the input from u0 to u1 in the time dt: (new state, output at the new sample)."""
+        """Move the input from u0 to u1 in the time dt: (new state, output at the new sample).
 
-    @abc.abstractmethod
-    def start(self, records: Sequence[Record]) -> AbstractHysteresis:
-        """The same model with starting values estimated from measured records (host side, no gradient)."""
+        Args:
+            state: before the sample, shape (states,).
+            u0: input of the previous sample [u].
+            u1: input of this sample [u].
+            dt: time between the two [s]; 0 where there is no time.
+        """
+
+    # -- values ------------------------------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return described(self)
+
+    def replace(self, **values: Any) -> AbstractHysteresis:
+        """The same model with other values of some parameters.
+
+        Args:
+            **values: by name; those of elements and of parts of a composition as `replace(**{"w[2]": 0.1, "bouc_wen.tau": 3.0})`.
+
+        Raises:
+            ParameterError: an unknown name, or a value that is not finite or outside the bounds of its parameter.
+        """
+        if missing := [name for name, value in values.items() if value is None]:
+            raise ParameterError(f"parameter {missing[0]!r} needs a value, got None")
+        return ParameterSpace.of(self, fix=values).template
 
     # -- optional: simulation ----------------------------------------------------------------------------------------------
 
@@ -126,6 +151,13 @@ class AbstractHysteresis(eqx.Module):
         return {name: value for name, value in values if isinstance(value, (int, str))}
 
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
+
+    def start(self, records: Sequence[Record]) -> AbstractHysteresis:
+        """The same model with starting values estimated from measured records (host side, no gradient).
+
+        By default the best of a Latin hypercube within the bounds and the data's scales; to override where the loop shows them.
+        """
+        return searched_start(self, records)
 
     @property
     def allows_thinning(self) -> bool:
@@ -340,7 +372,14 @@ class AbstractStepInverse(eqx.Module):
     def advance(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """The model's step; to override where the inverse holds tables that make it faster."""
+        """The model's step; to override where the inverse holds tables that make it faster.
+
+        Args:
+            state: before the sample, shape (states,).
+            u0: input of the previous sample [u].
+            u1: input of this sample [u].
+            dt: time between the two [s]; 0 where there is no time.
+        """
         return self.model.step(state, u0, u1, dt)
 
 
@@ -422,6 +461,7 @@ def simulate(
 
     Raises:
         ModelError: no time for a model that needs it, shapes that do not fit, or a run of a model that is not causal to resume.
+        PrecisionError: double precision is off.
     """
     if resume is not None and not model.causal:
         raise ModelError(
@@ -442,7 +482,9 @@ def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
 
     Raises:
         ModelError: no time for a model that needs it, or shapes that do not fit.
+        PrecisionError: double precision is off.
     """
+    require_x64()
     u = jnp.asarray(u, dtype=jnp.result_type(float))
     if u.ndim != 1 or u.size == 0:
         raise ModelError(f"the input must have shape (T,) with T > 0, got {u.shape}")

@@ -162,7 +162,13 @@ class BoucWenStep(AbstractStepInverse):
 
 
 def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
-    """Advice where `rate` times the largest step of u, shape (T,), is too much for the cheap scheme."""
+    """Advice where `rate` times the largest step of u, shape (T,), is too much for the cheap scheme.
+
+    Args:
+        scheme: of the model; the exact one needs no advice.
+        rate: of the hysteresis [1/u].
+        u: input, shape (T,).
+    """
     largest = rate * float(np.max(np.abs(np.diff(u)), initial=0.0))
     if scheme == "exact" or largest <= COARSE:
         return ()
@@ -186,7 +192,13 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[float, float, np
 
 
 def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau))."""
+    """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau)).
+
+    Args:
+        u: input, shape (T,).
+        tau: rates of saturation [1/u], shape (K,).
+        rho: shapes of the tips, shape (K,).
+    """
     state, out = np.zeros(tau.size), np.zeros((u.size, tau.size))
     highest = 1 / (tau * (1 + rho))
     up, down = 0.5 * tau * (1 + rho), tau * rho

@@ -45,6 +45,9 @@ class AbstractComposition(AbstractHysteresis):
 
     one_scan: ClassVar[bool] = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(repr(part) for part in self.parts)})"
+
     @property
     def rate_independent(self) -> bool:
         """Whether all parts are."""

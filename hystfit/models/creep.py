@@ -62,6 +62,11 @@ class LogCreep(AbstractHysteresis):
     def spanning(cls, shortest: float, longest: float, **fields: object) -> LogCreep:
         """Relaxations, two a decade, for times from `shortest` to `longest` [s] after a step; gamma stays per decade since 0.1 s.
 
+        Args:
+            shortest: time after a step from which the creep is logarithmic [s].
+            longest: time up to which it is [s].
+            **fields: other parameters of `LogCreep`.
+
         Raises:
             ModelError: times that are not positive and in order.
         """

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
-from hystfit.data.record import Dataset, Record
 from hystfit.models.registry import MODELS, DataKind, judged, judged_as
 from hystfit.outcome.note import Code, has
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict
 from hystfit.quality.summary import RecordQuality
+from hystfit.reading.in_memory import records_of
 
 _FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")
 _SYMMETRIC = 5.0  # percent of the stroke up to which a loop counts as symmetric about its center
@@ -18,13 +19,20 @@ _CENTERED = 0.2  # distance of the middle of the input from 0, in parts of its r
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
-def check(data: Record | Dataset) -> QualityReport:
-    """Data-quality report of a record or a data set, which models the data determine, and which to try first.
+def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityReport:
+    """Data-quality report of records, of a data frame or of arrays, which models the data determine,
+    and which to try first.
+
+    Args:
+        data: a record, several, or a data frame; or the input, shape (T,).
+        y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
+        t: time of each sample [s], shape (T,), or a column of a data frame.
+        u: column of the input in a data frame; or the input, where it is given by name.
 
     Raises:
         DataError: `data` holds no records.
     """
-    report = examine(data, judged())
+    report = examine(records_of(data, y, t, u=u), judged())
     advice = _advice(report)
     first = set() if advice is None else {judged_as(part) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])

@@ -146,7 +146,13 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     @classmethod
     def generalized(cls, plays: int = 20, degree: int = 5, **options: object) -> PrandtlIshlinskii:
-        """`of` with the three envelopes, for asymmetric loops."""
+        """`of` with the three envelopes, for asymmetric loops.
+
+        Args:
+            plays: number of plays for each envelope.
+            degree: of the single-valued polynomial.
+            **options: others of `of`.
+        """
         return cls.of(plays, degree, envelopes=3, **options)
 
     @property

@@ -26,7 +26,7 @@ from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
 from hystfit.params.param import leaves_of
 from hystfit.quality.needs import Needs
-from hystfit.registry import class_from_file
+from hystfit.registry import class_from_file, file_of, near, refuse_unfinished
 
 # What `check` finds about records decides which models are compared on them: output that lags (counter-clockwise loops) with time
 # (piezo actuators) or without, loops that are symmetric about zero input (magnetic materials), force that leads, force that depends
@@ -188,18 +188,33 @@ MODELS: dict[str, Entry] = {
 }
 
 
-def make_model(expression: str) -> AbstractHysteresis:
-    """The model that an expression names: names joined by "+", or a file of the user's and a class in it.
+def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> AbstractHysteresis:
+    """The model that is meant by names joined by "+", by a file of the user's and a class in it, or by a class; a model itself.
 
     Filters named "before" precede, those "after" follow the sum of the others, in the order in which they are written. Settings
-    follow a name: "preisach:n=60:reversible=no".
+    follow a name: "preisach:n=60:reversible=no". A class of hystfit stands for its first name.
 
     Raises:
         ModelError: an unknown name or setting (the message lists what there is), a filter without a hysteresis, a file without
-            such a class, a search.
+            such a class, a class that is not finished, a search, or something else than a model.
     """
+    if isinstance(choice, AbstractHysteresis):
+        return choice
+    if isinstance(choice, type) and issubclass(choice, AbstractHysteresis):
+        named = [name for name, kind in _kinds().items() if kind is choice]
+        return MODELS[named[0]].make() if named else _made(choice)
+    if not isinstance(choice, str):
+        raise ModelError(
+            f"expected a model, its class or its name, got {getattr(choice, '__name__', type(choice).__name__)}"
+        )
+    return _composed(choice)
+
+
+def _composed(expression: str) -> AbstractHysteresis:
+    """The model of an expression."""
     if ".py:" in expression:
-        return _from_file(expression)
+        path, _, name = expression.rpartition(":")
+        return _made(class_from_file(path, name, AbstractHysteresis, ModelError))
     if expression == SEARCH:
         raise ModelError(
             f"{SEARCH} chooses its terms on data: fit or compare it, and use the model that the result names"
@@ -208,7 +223,8 @@ def make_model(expression: str) -> AbstractHysteresis:
     for part in expression.split("+"):
         name, mark, given = (text.strip() for text in part.partition(":"))
         if name not in MODELS:
-            raise ModelError(f"no model {name!r}; the models are: {', '.join(MODELS)} (join several by +)")
+            hint = near(name, MODELS)
+            raise ModelError(f"no model {name!r}{hint}; the models are: {', '.join(MODELS)} (join several by +)")
         places[MODELS[name].place].append(MODELS[name].make(**(_chosen(name, given) if mark else {})))
     added = places["core"] + places["beside"]
     if not added:
@@ -244,14 +260,18 @@ def _chosen(name: str, given: str) -> dict[str, int | bool | str]:
     return chosen
 
 
-def _from_file(expression: str) -> AbstractHysteresis:
-    path, _, name = expression.rpartition(":")
-    kind = class_from_file(path, name, AbstractHysteresis, ModelError)
+def _made(kind: type[AbstractHysteresis]) -> AbstractHysteresis:
+    """A model of a class of the user's, with its default values.
+
+    Raises:
+        ModelError: the class lacks a method, or a parameter has no default.
+    """
+    refuse_unfinished(kind, ModelError)
     try:
         return kind()
     except TypeError as error:
         raise ModelError(
-            f"{name} of {path} cannot be made without arguments: {error}; give its parameters defaults"
+            f"{kind.__name__} in {file_of(kind)} cannot be made without arguments: {error}; give its parameters defaults"
         ) from error
 
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.data.record import Record
+from hystfit.data.record import Dataset, Record
+from hystfit.params.units import Scales
 from hystfit.quality.loops import reversals
 
 
@@ -36,6 +37,16 @@ def output_range(records: Sequence[Record]) -> Range:
     values = [r.y[r.used] for r in records if r.used.any()]
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
     return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def scales_of(data: Dataset) -> Scales:
+    """Natural sizes and units of a data set: half ranges of input and output, a hundred sampling intervals."""
+    records = list(data)
+    typical = data.sampling_interval or 0.01
+    units = data.units
+    return Scales(
+        input_range(records).half, output_range(records).half, 100 * typical, units["u"], units["y"], units["t"]
+    )
 
 
 def thinned(records: Sequence[Record], count: int = 500) -> list[Record]:

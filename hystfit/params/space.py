@@ -18,15 +18,19 @@ from hystfit.errors import ParameterError
 from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
 from hystfit.params.param import ParamInfo, leaves_of, short_names
 from hystfit.params.units import Scales
+from hystfit.registry import near
 
 _MANY = 12  # elements of an array of either sign above which they are weights, not coefficients
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
 
 def _strong(leaf: Any) -> Any:
-    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately.
-    weak = isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.weak_type
-    return jnp.asarray(np.asarray(leaf)) if weak else leaf
+    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately; arrays made before
+    # double precision was switched on are single.
+    if not isinstance(leaf, jax.Array) or isinstance(leaf, jax.core.Tracer):
+        return leaf
+    kind = jnp.result_type(float) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
+    return jnp.asarray(np.asarray(leaf), kind) if leaf.weak_type or leaf.dtype != kind else leaf
 
 
 class ParameterSpace:
@@ -95,7 +99,7 @@ class ParameterSpace:
                 f"parameter {name!r} is ambiguous; choose one of: {', '.join(self._leaf_names[i] for i in hits)}"
             )
         if not hits:
-            raise ParameterError(f"no parameter {name!r}; the parameters are: {known}")
+            raise ParameterError(f"no parameter {name!r}{near(name, self._leaf_names)}; the parameters are: {known}")
         leaf = self.leaves[hits[0]]
         if match is None or match["at"] is None:
             return hits[0], list(range(leaf.size))

@@ -11,6 +11,7 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.outcome.note import Code, Note, has, warn
+from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.determination import Determination, Verdict, determine
@@ -92,6 +93,17 @@ class QualityReport:
 
     def __str__(self) -> str:
         return self.text()
+
+    def _repr_html_(self) -> str:
+        shown = self.records[:_MOST_RECORDS]
+        parts = [part for record in shown for part in (record.name, Table(["", Column("", left=True)], _rows(record)))]
+        rest = len(self.records) - len(shown)
+        notes = self.findings[:_MOST_FINDINGS]
+        more = f"and {rest} more records" if rest else ""
+        return fragment(
+            f"Data quality: {self.name}",
+            (*parts, more, "Findings" if notes else "No problems found", notes, self.table()),
+        )
 
 
 def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) -> QualityReport:

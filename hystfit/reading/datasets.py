@@ -11,6 +11,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.reading.published import ENTRIES, Bundled, DataFile, Measured, Source
 from hystfit.reading.read import read_csv
+from hystfit.registry import near
 
 FOLDER_VARIABLE = "HYSTFIT_DATA"
 
@@ -72,7 +73,7 @@ def load(name: str, *, folder: str | os.PathLike[str] | None = None, download: b
 
 def _entry(name: str) -> Bundled | Measured:
     if name not in ENTRIES:
-        raise DataError(f"no data set {name!r}; there are {', '.join(names())}")
+        raise DataError(f"no data set {name!r}{near(name, names())}; there are {', '.join(names())}")
     return ENTRIES[name]
 
 

@@ -123,7 +123,16 @@ def read_csv(
     encoding: str | None = None,
     name: str | None = None,
 ) -> Record | Dataset:
-    """Like `read`, for text files whatever their suffix."""
+    """Like `read`, for text files whatever their suffix.
+
+    Args:
+        path: as for `read`.
+        time, input, output, sigma, rate, dt, units, integrate, smooth, by, only, where, gaps, name: see `read`.
+        delimiter, decimal, encoding: of the text; detected where None.
+
+    Raises:
+        DataError: the file cannot be read as requested; the message names the remedy.
+    """
     layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding}
     columns = {"time": time, "input": input, "output": output}
     rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}

@@ -7,6 +7,7 @@ import datetime
 import functools
 import importlib.metadata
 import platform
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import DataError
+from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
@@ -23,7 +24,8 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.units import conversion
 from hystfit.quality.baselines import Baselines
-from hystfit.registry import attribute
+from hystfit.reading.in_memory import excitation_of, records_of
+from hystfit.registry import attribute, near
 from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
 
@@ -174,7 +176,57 @@ class FitResult:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise KeyError(f"no parameter {name!r}; there are {[p.name for p in self.parameters]}")
+        names = [p.name for p in self.parameters]
+        raise KeyError(f"no parameter {name!r}{near(name, names)}; there are {names}")
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of all parameters by name, free and fixed, in physical units (`units` has those of the data)."""
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the input u, the output y and the time t; predictions are in that of y."""
+        return self.data.units
+
+    @functools.cached_property
+    def residuals(self) -> np.ndarray:
+        """Measured minus simulated output [y], shape (T,), NaN where a sample does not count; several records one after another."""
+        rows = [np.where(record.used, record.y - self.predict(record), np.nan) for record in self.data]
+        return np.concatenate(rows)
+
+    def confidence_intervals(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
+        """Lower and upper limit of every free parameter from its standard error; None where it has no standard error.
+
+        The estimate is taken as normally distributed. `hystfit.profile` gives limits without this assumption.
+
+        Args:
+            level: probability with which such an interval covers the parameter.
+
+        Raises:
+            ParameterError: the level is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise ParameterError(f"level must be between 0 and 1, such as 0.95; got {level}")
+        reach = statistics.NormalDist().inv_cdf(0.5 + level / 2)
+        free = [p for p in self.parameters if not p.fixed]
+        return {
+            p.name: None if p.stderr is None else (p.value - reach * p.stderr, p.value + reach * p.stderr) for p in free
+        }
+
+    def to_dataframe(self) -> Any:
+        """The parameters as a pandas data frame with one row for each, indexed by name; unknown values are missing.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        rows = [{"name": p.name, **p.to_dict(), "doc": p.doc} for p in self.parameters]
+        numbers = dict.fromkeys(("value", "stderr", "lower", "upper"), float)
+        return pandas.DataFrame(rows).set_index("name").astype(numbers)
 
     def with_notes(self, *notes: Note, first: bool = False) -> FitResult:
         """The same result with further notes, at the end or first."""
@@ -209,20 +261,28 @@ class FitResult:
         factor = conversion(self.data.units["y"], record.y_unit) if record.y_unit else None
         return y if factor in (None, 1.0) else factor * y
 
-    def predict(self, record: Record, *, refit_offset: bool = False) -> np.ndarray:
-        """Free run over a record's input, shape (T,): of its own model where it was fitted, else of the first record's.
+    def predict(self, data: Any, t: Any = None, *, u: Any = None, refit_offset: bool = False) -> np.ndarray:
+        """Free run over an input, shape (T,), with the parameters of the record where it was fitted.
+
+        `predict(record)`, `predict(frame)` and `predict(u, t)` are the same for a record, a data frame and arrays. Another record than
+        those fitted is predicted with the per-record parameters of the first.
 
         The prediction is in the unit of the record's output, or in that of the fit where the record has none.
 
         Args:
-            record: any record with the time that the model needs, in units of the quantities that were fitted.
+            data: any record, a data frame with the input, or the input, shape (T,).
+            t: time of each sample, shape (T,), or a column of the data frame; where the model depends on time.
+            u: column of the input in a data frame; by default that of the fitted record.
             refit_offset: shift the output so that its mean over the samples that count is right (another record's sensor zero).
 
         Raises:
-            ModelError: the model needs time and the record has none.
-            DataError: a unit of another quantity, or an offset is to be refitted and no output counts.
+            ModelError: the model needs time and there is none.
+            DataError: an input that cannot be used, or an offset is to be refitted and no output counts.
         """
-        given, record = record, self.in_own_units(record)
+        given = excitation_of(data, t, u=u, like=self.data[0])
+        record = self.in_own_units(given)
+        if record.t is None and not self.model.rate_independent:
+            raise ModelError(f"{self.name} depends on time: give t, the time of each sample")
         model = self.models[self.record_number(record)]
         y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
@@ -231,9 +291,9 @@ class FitResult:
             y = y + float(np.mean((record.y - y)[record.used]))
         return self.to_unit_of(given, y)
 
-    def metrics(self, data: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> Metrics:
-        """Metrics of the prediction on the samples that count, in the units of the fit."""
-        records = [self.in_own_units(self.model.prepared(record)) for record in Dataset.of(data)]
+    def metrics(self, data: Any, *, refit_offset: bool = False) -> Metrics:
+        """Metrics of the prediction on the samples that count, in the units of the fit: of records or a data frame."""
+        records = [self.in_own_units(self.model.prepared(record)) for record in records_of(data)]
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
@@ -335,6 +395,9 @@ class FitResult:
     def __repr__(self) -> str:
         headline = _view("report:headline")(self)
         return f"<FitResult: {headline}; print it for the report>"
+
+    def _repr_html_(self) -> str:
+        return _view("report:notebook_view")(self)
 
     def plot(
         self,

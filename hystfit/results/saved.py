@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.inference.problem import Problem
@@ -92,6 +93,7 @@ def load_fit(folder: str | Path) -> FitResult:
     Raises:
         DataError: the folder holds no fit, one of another schema, or one that is damaged.
     """
+    require_x64()
     folder = Path(folder)
     try:
         stored = json.loads((folder / "result.json").read_text(encoding="utf-8"))

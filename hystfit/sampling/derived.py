@@ -39,6 +39,11 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
 
     The loop is the last of three triangular cycles over the input range of the fit, 400 samples each, at the records' typical interval.
 
+    Args:
+        posterior: the draws.
+        quantities: names in `QUANTITIES`; all that the model has where None.
+        count: number of draws simulated.
+
     Raises:
         ParameterError: an unknown quantity, or creep of a model without time.
     """

@@ -135,7 +135,13 @@ def walk(target: Target, walkers: int) -> Any:
 
 
 def start(target: Target, walkers: int, seed: int) -> Any:
-    """emcee's state with walkers about the mode, each where the density is finite."""
+    """emcee's state with walkers about the mode, each where the density is finite.
+
+    Args:
+        target: the density in whitened coordinates.
+        walkers: how many.
+        seed: of their places and of emcee.
+    """
     import emcee
 
     d, rng = target.center.shape[0], np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.config import require_x64
 from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Note, Status
 from hystfit.results.folders import dump_json, writing
@@ -63,6 +64,7 @@ def load_posterior(folder: str | Path) -> Posterior:
         DataError: the folder holds no such file, or one that is damaged.
         MissingExtraError: xarray or h5netcdf is not installed.
     """
+    require_x64()
     xarray, place = _xarray(), Path(folder)
     file = place / "posterior.nc"
     try:

@@ -223,6 +223,16 @@ def advance(
     """`steps` transitions, for use inside traced code; `adapting` is one flag or one a transition.
 
     While it adapts the step size is the one that dual averaging tries, else its average.
+
+    Args:
+        target: the density in whitened coordinates.
+        q: position, shape (d,).
+        tuning: of the step size.
+        key: random key.
+        adapting: whether the step size adapts, one flag or shape (steps,).
+        goal: acceptance that it aims at.
+        depth: largest number of doublings of a trajectory.
+        steps: number of transitions.
     """
     kernel, init = _kernel()
     mass = jnp.ones_like(q)

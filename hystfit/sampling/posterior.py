@@ -14,7 +14,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Column, Note, Status, Table
+from hystfit.outcome import Column, Note, Status, Table, fragment
 from hystfit.registry import attribute
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
@@ -116,20 +116,32 @@ class Posterior:
         keys = ("name", "median", "lower", "upper", "unit")
         return Table(columns, [[row[key] for key in keys] for row in self.derived_rows])
 
-    def __str__(self) -> str:
+    def _headline(self) -> str:
         chains, draws, _ = self.draws.shape
-        lines = [
+        return (
             f"{self.result.name}, noise {self.noise}, {self.sampler}: {chains} chains of {draws} draws: {self.status}"
-        ]
-        lines += self.summary().lines()
-        if self.evidence is not None:
-            lines.append(
-                f"log evidence: {self.evidence.log_z:.2f} +- {self.evidence.error:.2f} (nats; comparable for the same data only)"
-            )
+        )
+
+    def _evidence_words(self) -> str:
+        """The evidence in one line; "" where there is none."""
+        if self.evidence is None:
+            return ""
+        log_z, error = self.evidence.log_z, self.evidence.error
+        return f"log evidence: {log_z:.2f} +- {error:.2f} (nats; comparable for the same data only)"
+
+    def __str__(self) -> str:
+        lines = [self._headline(), *self.summary().lines()]
+        if evidence := self._evidence_words():
+            lines.append(evidence)
         lines += self.derived_table().lines()
         lines += [f"note: {note}" for note in self.notes]
         lines += [f"prior of {name}: {text}" for name, text in self.priors.items()]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        priors = Table(["parameter", Column("prior", left=True)], list(self.priors.items()))
+        parts = (self.summary(), self._evidence_words(), self.derived_table(), self.notes, priors)
+        return fragment(self._headline(), parts)
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
@@ -168,7 +180,13 @@ class Posterior:
     # -- prediction ----------------------------------------------------------------------------------------------------
 
     def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:
-        """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added."""
+        """Outputs of `count` draws over a record's input, shape (count, T): parameters vary, no noise is added.
+
+        Args:
+            record: provides the input.
+            count: number of draws, chosen at random.
+            seed: of the choice.
+        """
         own = self.result.in_own_units(record)
         return self.result.to_unit_of(
             record, _view("predictive:simulate_draws")(self.result, own, self.thinned(count, seed))

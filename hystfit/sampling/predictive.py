@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.config import require_x64
 from hystfit.data.batch import Batch
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
@@ -36,6 +37,7 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> Float[np
     Raises:
         ModelError: no time for a model that needs it.
     """
+    require_x64()
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))

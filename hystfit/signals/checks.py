@@ -74,5 +74,11 @@ def below_nyquist(frequency: Real, rate: Real) -> None:
 
 
 def between(low: Real, high: Real, wave: np.ndarray) -> np.ndarray:
-    """Map a wave in [-1, 1], shape (T,), onto [low, high]."""
+    """Map a wave in [-1, 1], shape (T,), onto [low, high].
+
+    Args:
+        low: lowest value [u].
+        high: highest value [u].
+        wave: in [-1, 1], shape (T,).
+    """
     return 0.5 * (low + high) + 0.5 * (high - low) * wave

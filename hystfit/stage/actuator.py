@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
@@ -166,6 +167,7 @@ def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int
     Raises:
         ParameterError: no device, an unknown name, a negative scatter, or one that leaves the bounds of a parameter.
     """
+    require_x64()
     if count < 1 or any(not 0 <= size < np.inf for size in spread.values()):
         raise ParameterError(
             f"a population needs at least one device and a scatter of 0 or more; got {count} and {dict(spread)}"

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
@@ -166,6 +167,7 @@ class Stage(eqx.Module):
         Raises:
             DataError: wrong shape, values that are not finite.
         """
+        require_x64()
         u = np.asarray(u, dtype=float)
         if u.ndim != 2 or u.shape[1] != 3 or not np.isfinite(u).all() or finer < 1:
             raise DataError(f"voltages must be finite and of shape (T, 3), finer at least 1; got {u.shape} and {finer}")
@@ -207,7 +209,14 @@ class Stage(eqx.Module):
         return StageMeasurement(t, reached, channels["gauge"].read(lengths, rng), probes, notes)
 
     def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:
-        """Measured poses: one record an axis, over the voltage of the actuator that moves it most. Args as `measure`."""
+        """Measured poses: one record an axis, over the voltage of the actuator that moves it most.
+
+        Args:
+            t: times [s], shape (T,).
+            u: commanded voltages [V], shape (T, 3).
+            seed: of the sensor noise.
+            sensors: see `measure`.
+        """
         measured = self.measure(t, u, seed=seed, sensors=sensors)
         strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
         return {axis: measured.record(axis, int(strongest[k])) for k, axis in enumerate(AXES)}

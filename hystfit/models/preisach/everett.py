@@ -168,7 +168,13 @@ class FirstRise(eqx.Module):
 
     @classmethod
     def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
-        """Tables of weights."""
+        """Tables of weights.
+
+        Args:
+            w: mass of every cell [y], shape (n (n + 1) / 2,).
+            levels: edges of the cells [u], shape (n + 1,).
+            center: input of the demagnetized state [u].
+        """
         n = levels.shape[0] - 1
         square = grid(w, n)
         rows = jnp.sum(square * swept(levels, center, jnp.arange(n), levels[1:]), axis=1)
@@ -176,7 +182,11 @@ class FirstRise(eqx.Module):
 
     @classmethod
     def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
-        """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image."""
+        """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image.
+
+        Args:
+            w, levels, center: as in `of`.
+        """
         n = levels.shape[0] - 1
         i, j = cells(n)
         image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)

@@ -195,12 +195,25 @@ def _stack(v: np.ndarray, rest: str, center: float, names: np.ndarray) -> tuple[
 
 
 def opposite(v: Any, rest: str, center: float) -> Any:
-    """The other end of the interval that a first extremum v spans; numbers or arrays."""
+    """The other end of the interval that a first extremum v spans; numbers or arrays.
+
+    Args:
+        v: first extrema [u].
+        rest: state before the record: "demagnetized", "negative" or "positive".
+        center: input of the demagnetized state [u].
+    """
     return 2 * center - v if rest == "demagnetized" else -np.inf if rest == "negative" else np.inf
 
 
 def settle(v: np.ndarray, node: np.ndarray, parent: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Walk up the tree from given extrema to those whose interval contains inputs v; -1 where none does."""
+    """Walk up the tree from given extrema to those whose interval contains inputs v; -1 where none does.
+
+    Args:
+        v: inputs, shape (K,).
+        node: extremum from which each begins, shape (K,); -1 for none.
+        parent: of each node, shape (N,); -1 for none.
+        low, high: interval of each node, shape (N,).
+    """
     node = node.copy()
     active = np.flatnonzero(node >= 0)
     while active.size:

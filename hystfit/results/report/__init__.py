@@ -1,6 +1,7 @@
 """The report on a fit: as text, and as one HTML page with its pictures."""
 
 from hystfit.results.report.page import html_report as html_report
+from hystfit.results.report.page import notebook_view as notebook_view
 from hystfit.results.report.page import write as write
 from hystfit.results.report.page import write_into as write_into
 from hystfit.results.report.tables import metrics_table as metrics_table

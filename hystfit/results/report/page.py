@@ -1,4 +1,4 @@
-"""The report on a fit as one HTML page with its pictures, and as files in a folder."""
+"""The report on a fit as one HTML page with its pictures, in a notebook, and as files in a folder."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.data.record import Dataset, Record
+from hystfit.outcome import fragment
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
@@ -65,6 +66,13 @@ def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bo
     """One self-contained HTML page with its pictures."""
     figures = pictures(result, test=test, refit_offset=refit_offset)
     return _page(result, {name: _png(figure) for name, figure in figures.items()})
+
+
+def notebook_view(result: FitResult) -> str:
+    """The report as notebooks show it: status, tables and notes, without pictures."""
+    advice = "" if result.usable else result.advice
+    tables = (ERRORS, metrics_table(result), parameter_table(result), fixed_words(result))
+    return fragment(headline(result), (advice, *tables, result.notes))
 
 
 def _page(result: FitResult, images: dict[str, bytes]) -> str:

@@ -1,0 +1,123 @@
+"""`hystfit.fit`: records from what the user has, the model that is meant, and its fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from hystfit.config import require_x64
+from hystfit.data.record import Dataset
+from hystfit.errors import ParameterError
+from hystfit.fitting.compare import compare
+from hystfit.fitting.comparison import Purpose
+from hystfit.fitting.estimate import AbstractEstimator
+from hystfit.fitting.fit import changed_settings, with_test
+from hystfit.fitting.fit import fit as fit_model
+from hystfit.fitting.registry import is_sequential
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.objective import Loss
+from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
+from hystfit.reading.in_memory import is_frame, records_of
+from hystfit.results.result import FitResult
+
+_OF_SEQUENTIAL = "duhem"  # the model that "auto" means where an identifier runs over the samples
+
+
+def fit(
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
+    data: Any = None,
+    y: Any = None,
+    t: Any = None,
+    *,
+    u: Any = None,
+    method: str | AbstractEstimator = "auto",
+    fix: Sequence[str] | Mapping[str, Any] = (),
+    free: Sequence[str] = (),
+    start: Literal["data", "model"] = "data",
+    starts: int = 8,
+    seed: int = 0,
+    loss: Loss = "linear",
+    noise: str | type[AbstractNoise] = "auto",
+    test: Any = None,
+    **settings: Any,
+) -> FitResult:
+    """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
+
+    `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
+
+    Args:
+        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`. "prandtl-ishlinskii-search"
+            searches that family for the terms that predict left-out data best, and the result names them.
+        data: a record, several, or a data frame (pandas, polars, a dictionary of columns); or the input, shape (T,). Windows are set
+            by `Record.window`.
+        y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
+        t: time of each sample [s], shape (T,), or a column of a data frame; models that depend on time need it.
+        u: column of the input in a data frame; or the input, where it is given by name.
+        method: "lm" and "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
+            (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
+            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
+            "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
+        fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
+            the records where `start` is "data" and the model is given by name.
+        free: parameters to fit that the model holds by default.
+        start: "data" reads starting values off the records, "model" takes the model's own.
+        starts: number of starting points: the data-driven one, and a Latin hypercube about it; at most so many of a model that
+            reads several off the records.
+        seed: of the starting points.
+        loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that bends at 1 % of the output's range.
+        noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
+            slow (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" treats residuals as independent. "ou" (slow and
+            independent noise), "ar1", "student-t", "discrepancy" (model error that repeats every loop), my_noise.py:MyNoise or a
+            class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
+            standard errors under a repeating misfit need "discrepancy" (the notes say when).
+        test: records to report the error on, never fitted; or a data frame with the same columns.
+        **settings: of a sequential identifier, see `hystfit.identify`.
+
+    Returns:
+        A result with a status; look at `usable` and `notes` before using its numbers.
+
+    Raises:
+        HystfitError: data, names or settings that cannot be used; the message names the remedy.
+    """
+    require_x64()
+    records = records_of(data, y, t, u=u)
+    tested = None if test is None else records_of(test, y, t, u=u) if is_frame(test) else records_of(test)
+    options = {
+        "method": method,
+        "fix": fix,
+        "free": free,
+        "start": start,
+        "starts": starts,
+        "loss": loss,
+        "noise": noise,
+    }
+    if not isinstance(model, str) or model != "auto":
+        return fit_model(model, records, seed=seed, test=tested, **options, **settings)  # type: ignore[arg-type]
+    if is_sequential(method):
+        return fit_model(_OF_SEQUENTIAL, records, seed=seed, test=tested, **options, **settings)  # type: ignore[arg-type]
+    if changed := [*changed_settings(options), *settings]:
+        raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
+    result = best_model(records, seed)
+    return result if tested is None else with_test(result, tested)
+
+
+def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") -> FitResult:
+    """The fit of the model that wins the comparison, with notes on the choice.
+
+    Args:
+        data: records to fit.
+        seed: of the starting points.
+        purpose: see `compare`.
+    """
+    comparison = compare(data, purpose=purpose, seed=seed)
+    best, count = comparison.rows[0], len(comparison.rows)
+    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
+    reason = (
+        f"is the best of {count} models by cross-validation" if count > 1 else "is the only candidate for these data"
+    )
+    choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
+    failed = [row for row in comparison.rows if row.status is Status.FAILED]
+    left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]
+    return comparison.winner.with_notes(choice, *left_out, first=True)
