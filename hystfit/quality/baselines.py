@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Baselines:
         own = {record.name: k for k, record in enumerate(train)}
         y = np.concatenate([record.y[record.used] for record in judged])
 
-        def error(columns: _Columns) -> float:
+        def error(columns: Callable[[_Frame, Record], np.ndarray]) -> float:
             rows = [np.hstack([columns(frame, r), _offset(k, len(own), r)])[r.used] for k, r in enumerate(train)]
             target = np.concatenate([record.y[record.used] for record in train])
             theta = np.linalg.lstsq(np.concatenate(rows), target, rcond=None)[0]
@@ -95,9 +95,6 @@ def _plays(frame: _Frame, record: Record) -> np.ndarray:
     radii = np.linspace(0.0, 1.0, _PLAYS + 2)[1:-1]
     bend = np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), 3)[:, 2:]
     return np.hstack([x[:, None], bend, play_positions(x, radii)])
-
-
-_Columns = type(_line)
 
 
 def _offset(number: int, count: int, record: Record) -> np.ndarray:

@@ -17,6 +17,7 @@ from hystfit.outcome import Code, Note
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table, plain_table
 from hystfit.reading.read import assemble
+from hystfit.reading.several import with_column
 
 _NAMES = "the columns of a data frame are chosen by u=, y= and t="
 
@@ -139,14 +140,8 @@ def _framed(data: Any, u: Any, y: Any, t: Any, name: str, *, no_output: bool = F
             )
     table = _table(data)
     if no_output:
-        blank = ("no output", "", np.zeros(table.rows))
-        table = dataclasses.replace(
-            table,
-            names=(*table.names, blank[0]),
-            units=(*table.units, blank[1]),
-            columns=(*table.columns, blank[2]),
-        )
-        y = blank[0]
+        y = "no output"
+        table = with_column(table, y, np.zeros(table.rows))
     try:
         return assemble(table, time=t, input=u, output=y, name=name)
     except DataError as error:
@@ -162,7 +157,7 @@ def _columns(data: Any) -> dict[Any, Any]:
         raise DataError("the columns of the data frame must have different names")
     columns = {name: data[name] for name in names}
     index = getattr(data, "index", None)
-    if getattr(index, "nlevels", 0) == 1 and (index.name is not None or _is_clock(index)):
+    if index is not None and getattr(index, "nlevels", 0) == 1 and (index.name is not None or _is_clock(index)):
         label = "time" if index.name is None else index.name
         return columns if label in columns else {label: index, **columns}
     return columns
