@@ -87,7 +87,12 @@ def test_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest
 
 def test_bad_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, options, words, status in (
-        ("cross.csv", {"change": {5: 30.0}}, ("curve=4", "curve=5", "cross"), 0),
+        (
+            "cross.csv",
+            {"change": {5: 30.0}},
+            ("curve=4", "curve=5", "cross"),
+            1,
+        ),  # no weights >= 0 describe the curve that crosses
         ("open.csv", {"drift": -2.0}, ("close",), 0),
     ):
         file = reversal_file(tmp_path, name, **options)

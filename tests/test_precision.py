@@ -83,6 +83,7 @@ INDEPENDENT = {
         "ParametricPreisach",
         "PrandtlIshlinskii",
         "Preisach",
+        "SignedPreisach",
         "Relaxation",
         "SaturatingRate",
         "SecondOrder",

@@ -86,7 +86,9 @@ def _growing(rng: np.random.Generator, size: float = 1.0) -> tuple:
     return t, size * (0.15 + 0.085 * t) * np.sin(2 * np.pi * 0.8 * t) * rng.uniform(0.95, 1.05)
 
 
-def _through(rng: np.random.Generator, model: hf.Series, t: np.ndarray, u: np.ndarray, noise: float, **units) -> hf.Record:
+def _through(
+    rng: np.random.Generator, model: hf.Series, t: np.ndarray, u: np.ndarray, noise: float, **units
+) -> hf.Record:
     """The simulated output with noise, in parts of its range."""
     y = np.asarray(hf.simulate(model, u, np.full(t.size, t[1] - t[0]))[0])
     return hf.Record(u=u, y=y + noise * np.ptp(y) * rng.normal(size=t.size), t=t, **units)

@@ -28,7 +28,9 @@ BOX = (
 TIMED = ("bouc-wen+log-creep", "bouc-wen+relaxation", "bouc-wen+second-order", "bouc-wen-force+viscous", "lag+bouc-wen")
 UNTIMED = ("preisach-magnetic",)
 FACTOR = 1.5  # error on left-out data, over that of the best model in the box, up to which the choice is right
-HEAD = ["record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best in the box", "its error, %", "s"]  # fmt: skip
+HEAD = [
+    "record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best in the box", "its error, %", "s",
+]  # fmt: skip
 
 
 def box(case: Case) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading
 from hystfit.cli.records import load
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, progress
 from hystfit.outcome import Status
 
@@ -45,6 +46,6 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         text += f"\n\nhystfit fit {shlex.join(loops)} --model {report.advice.model}{rest}"
 
     def save(folder: Path) -> None:
-        (folder / "check.txt").write_text(text + "\n", encoding="utf-8")
+        (folder / "check.txt").write_text(as_options(text) + "\n", encoding="utf-8")
 
     return finish(text, content, output, save, status=status)

@@ -68,13 +68,15 @@ def simulate(
     values = named_values(set or [])
     if axes == 1:
         record = _respond(what, t, u, values, noise, seed, signal)
-        data, notes, extra = Dataset.of(record), record.notes, {}
-        columns = record_columns(data) | ({} if curve is None else {"curve": curve})
+        data, notes, extra = [record], record.notes, {}
+        columns = record_columns(Dataset.of(record)) | ({} if curve is None else {"curve": curve})
         reach = {"u": record.u, "y": record.y}
     else:
         drive = drive or "in-turn"
         measured = _measure(t, u, drive, values, noise, seed)
-        data = Dataset.of(measured.record(axis, 0) for axis in ("x", "y", "theta"))
+        data = [
+            measured.record(axis, 0) for axis in ("x", "y", "theta")
+        ]  # an angle has other units than a displacement
         columns = reach = measured.columns()
         notes, extra = measured.notes, {"axes": 3, "drive": drive}
     content = {

@@ -156,7 +156,13 @@ class Record:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
     def noted(self, code: Code, text: str, severity: Severity = Severity.INFO) -> Record:
-        """Copy with one more note, which is not repeated."""
+        """Copy with one more note, which is not repeated.
+
+        Args:
+            code: of the note.
+            text: for people.
+            severity: of the note.
+        """
         note = Note(code, text, severity)
         return self if note in self.notes else self.replace(notes=(*self.notes, note))
 

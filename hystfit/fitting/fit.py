@@ -188,7 +188,7 @@ def solve(
     method: str | AbstractEstimator,
     starts: int,
     seed: int,
-    points: Sequence[AbstractHysteresis],
+    points: Sequence[AbstractHysteresis] = (),
 ) -> Estimate:
     """Run one estimator from several models, or from the values of one and a hypercube about them.
 
@@ -197,7 +197,7 @@ def solve(
         method: an estimator or its name.
         starts: number of starting points.
         seed: of the hypercube.
-        points: models to start from, the best first.
+        points: models to start from, the best first; that of the problem by default.
 
     Raises:
         ParameterError: nothing is free.
@@ -206,7 +206,8 @@ def solve(
         raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
     estimator = ESTIMATORS.make(method)
     count = starts if estimator.needs_starts else 1
-    at = [problem.space.unconstrained(_settled(problem, problem.space.vector(point))) for point in points[:count]]
+    models = points[:count] or (problem.model,)
+    at = [problem.space.unconstrained(_settled(problem, problem.space.vector(model))) for model in models]
     return estimator.estimate(problem, np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed))
 
 

@@ -116,7 +116,9 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if not (fitted.model.from_saturation or turns_back(data)):
         return Status.NO_LOOP, [_no_loop(data)]
     parameters = fitted.estimate.x.size
-    if train.n <= max(parameters, _FEWEST - 1):
+    # Smooth weights may outnumber the samples: their penalty was chosen on left-out data, which test them.
+    smooth = fitted.model.estimator == "preisach" and fitted.estimate.penalty is not None
+    if train.n < _FEWEST or (train.n <= parameters and not smooth):
         text = f"{train.n} samples for {parameters} parameters: the fit is not tested by any sample"
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)

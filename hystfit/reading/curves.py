@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.calibration import CURVE_NAMES, calibrated_curves
+from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table

@@ -14,7 +14,7 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Dataset, Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.calibration import marked_by_kind, marked_by_place
+from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Table

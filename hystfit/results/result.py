@@ -8,7 +8,7 @@ import functools
 import importlib.metadata
 import platform
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -428,7 +428,7 @@ def _version(package: str) -> str:
     return importlib.metadata.version(package)
 
 
-def provenance(data: Dataset, seed: int | None, **more: Any) -> dict[str, Any]:
+def provenance(data: Iterable[Record], seed: int | None, **more: Any) -> dict[str, Any]:
     """Versions, seed, checksums of the data, date; a record for people, never read back."""
     packages = ("hystfit", "jax", "equinox", "optimistix", "numpy", "scipy")
     return {
