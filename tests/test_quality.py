@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystfit import check, datasets, signals
+from hystfit import BoucWen, check, datasets, signals, simulate
 from hystfit.data.record import Dataset, Record
 from hystfit.models.data_check import data_kinds
 from hystfit.models.registry import judged_as, make_model
@@ -524,6 +524,17 @@ def test_lost_stiffness_is_reported_for_damaged_loops_only():
     assert broken.records[0].stiffness_left < 0.85
     assert broken.verdict("bouc-wen").verdict == "no"
     assert has(broken.findings, Code.DEGRADING)
+
+
+def test_a_falling_amplitude_is_not_taken_as_lost_stiffness():
+    """Secants of any hysteresis are softer at small strokes, and every stroke of a decaying sine is smaller than those before."""
+    t = np.linspace(0, 10, 1000)
+    u = 50 + (1 - 0.09 * t) * 47 * np.sin(2 * np.pi * 0.8 * t)
+    y = np.asarray(simulate(BoucWen(c=0.15, mu=0.5, tau=0.03, rho=0.4), u)[0])
+    report = check(Record(u, y + np.random.default_rng(0).normal(0, 0.01, t.size), t))
+    assert report.records[0].stiffness_left is None
+    assert not has(report.findings, Code.DEGRADING)
+    assert report.advice is not None
 
 
 @settings(max_examples=25)

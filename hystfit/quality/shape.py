@@ -9,6 +9,7 @@ import numpy as np
 from hystfit.quality.drift import like_cycles
 from hystfit.quality.loops import Loop, loop_area, loop_branches
 
+_SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
 
@@ -129,7 +130,8 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
 
     Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Branches longer than all
     before define the initial stiffness as a function of the stroke; later branches about the same middle are compared
-    with it (a loop elsewhere in the range may be softer without damage). Without damage the ratio is near 1 or above.
+    with it (a loop elsewhere in the range may be softer without damage). Shorter branches than all of those have nothing to be
+    compared with: any hysteresis is softer at small strokes. Without damage the ratio is near 1 or above.
 
     Args:
         u: input, shape (T,).
@@ -149,7 +151,8 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     first = (stroke > 0) & np.concatenate([[True], stroke[1:] > 1.02 * farthest[:-1]])
     if not first.any():
         return None
-    known, repeated = stroke[first], ~first & (stroke > 0.1 * farthest[-1])
+    known = stroke[first]
+    repeated = ~first & (stroke > 0.1 * farthest[-1]) & (stroke > (1 - _SHORTER) * known.min())
     repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
     before = np.interp(stroke[repeated], known, change[first] / known)
     if not (before > 0).all():
