@@ -46,7 +46,7 @@ def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, 
     assert result["model"].startswith("lag")
 
     posterior = tmp_path / "posterior"
-    quick = ["--draws", "20", "--warmup", "20", "--chains", "2"]
+    quick = ["--draws", "20", "--warmup", "50", "--chains", "2"]
     assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (0, 1)  # too few draws to converge
     assert (posterior / "posterior.nc").is_file()
 
