@@ -29,7 +29,7 @@ def problem(*records: hf.Record, model: AbstractHysteresis | None = None) -> Pro
     return Problem((model or hf.BoucWen()).start(data), data)
 
 
-def test_the_short_form_keeps_reversals_time_and_a_true_simulation():
+def test_the_short_form_keeps_reversals_time_and_the_simulated_output():
     record = loops(20_000)
     made = problem(record)
     short = thin(made)
@@ -69,7 +69,7 @@ def test_missing_samples_and_windows_stay_without_weight():
     [(1500, hf.BoucWen()), (20_000, hf.Series(hf.Delay(), hf.BoucWen())), (20_000, hf.Series(hf.Lag(), hf.BoucWen()))],
     ids=["short record", "delay in samples", "lag of a few samples"],
 )
-def test_no_short_form_where_it_would_not_pay_or_not_be_true(samples, model):
+def test_short_records_and_models_with_short_delays_are_not_thinned(samples, model):
     assert thin(problem(loops(samples), model=model)) is None
 
 
@@ -101,7 +101,7 @@ def test_polish_reaches_the_minimum_that_minpack_finds():
     assert found.evaluations < 15
 
 
-def test_polish_stops_at_its_limit_without_claiming_convergence():
+def test_polish_that_stops_at_its_limit_has_not_converged():
     made = problem(loops(3000))
     found = polish(made, made.space.unconstrained(np.array([0.14, 0.5, 0.03, 0.0, 0.0])), steps=2)
     assert not found.converged

@@ -20,7 +20,7 @@ _PAYS = 2  # times as many samples make the short form worth its compilation
 
 
 def thin(problem: Problem) -> Objective | None:
-    """The objective on every k-th sample and the reversals of the input; None where the records are short or a thinner one would lie.
+    """The objective on every k-th sample and the reversals of the input; None for short records, and models that do not allow it.
 
     Args:
         problem: its model says whether it can be simulated on fewer samples (`AbstractHysteresis.allows_thinning`).
