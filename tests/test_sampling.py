@@ -228,6 +228,27 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
         plt.close(posterior.plot(kind))
 
 
+def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(posterior):
+    """corner refuses more parameters than draws, and forty parameters have 1600 panels."""
+    import matplotlib.pyplot as plt
+
+    t = np.linspace(0, 4, 300)
+    u = 50 + 50 * (1 - 0.2 * t) * np.sin(2 * np.pi * t)
+    y = 0.1 * u + 0.02 * np.random.default_rng(0).normal(size=t.size)
+    fit = hf.fit("prandtl-ishlinskii:plays=40", hf.Record(u, y, t))
+    names = fit.problem.space.names
+    weights = fit.problem.space.weights
+    assert weights.sum() == 40
+    plain = {name for name, weight in zip(names, weights, strict=True) if not weight}
+    for count, shown in ((30, 12), (3, 5)):
+        draws = np.random.default_rng(1).normal(size=(2, count, len(names)))
+        many = dataclasses.replace(posterior, result=fit, names=names, units=fit.problem.space.units, draws=draws)
+        figure = many.plot("corner")
+        assert len(figure.axes) == shown**2
+        assert plain <= {ax.get_title().partition("\n")[0] for ax in figure.axes}
+        plt.close(figure)
+
+
 KILLED = """
 import sys
 from tests.test_sampling import ENDLESS, loop

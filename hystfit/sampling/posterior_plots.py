@@ -14,6 +14,7 @@ from hystfit.results.labels import column_label, make_legible
 from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
+_LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
 _BINS = 20
 _KINDS = ("corner", "trace", "rank", "bands")
 
@@ -47,25 +48,33 @@ def _corner(posterior: Posterior) -> Any:
     except ImportError as error:
         raise MissingExtraError("corner", "bayes", "a corner plot") from error
     flat = posterior.draws.reshape(-1, len(posterior.names))
-    moving = np.ptp(flat, axis=0) > 0
-    labels = [label for label, on in zip(_labels(posterior), moving, strict=True) if on]
+    at = _of_corner(posterior, flat)
+    labels = _labels(posterior)
     figure = corner.corner(
-        flat[:, moving],
-        labels=labels,
+        flat[:, at],
+        labels=[labels[k] for k in at],
         quantiles=[0.025, 0.5, 0.975],
         levels=(0.5, 0.9),
-        range=[0.998] * len(labels),
+        range=[0.998] * len(at),
         bins=25,
         smooth=1.0,
     )
-    panels = np.array(figure.axes).reshape(len(labels), len(labels))
-    names = [name for name, on in zip(posterior.names, moving, strict=True) if on]
-    for ax, name, column in zip(np.diag(panels), names, flat[:, moving].T, strict=True):
-        ax.set_title(f"{name}\n{_title(column)}", fontsize=10)
-    figure.suptitle(
-        "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %", fontsize=11
-    )
+    panels = np.array(figure.axes).reshape(len(at), len(at))
+    for ax, k in zip(np.diag(panels), at, strict=True):
+        ax.set_title(f"{posterior.names[k]}\n{_title(flat[:, k])}", fontsize=10)
+    part = f"{len(at)} of {len(labels)} parameters; " if len(at) < len(labels) else ""
+    text = "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %"
+    figure.suptitle(part + text, fontsize=11)
     return figure
+
+
+def _of_corner(posterior: Posterior, flat: np.ndarray) -> list[int]:
+    """Parameters of the corner plot: those whose draws differ, weights last, as many as are legible and as there are draws."""
+    weights = np.zeros(len(posterior.names), bool)
+    own = posterior.result.problem.space.weights
+    weights[: own.size] = own
+    moving = [k for k in np.argsort(weights, kind="stable").tolist() if np.ptp(flat[:, k]) > 0]
+    return sorted(moving[: min(_LEGIBLE, len(flat) - 1)])
 
 
 def _title(draws: np.ndarray) -> str:
