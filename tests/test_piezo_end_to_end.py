@@ -50,11 +50,17 @@ def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, 
     assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (0, 1)  # too few draws to converge
     assert (posterior / "posterior.nc").is_file()
 
-    # A slow triangle inside the measured range.
-    low, high = np.quantile(rows[:, 1], [0.2, 0.8])
-    wanted = np.interp(t[:300], [0, 0.5, 1.5], [low, high, low])
+    # What the model answers to a slow drive is a reference that the actuator can follow from its first sample on.
+    drive = np.interp(t[:300], [0, 0.5, 1.1, 1.5], [rows[0, 0], 3.2, 0.6, 2.0])
+    inputs = tmp_path / "drive.csv"
+    np.savetxt(inputs, np.column_stack([t[:300], drive]), delimiter=",", header="t_s,u_V", comments="", fmt="%.9g")
+    only = ["--input-only", "--input", "u_V", "--time", "t_s"]
+    assert run(["predict", str(fit), str(inputs), *only, "--out", str(tmp_path / "answer")]) == 0
+    wanted = columns(tmp_path / "answer" / "prediction.csv")["predicted_um"]
     reference = tmp_path / "reference.csv"
-    np.savetxt(reference, np.column_stack([t[:300], wanted]), delimiter=",", header="t_s,y_um", comments="", fmt="%.9g")
+    np.savetxt(
+        reference, np.column_stack([t[:300], wanted]), delimiter=",", header="t_s,y_um", comments="", fmt="%.15g"
+    )
     assert (
         run(["invert", str(fit), str(reference), "--output", "y_um", "--time", "t_s", "--out", str(tmp_path / "u")])
         == 0
