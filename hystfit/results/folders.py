@@ -102,8 +102,10 @@ class writing:
         except OSError as failure:
             raise refused(self.target, failure) from failure
         finally:
-            shutil.rmtree(self.scratch, ignore_errors=True)
-            self._leave(remove=self.created and not committed)
+            try:
+                shutil.rmtree(self.scratch, ignore_errors=True)
+            finally:
+                self._leave(remove=self.created and not committed)
         if isinstance(error, OSError):
             raise refused(self.target, error) from error
 

@@ -69,6 +69,11 @@ def read_files(folder: Path, names: Sequence[str], *, allow_edits: bool = False)
     raise AssertionError("the last attempt returns or raises")
 
 
+def is_sealed(folder: Path) -> bool:
+    """Whether a folder has a manifest, in place or about to be."""
+    return (folder / MANIFEST).is_file() or len(_places(folder)) > 1
+
+
 def _places(folder: Path) -> list[Path]:
     """Where the files of a folder are, first choice first: a result that is being moved in place counts as a whole from its start."""
     pending = (folder / PENDING, folder.parent / PENDING / folder.name)

@@ -18,7 +18,7 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Code
 from hystfit.outcome.note import warn
 from hystfit.results.folders import dump_json, writing
-from hystfit.results.manifest import MANIFEST, read_files, seal
+from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
 from hystfit.results.report import write_into
 from hystfit.results.result import SCHEMA, FitResult
 from hystfit.results.stored_fit import result_of
@@ -178,11 +178,11 @@ def refuse_other_schema(folder: Path, expected: str, nothing: str, remedy: str) 
         DataError: see above.
     """
     file = folder / "result.json"
-    if (folder / MANIFEST).exists() or not file.exists():
-        if not folder.is_dir() or not ((folder / MANIFEST).exists() or any(folder.glob("*/" + MANIFEST))):
-            reason = "no result.json" if folder.is_dir() else "there is no such folder"
-            raise DataError(f"{str(folder)!r} holds {nothing} ({reason})")
+    if is_sealed(folder):
         return
+    if not file.exists() and not (folder / MANIFEST).exists():
+        reason = "no result.json" if folder.is_dir() else "there is no such folder"
+        raise DataError(f"{str(folder)!r} holds {nothing} ({reason})")
     schema = _schema_of(file)
     if schema != expected and schema.partition("/")[0] == expected.partition("/")[0]:
         raise DataError(

@@ -28,10 +28,10 @@ def refuse_outside(content: bytes, place: str) -> None:
     except DataError:
         raise
     except (OSError, KeyError, ValueError, RuntimeError, TypeError, RecursionError) as error:
-        raise DataError(f"{place} is damaged ({error}): restore it, or sample again") from error
+        raise DataError(f"{place} is damaged ({error}): restore it, or remove it and sample again") from error
     if size > len(content) + _SLACK:
         raise DataError(
-            f"{place} declares {size} bytes of data, and the file has {len(content)}: restore it, or sample again"
+            f"{place} declares {size} bytes of data, and the file has {len(content)}: restore it, or remove it and sample again"
         )
 
 
