@@ -4,8 +4,8 @@
     python hard/fits.py --quick    # a tenth of that
 
 A changed file without a changed manifest must be refused or open as the same result. With a manifest that fits the change (an intended
-edit), the result must be refused in words, or be what the files say: written again, result.json is the same. Anything else is a
-failure: a traceback, or another result. Exit status 1 after any failure.
+edit), it must be refused in words, or open; "differs" counts those that open and say something else than result.json. Anything else is
+a failure: a traceback, or another result under an old manifest. Exit status 1 after any failure.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def outcome(open_it: Callable[[], Any], whole: dict[str, Any], stored: Callable[[], Any] | None) -> str:
-    """refused, same, as stored, another result, or traceback.
+    """refused, same, as stored, differs, another result, or traceback.
 
     Args:
         open_it: opens a folder and returns what its result.json should be.
@@ -206,7 +206,9 @@ def outcome(open_it: Callable[[], Any], whole: dict[str, Any], stored: Callable[
         return "traceback\n" + "".join(traceback.format_exc(limit=-4))
     if same(opened, whole):
         return "same"
-    return "as stored" if stored is not None and agrees(opened, stored()) else "another result"
+    if stored is None:
+        return "another result"
+    return "as stored" if agrees(opened, stored()) else "differs"
 
 
 def agrees(opened: Any, stored: Any) -> bool:

@@ -248,6 +248,12 @@ def test_a_posterior_with_data_elsewhere_is_refused(sampled, tmp_path, kind):
         hf.load_posterior(sampled)
 
 
+def test_a_header_with_a_number_that_no_float_holds_is_refused(sampled):
+    header_of(sampled, convergence={"rhat": [10**400], "bulk": [1.0], "tail": [1.0]})
+    with pytest.raises(DataError, match=r"posterior\.nc"):
+        hf.load_posterior(sampled)
+
+
 # -- whole or refused ----------------------------------------------------------------------------------------------------
 
 

@@ -108,7 +108,7 @@ def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
     notes += [warn(Code.CHANGED_FILES, f"{name} was edited after hystfit saved it") for name in files.edited]
     try:
         return _posterior(header, values, stats, result, notes)
-    except (KeyError, ValueError, TypeError, IndexError) as error:
+    except (KeyError, ValueError, TypeError, IndexError, OverflowError) as error:
         if isinstance(error, HystfitError):
             raise
         raise DataError(f"{place} is damaged ({error}): restore it, or sample again") from error
