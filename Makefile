@@ -72,7 +72,7 @@ versions: setup  ## a selection of tests under the oldest and the newest Python 
 	  $(BIN)/uv venv --quiet --clear --python $$found $$env && \
 	  $(BIN)/uv pip install --quiet --resolution $$2 --python $$env/bin/python --editable '.[bayes,files,frames]' \
 	    'pytest>=9.0' 'pytest-timeout>=2.4' 'beartype>=0.22' 'hypothesis>=6.130' && \
-	  $$env/bin/python -m pytest -q -m "not slow" $(VERSIONED) || status=1; done; exit $$status
+	  $$env/bin/python -m pytest -q -o filterwarnings=default -m "not slow" $(VERSIONED) || status=1; done; exit $$status
 
 records: setup  ## rewrite the bundled records
 	$(BIN)/python data/make.py
