@@ -11,7 +11,7 @@ export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types tests notebooks experiments measured benchmarks package records versions clean
+.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks package records versions clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -50,6 +50,9 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 	  $(BIN)/python RUN $(QUICK) > $$log 2>&1; status=$$?; echo "exit status $$status" >> $$log; \
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
+
+hard: setup  ## generated and damaged files for the reader, 20 000 of each
+	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
 
 benchmarks: setup  ## speed, as ratios within one run
 	@for run in benchmarks/*.py; do echo "== $$run"; $(BIN)/python $$run || exit 1; done

@@ -70,7 +70,7 @@ class Reading:
         by: column whose values separate several curves in one file.
         only: which curves: values (3,4) or positions from 0 (1::4).
         where: rows to read, as column=value.
-        gaps: "split" makes a record of each piece where the input is missing; "error" refuses.
+        gaps: "split" makes a record of each piece where the input is missing, "drop" joins the pieces; "error" refuses.
         sheet: sheet of a workbook.
         delimiter: column delimiter; recognized by default.
         decimal: decimal mark, "." or ",".
