@@ -51,8 +51,9 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
 
-hard: setup  ## generated and damaged files for the reader, 20 000 of each
+hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, and saves that are killed
 	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
+	$(BIN)/python -m tests.hard.fits
 
 benchmarks: setup  ## speed, as ratios within one run
 	@for run in benchmarks/*.py; do echo "== $$run"; $(BIN)/python $$run || exit 1; done

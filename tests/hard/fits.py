@@ -1,7 +1,7 @@
 """Saved fits and posteriors in hard use: thousands of changed files, and saves that are killed.
 
-    python hard/fits.py            # about 4000 changed files and 200 kills, some minutes
-    python hard/fits.py --quick    # a tenth of that
+    python -m tests.hard.fits            # about 4000 changed files and 200 kills, some minutes
+    python -m tests.hard.fits --quick    # a tenth of that
 
 A changed file without a changed manifest must be refused or open as the same result. With a manifest that fits the change (an intended
 edit), it must be refused in words, or open; "differs" counts those that open and say something else than result.json. Anything else is
