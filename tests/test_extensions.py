@@ -148,7 +148,7 @@ class RandomWalk(AbstractSampler):
         q, log_density, accepted = chains(setup.target, jax.random.split(jax.random.key(seed), self.chains))
         report(f"{self.chains * self.draws} draws", 1.0)
         q, log_density, accepted = (np.asarray(v)[:, self.warmup :] for v in (q, log_density, accepted))
-        z = np.asarray(setup.target.center) + q @ np.asarray(setup.target.factor).T
+        z = np.asarray(setup.target.unwhitened(q))
         return Raw(z, log_density, {"acceptance": accepted.astype(float)})
 '''
 

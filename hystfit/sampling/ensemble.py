@@ -90,7 +90,7 @@ class Ensemble(AbstractSampler):
     ) -> Raw:
         burn = min(int(np.ceil(5 * tau)) if np.isfinite(tau) else len(chain) // 2, len(chain) // 2)
         q = np.swapaxes(chain[burn:], 0, 1)
-        z = np.asarray(target.center) + q @ np.asarray(target.factor).T
+        z = np.asarray(target.unwhitened(jnp.asarray(q)))
         rate = np.broadcast_to((accepted / len(chain))[:, None], q.shape[:2])
         notes = [Note(Code.CHAINS, f"emcee: autocorrelation time {tau:.3g} steps; the first {burn} steps are left out")]
         if not settled:
@@ -123,7 +123,7 @@ def _look(chain: np.ndarray, before: float) -> tuple[float, bool]:
 def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
     together = _TOGETHER if target.density.keeps_trajectories else len(q)
-    one = lambda row: target.density.log_density(target.unwhitened(row), lean=True)
+    one = lambda row: target.log_density(target.center + target.factor @ row, lean=True)
     return jax.lax.map(one, q, batch_size=together)
 
 

@@ -112,7 +112,8 @@ class Nuts(AbstractSampler):
             if collect(number, chunk["q"]):
                 break
         rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
-        rows["z"] = np.asarray(setup.target.center) + rows.pop("q") @ warm["factor"].T
+        adapted = setup.target.whitened(setup.target.center, jnp.asarray(warm["factor"]))
+        rows["z"] = np.asarray(adapted.unwhitened(jnp.asarray(rows.pop("q"))))
         return rows
 
     def warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:
