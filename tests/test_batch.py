@@ -132,6 +132,15 @@ def _task(record: hf.Record) -> bucketed.Task:
     return bucketed.Task.of(posed.problem, starting_vectors(posed.problem, 2, 0, posed.points))
 
 
+def test_loops_are_read_a_part_at_a_time(records, monkeypatch):
+    together = []
+    fit = work._fit
+    monkeypatch.setattr(work, "_fit", lambda task, loops: together.append(len(loops)) or fit(task, loops))
+    monkeypatch.setattr(work, "_SAMPLES", 500)
+    hf.fit_many("bouc-wen", records, **QUICK)
+    assert together == [2, 1, 1, 2]
+
+
 def test_memory_is_bounded_by_few_long_records_in_a_call():
     assert _task(measured(0, 300)).capacity == 64
     problem = _task(measured(0, 300))
@@ -142,7 +151,7 @@ def test_memory_is_bounded_by_few_long_records_in_a_call():
 def test_a_fit_that_ends_on_a_bound_is_that_of_fit():
     t = np.arange(300) / 300
     u = 40 * np.sin(8 * np.pi * t) * np.linspace(0.4, 1.0, 300)
-    y = hysteresis(u, 1.0, 0.45, 0.06, -0.999, 1.0) + 0.2 * np.random.default_rng(8).standard_normal(300)
+    y = hysteresis(u, 1.0, 0.45, 0.06, 0.999, 1.0) + 0.02 * np.random.default_rng(8).standard_normal(300)
     record = hf.Record(u=u, y=y, t=t)
     alone = hf.fit("bouc-wen", record, **QUICK)
     assert Code.AT_BOUND in {note.code for note in alone.notes}
@@ -272,6 +281,7 @@ def test_every_curve_of_a_file_is_a_loop(tmp_path):
         (measured(1, 100), {}, DataError, "a list of loops"),
         ([1.0], {}, DataError, "a file or a Record"),
         ([measured(1, 100)], {"fix": ["nu"]}, ParameterError, "no parameter 'nu'"),
+        ([measured(1, 100)], {"fix": ["c", "mu", "tau", "rho", "offset"]}, ParameterError, "every parameter is fixed"),
         ([measured(1, 100)], {"magic": 1}, ParameterError, "no setting 'magic'"),
         ([measured(1, 100)], {"method": "rls"}, ParameterError, "method"),
         ([measured(1, 100)], {"noise": "magic"}, ParameterError, "noise"),
@@ -289,6 +299,11 @@ def test_what_no_loop_could_be_fitted_with_is_an_error(loops, options, error, me
 def test_auto_refuses_settings_of_a_chosen_model():
     with pytest.raises(ParameterError, match="chosen model"):
         hf.fit_many("auto", [measured(1, 100)], fix={"rho": 0.1})
+
+
+def test_a_column_that_no_file_has_is_an_error(folder):
+    with pytest.raises(DataError, match=r"none of 8 loops can be read.*v_V"):
+        hf.fit_many("bouc-wen", f"{folder}/*.csv", reading={"input": "v_V"})
 
 
 def test_a_folder_is_no_loop(folder):
@@ -352,6 +367,25 @@ def test_a_killed_command_resumes_and_writes_the_same_table(tmp_path):
         assert (ended.returncode, ended.stderr) == (0, b"")
     assert (tmp_path / "killed" / "fits.csv").read_bytes() == (tmp_path / "whole" / "fits.csv").read_bytes()
     assert len(rows.read_bytes().splitlines()) == 48
+
+
+def test_an_interrupt_ends_a_batch_of_several_processes(tmp_path):
+    for number in range(64):
+        write(measured(number, 150), tmp_path / f"loop{number}.csv")
+    command = [*MAIN, "batch", "loop*.csv", "--model", "bouc-wen", "--starts", "2", "--workers", "2", "--out", "out"]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        running = subprocess.Popen(
+            command, cwd=tmp_path, stderr=subprocess.PIPE, env=_plain(tmp_path), start_new_session=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    time.sleep(6.0)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal sends it
+    error = running.communicate(timeout=60)[1].decode()
+    assert running.returncode == 130
+    assert "Traceback" not in error
+    assert "the same command resumes" in error
 
 
 def _plain(home: Path) -> dict[str, str]:
@@ -498,7 +532,7 @@ def test_the_command_writes_table_page_and_reports(folder, tmp_path, capsys):
     assert len(reports) == 1
     assert f'href="{reports[0].relative_to(out)}"' in (out / "overview.html").read_text()
     assert cli.run([*arguments, "--out", str(out)]) == 1  # resumes
-    assert cli.run([*arguments, "--starts", "3", "--out", str(out)]) == 2
+    assert cli.run([*arguments, "--seed", "1", "--out", str(out)]) == 2
     assert "another batch" in capsys.readouterr().err
 
 
@@ -507,7 +541,7 @@ def test_the_command_writes_table_page_and_reports(folder, tmp_path, capsys):
     [
         (["none*.csv"], "no file matches"),
         ([], "LOOP is missing"),
-        (["{folder}/loop1.csv", "{folder}/*.csv"], "given twice"),
+        (["{folder}/loop1.csv", "{folder}/*.csv"], "is given 2 times"),
         (["{folder}/*.csv", "--reports", "some"], "--reports"),
         (["{folder}/*.csv", "--fix", "nu"], "no parameter 'nu'"),
         (["{folder}"], "is a folder"),

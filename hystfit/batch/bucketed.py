@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -82,9 +82,8 @@ def _stacked(trees: Sequence[object], capacity: int) -> object:
     return jax.tree_util.tree_map(stack, *trees)
 
 
-def _estimate(
-    task: Task, z: np.ndarray, cost: np.ndarray, converged: np.ndarray, steps: np.ndarray, costs: np.ndarray
-) -> Estimate | None:
+def _estimate(task: Task, z: np.ndarray, cost: Any, converged: Any, steps: Any, costs: np.ndarray) -> Estimate | None:
+    """The estimate of one task from its row of what was solved."""
     if not (converged and np.isfinite(z).all() and np.isfinite(cost)):
         return None
     x = task.problem.space.physical(z)

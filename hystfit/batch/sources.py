@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,12 +86,24 @@ def _key(path: str) -> str:
     return digest.hexdigest()
 
 
-def units_of(sources: Iterable[Source], reading: Mapping[str, Any]) -> dict[str, str]:
-    """Units of the first loop that can be read, to which the others are converted; empty where none can."""
+def units_of(sources: Sequence[Source], reading: Mapping[str, Any]) -> dict[str, str]:
+    """Units of the first loop that can be read, to which the others are converted.
+
+    Args:
+        sources: files and records.
+        reading: arguments of `hystfit.read`.
+
+    Raises:
+        DataError: no loop can be read.
+    """
+    reasons = []
     for source in sources:
         try:
             _, record = source.loops(reading)[0]
-        except (HystfitError, OSError):
+        except (HystfitError, OSError) as error:
+            reasons.append(error)
             continue
         return {"u": record.u_unit, "y": record.y_unit, "t": record.t_unit}
-    return {}
+    if len(sources) == 1:
+        raise DataError(str(reasons[0]))
+    raise DataError(f"none of {len(sources)} loops can be read; the first: {reasons[0]}")

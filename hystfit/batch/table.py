@@ -18,7 +18,7 @@ from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Column, Status, Table
 from hystfit.registry import near
-from hystfit.results.result import FitResult
+from hystfit.results.result import FitResult, provenance
 
 SCHEMA = "hystfit.batch/1"
 FORMATS = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
@@ -264,6 +264,8 @@ class Fits:
             "loops": len(self.rows),
             "counts": self.counts,
             "units": dict(self.units),
+            "settings": {name: repr(value) for name, value in self.work.options.items()},
             "summary": self.summary().to_list(),
             "rows": [row.to_dict() for row in self.rows],
+            "provenance": provenance((), self.work.options["seed"]),
         }

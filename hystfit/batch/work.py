@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 from hystfit.batch.bucketed import Task, solve_together
@@ -28,7 +28,8 @@ from hystfit.results.timing import Stopwatch
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
 _POSED = ("method", "fix", "free", "start", "loss")
-_OPTIONS = (*_POSED, "starts", "seed", "noise")
+_SAMPLES = 2**19  # read before they are fitted, so that memory is bounded
+_DEFAULTS = {name: inspect.signature(fit).parameters[name].default for name in (*_POSED, "starts", "seed", "noise")}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,12 +65,11 @@ class Work:
         Raises:
             HystfitError: an unknown model, parameter or setting, with which no loop could be fitted.
         """
-        defaults = {name: inspect.signature(fit).parameters[name].default for name in _OPTIONS}
-        if unknown := [name for name in options if name not in defaults]:
-            raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(defaults)}")
+        if unknown := [name for name in options if name not in _DEFAULTS]:
+            raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(_DEFAULTS)}")
         if unread := [name for name in reading if name not in inspect.signature(read).parameters]:
             raise ParameterError(f"reading has no setting {unread[0]!r}; see hystfit.read")
-        chosen = defaults | dict(options)
+        chosen = _DEFAULTS | dict(options)
         check_settings(*(chosen[name] for name in ("method", "starts", "loss", "noise", "start")))
         require_seed(chosen["seed"])
         work = cls(make_model(model) if isinstance(model, type) else model, chosen, dict(reading), {})
@@ -80,7 +80,9 @@ class Work:
         ):
             raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
         if not work.searches:
-            ParameterSpace.of(make_model(work.model), fix=chosen["fix"], free=chosen["free"])
+            space = ParameterSpace.of(make_model(work.model), fix=chosen["fix"], free=chosen["free"])
+            if not len(space):
+                raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
         return work
 
     @property
@@ -117,23 +119,33 @@ class _Loop:
 def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, Any]]]:
     """Rows of the loops of each source; an error that concerns one loop alone is the reason in its row."""
     enable_x64()
-    loops = [loop for source in sources for loop in _read(work, source)]
+    rows: list[list[dict[str, Any]]] = [[] for _ in sources]
+    pending: list[tuple[int, _Loop]] = []
+    for number, source in enumerate(sources):
+        pending += [(number, loop) for loop in _read(work, source)]
+        samples = sum(len(loop.record) for _, loop in pending if loop.record is not None)
+        if samples > _SAMPLES or number == len(sources) - 1:
+            _fit(work, [loop for _, loop in pending])
+            for k, loop in pending:
+                rows[k].append(cast(Row, loop.row).to_dict())
+            pending = []
+    return rows
+
+
+def _fit(work: Work, loops: Sequence[_Loop]) -> None:
+    """Give every loop its row."""
     if work.searches:
         for loop in loops:
             _attempt(loop, lambda loop: _search(work, loop))
-    else:
-        for loop in loops:
-            _attempt(loop, lambda loop: _pose(work, loop))
-        _solve(work, [loop for loop in loops if loop.row is None])
-        for loop in loops:
-            _attempt(loop, lambda loop: _judge(work, loop))
-    rows: dict[str, list[dict[str, Any]]] = {source.key: [] for source in sources}
+        return
     for loop in loops:
-        rows[loop.source.key].append(loop.row.to_dict())  # type: ignore[union-attr]
-    return [rows[source.key] for source in sources]
+        _attempt(loop, lambda loop: _pose(work, loop))
+    _solve(work, [loop for loop in loops if loop.row is None])
+    for loop in loops:
+        _attempt(loop, lambda loop: _judge(work, loop))
 
 
-def _attempt(loop: _Loop, step: Any) -> None:
+def _attempt(loop: _Loop, step: Callable[[_Loop], object]) -> None:
     if loop.row is not None:
         return
     try:

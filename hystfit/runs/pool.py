@@ -6,6 +6,7 @@ import concurrent.futures
 import multiprocessing
 import multiprocessing.connection
 import os
+import signal
 import socket
 import threading
 import time
@@ -43,18 +44,28 @@ def computed(task: Task, items: Sequence[Any], workers: int = 1, scheduler: str 
     if scheduler is not None:
         yield from _by_dask(task, items, scheduler)
     elif workers > 1 and len(items) > 1:
-        context = multiprocessing.get_context("spawn")  # a process forked after JAX has started can hang
-        with concurrent.futures.ProcessPoolExecutor(workers, context, _end_with_parent) as pool:
-            tasks = {pool.submit(task, item): k for k, item in enumerate(items)}
-            for ended in concurrent.futures.as_completed(tasks):
-                yield tasks[ended], _outcome(ended.result)
+        yield from _by_processes(task, items, workers)
     else:
         for k, item in enumerate(items):
             yield k, _outcome(partial(task, item))
 
 
-def _end_with_parent() -> None:
-    """Have this process end when its parent is killed: it would wait for tasks forever."""
+def _by_processes(task: Task, items: Sequence[Any], workers: int) -> Iterator[Outcome]:
+    context = multiprocessing.get_context("spawn")  # a process forked after JAX has started can hang
+    pool = concurrent.futures.ProcessPoolExecutor(min(workers, len(items)), context, _follow_parent)
+    try:
+        tasks = {pool.submit(task, item): k for k, item in enumerate(items)}
+        for ended in concurrent.futures.as_completed(tasks):
+            yield tasks[ended], _outcome(ended.result)
+    except BaseException:  # an interrupt does not wait for the tasks that are left
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _follow_parent() -> None:
+    """Leave interrupts to the parent of this process, and end when it is killed: tasks would be awaited forever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is None:
         return
