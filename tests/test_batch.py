@@ -461,8 +461,8 @@ def test_parquet(fits, tmp_path):
     [
         ("pandas", ".parquet", "frames"),
         ("pyarrow", ".parquet", "frames"),
-        ("xarray", ".nc", "bayes"),
-        ("h5netcdf", ".nc", "bayes"),
+        ("xarray", ".nc", "frames"),
+        ("h5netcdf", ".nc", "frames"),
     ],
 )
 def test_a_missing_package_is_named_with_its_extra(package, ending, extra, fits, tmp_path, monkeypatch):

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hystfit.batch.fits import Fits
 from hystfit.batch.journal import Journal
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source, sources_of, units_of
-from hystfit.batch.table import Fits
 from hystfit.batch.work import Work, fit_sources
 from hystfit.config import require_x64
 from hystfit.data.record import Record

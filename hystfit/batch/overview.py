@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from hystfit.batch.fits import Fits
 from hystfit.batch.histograms import histogram
 from hystfit.batch.row import Row
-from hystfit.batch.table import Fits
 from hystfit.outcome.table import number
 
 _SHOWN = 50  # loops in the list at most, besides those with a report

@@ -167,7 +167,7 @@ class Fits:
         try:
             import xarray
         except ImportError as error:
-            raise MissingExtraError("xarray", "bayes", "to_xarray") from error
+            raise MissingExtraError("xarray", "frames", "to_xarray") from error
         columns, units = self.columns(), self.column_units()
         loops = columns.pop("loop")
         data = {
@@ -217,7 +217,7 @@ class Fits:
         try:
             import h5netcdf  # noqa: F401
         except ImportError as error:
-            raise MissingExtraError("h5netcdf", "bayes", "a netCDF table") from error
+            raise MissingExtraError("h5netcdf", "frames", "a netCDF table") from error
         self.to_xarray().to_netcdf(path, engine="h5netcdf")
 
     # -- overviews ------------------------------------------------------------------------------------------------------------

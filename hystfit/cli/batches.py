@@ -19,7 +19,7 @@ from hystfit.fitting.registry import ESTIMATORS
 from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
-    from hystfit.batch.table import Fits
+    from hystfit.batch.fits import Fits
 
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
 Format = Literal["csv", "parquet", "netcdf"]
@@ -98,8 +98,8 @@ def batch(
         return INTERRUPTED
 
     def save(folder: Path) -> None:
+        from hystfit.batch.fits import FORMATS
         from hystfit.batch.overview import overview
-        from hystfit.batch.table import FORMATS
 
         for form in dict.fromkeys(["csv", *(table or [])]):
             fits.save(folder / f"fits{FORMATS[form]}")
