@@ -21,7 +21,6 @@ from hystfit.registry import near
 from hystfit.results.result import FitResult, provenance
 
 SCHEMA = "hystfit.batch/1"
-FORMATS = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
 _ERRORS = ("rmse", "error_percent", "max_error_percent")
 _WORST = 20
 _OUTER = (0.05, 0.5, 0.95)

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from hystfit.batch.fits import Fits
 
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
-Format = Literal["csv", "parquet", "netcdf"]
+Format = Literal["parquet", "netcdf"]
+_ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
 _RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
 _FEW = 32  # loops below which further processes take longer to start than to compute
 
@@ -98,11 +99,10 @@ def batch(
         return INTERRUPTED
 
     def save(folder: Path) -> None:
-        from hystfit.batch.fits import FORMATS
         from hystfit.batch.overview import overview
 
-        for form in dict.fromkeys(["csv", *(table or [])]):
-            fits.save(folder / f"fits{FORMATS[form]}")
+        for ending in (".csv", *(_ENDINGS[form] for form in table or [])):
+            fits.save(folder / f"fits{ending}")
         addresses = _write_reports(fits, len(fits) if count is None else count, folder)
         (folder / "overview.html").write_text(overview(fits, addresses), encoding="utf-8")
 
