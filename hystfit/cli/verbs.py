@@ -11,6 +11,7 @@ import re
 VERBS = {
     "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
+    "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
     "check": ("check:check", "Check the quality of a record and which models it can determine."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
     "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
@@ -144,7 +143,7 @@ class FitResult:
     def models(self) -> tuple[AbstractHysteresis, ...]:
         """The fitted model of each record; they share all but per-record parameters."""
         coordinates = self.problem.space.coordinates
-        return tuple(coordinates.assemble(jnp.asarray(self.x), k) for k in range(len(self.data)))
+        return tuple(coordinates.assemble(np.asarray(self.x), k) for k in range(len(self.data)))
 
     @property
     def model(self) -> AbstractHysteresis:

@@ -19,8 +19,8 @@ from jaxtyping import Array
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.outcome import Code
 from hystfit.outcome.note import warn
+from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target

@@ -224,7 +224,7 @@ class Posterior:
     def derived_rows(self) -> list[dict[str, Any]]:
         """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
         finite = lambda v: float(v) if np.isfinite(v) else None
-        rows, unit, about = [], _view("derived:units")(self), _view("derived:QUANTITIES")
+        rows, unit, about = [], _view("derived:units")(self.result.data), _view("derived:QUANTITIES")
         for name, values in self.derived().items():
             low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
             row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}

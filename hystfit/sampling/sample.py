@@ -26,8 +26,8 @@ from hystfit.outcome.note import has, warn
 from hystfit.results.agreement import differences
 from hystfit.results.folders import alone
 from hystfit.results.result import FitResult, provenance
+from hystfit.runs.chunks import claim
 from hystfit.sampling.base import AbstractSampler, Progress
-from hystfit.sampling.chunks import claim
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
