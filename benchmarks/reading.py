@@ -1,31 +1,35 @@
-"""Time to read a long text file, against numpy.loadtxt on the same numbers."""
+"""Time to read a long text file beside pandas and numpy.loadtxt on the same numbers."""
+
+from __future__ import annotations
 
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+from rows import Row, beside
+from timing import alternate
 
 import hystfit as hf
 
-ROWS, REPEATS = 200_000, 5
 
+def measure(quick: bool) -> list[Row]:
+    """Rows of the suite."""
+    import pandas
 
-def main() -> None:
-    rows = np.column_stack([np.arange(ROWS) * 0.005, np.random.default_rng(0).normal(size=(ROWS, 2))])
+    count, repeats = (2_000, 1) if quick else (200_000, 5)
+    values = np.column_stack([np.arange(count) * 0.005, np.random.default_rng(0).normal(size=(count, 2))])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.csv"
-        path.write_text("t_s,u_V,y_um\n" + "".join(f"{a:.3f},{b!r},{c!r}\n" for a, b, c in rows.tolist()))
-        hf.read_csv(path)
-        times: dict[str, list[float]] = {"hystfit": [], "numpy": []}
-        for _ in range(REPEATS):
-            for name, read in (("hystfit", hf.read_csv), ("numpy", lambda p: np.loadtxt(p, delimiter=",", skiprows=1))):
-                started = time.perf_counter()
-                read(path)
-                times[name].append(time.perf_counter() - started)
-    ours, theirs = (float(np.median(times[name])) for name in ("hystfit", "numpy"))
-    print(f"{ROWS} rows, median of {REPEATS}: {ours:.2f} s, numpy.loadtxt {theirs:.2f} s, ratio {ours / theirs:.1f}")
+        path.write_text("t_s,u_V,y_um\n" + "".join(f"{a:.3f},{b!r},{c!r}\n" for a, b, c in values.tolist()))
+        calls = {
+            "hystfit": lambda: hf.read_csv(path),
+            "pandas": lambda: pandas.read_csv(path),
+            "numpy.loadtxt": lambda: np.loadtxt(path, delimiter=",", skiprows=1),
+        }
+        return beside(alternate(calls, repeats), f"read {count} rows")
 
 
 if __name__ == "__main__":
-    main()
+    from run import alone
+
+    alone("reading")

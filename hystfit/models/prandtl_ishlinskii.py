@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -185,16 +186,46 @@ class PrandtlIshlinskii(AbstractHysteresis):
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """Drag the plays along."""
-        plays = self._move(state[: self.w.size].reshape(self.w.shape), u1)
-        elements = self._envelopes(u1) - plays if self.operator == "stop" else plays
-        x = self._position(u1)
-        single = legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0)
-        y = self.offset + jnp.sum(self.w * elements) + single
+        plays, total, fading = self._dragged(state[: self.w.size].reshape(self.w.shape), u1)
+        y = self.offset + total + self._single(u1)
         if not self.hardening.size:
             return plays.reshape(-1), y
-        path = state[-1] + jnp.abs(x - self._position(u0))
-        y = y + jnp.exp(-path / self.s0) * jnp.dot(self.hardening, elements[0])
-        return jnp.append(plays.reshape(-1), path), y
+        path = state[-1] + jnp.abs(self._position(u1) - self._position(u0))
+        return jnp.append(plays.reshape(-1), path), y + jnp.exp(-path / self.s0) * fading
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """With hardening, plays and path alone are in the scan."""
+        if not self.hardening.size:
+            return super().sweep(state, u0, u, dt, unroll)
+
+        def once(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
+            (plays, path), (u1, way) = carry, row
+            plays, total, fading = self._dragged(plays, u1)
+            return (plays, path + way), (total, fading, path + way)
+
+        ways = jnp.abs(jnp.diff(self._position(u), prepend=self._position(u0)))
+        begin = state[: self.w.size].reshape(self.w.shape), state[-1]
+        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways), unroll=unroll)
+        y = self.offset + total + self._single(u) + jnp.exp(-path / self.s0) * fading
+        return jnp.append(plays.reshape(-1), last), y
+
+    def _dragged(self, plays: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Plays at the input u, the weighted sum of all elements, and that of those which fade."""
+        plays = self._move(plays, u)
+        elements = self._envelopes(u) - plays if self.operator == "stop" else plays
+        fading = jnp.dot(self.hardening, elements[0]) if self.hardening.size else jnp.zeros_like(u)
+        return plays, jnp.sum(self.w * elements), fading
+
+    def _single(self, u: Array) -> Array:
+        """The single-valued part."""
+        return legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * self._position(u) - 1.0)
 
     def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
         """Ranges from the samples that count; the weights follow from a linear solve."""
