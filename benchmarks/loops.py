@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numba
 import numpy as np
+from numpy.polynomial import Polynomial
 
 import hystfit as hf
 
@@ -191,7 +193,18 @@ def envelope(kind, x):
 
 
 @numba.njit
-def plays(u, dt, w, r, b, offset, hardening, s0, low, high, level, kinds, stops):
+def rising(powers, x):
+    """A polynomial with coefficients of 1, x, x^2, ..., straight outside 0 <= x <= 1."""
+    inside = min(max(x, 0.0), 1.0)
+    y, slope = 0.0, 0.0
+    for k in range(powers.size - 1, -1, -1):
+        slope = slope * inside + y
+        y = y * inside + powers[k]
+    return y + slope * (x - inside)
+
+
+@numba.njit
+def plays(u, dt, w, r, b, powers, offset, hardening, s0, low, high, level, kinds, stops):
     count, many = w.shape
     p = np.empty((count, many))
     rest = (level - low) / (high - low)
@@ -212,7 +225,7 @@ def plays(u, dt, w, r, b, offset, hardening, s0, low, high, level, kinds, stops)
                 total += w[e, j] * element
                 if e == 0 and hardening.size:
                     fading += hardening[j] * element
-        y[k] = offset + total + legendre(b, 2 * x - 1)
+        y[k] = offset + total + legendre(b, 2 * x - 1) + rising(powers, x)
         if hardening.size:
             y[k] += np.exp(-path / s0) * fading
     return y
@@ -377,10 +390,17 @@ def sinc_weights(parts: int, reach: int = 24, shape: float = 8.0) -> np.ndarray:
 
 
 def _plays(model: hf.PrandtlIshlinskii) -> Loop:
-    values = _values(model, "w", "r", "b", "offset", "hardening", "s0", "low", "high", "level")
-    values = (*values[:2], np.append(0.0, values[2]), *values[3:])
+    w, r, b, rise, *rest = _values(model, "w", "r", "b", "rise", "offset", "hardening", "s0", "low", "high", "level")
     kinds = np.array([("identity", "square", "mirror").index(kind) for kind in model.envelopes])
+    values = (w, r, np.append(0.0, b), bernstein_to_powers(np.append(0.0, np.cumsum(rise))), *rest)
     return lambda u, dt: plays(u, dt, *values, kinds, model.operator == "stop")
+
+
+def bernstein_to_powers(coefficients: np.ndarray) -> np.ndarray:
+    """Coefficients of 1, x, x^2, ... of a series of Bernstein polynomials."""
+    n = coefficients.size - 1
+    terms = (Polynomial([0, 1]) ** k * Polynomial([1, -1]) ** (n - k) * math.comb(n, k) for k in range(n + 1))
+    return sum((c * term for c, term in zip(coefficients, terms, strict=True)), Polynomial([0])).coef
 
 
 def _relays(model: hf.Preisach) -> Loop:

@@ -137,17 +137,17 @@ def fit(n: int, samples: int, repeats: int) -> dict[str, float]:
 
 def measure(quick: bool) -> list[Row]:
     """Rows of the suite, the compiled forms as "hystfit"; the memory of a gradient is limited here."""
-    samples, repeats = (2_000, 2) if quick else (100_000, 11)
-    rows = []
+    samples, repeats, n = (2_000, 1, 10) if quick else (100_000, 11, 100)
+    rows, count = [], n * (n + 1) // 2
     for noise, words in ((0.0, "clean"), (0.01, "noisy")):
-        found = forward(100, samples, noise, repeats)
+        found = forward(n, samples, noise, repeats)
         for key, kind in (("warm_ms", "compiled input"), ("with_host_ms", "with compiling the input")):
-            rows.append(_row(f"Preisach, 5050 relays, {words}, {kind} / relay scan", found[key], found["scan_ms"]))
-    found = gradient(100, samples // 10, repeats)
-    rows.append(_row("Preisach, gradient by 5050 weights / relay scan", found["look_up_ms"], found["scan_ms"]))
-    found = fit(20, samples // 10, repeats)
-    rows.append(_row("Preisach, 210 weights >= 0 / scipy nnls on all samples", found["states_ms"], found["dense_ms"]))
-    used = memory(200, samples)["memory_mb"]
+            rows.append(_row(f"Preisach, {count} relays, {words}, {kind} / relay scan", found[key], found["scan_ms"]))
+    found = gradient(n, samples // 10, repeats)
+    rows.append(_row(f"Preisach, gradient by {count} weights / relay scan", found["look_up_ms"], found["scan_ms"]))
+    found = fit(5 if quick else 20, samples // 10, repeats)
+    rows.append(_row("Preisach, weights >= 0 / scipy nnls on all samples", found["states_ms"], found["dense_ms"]))
+    used = memory(2 * n, samples)["memory_mb"]
     if not quick and used > MEMORY_MB:
         raise SystemExit(f"the gradient by 20100 weights takes {used:.0f} MB; the limit is {MEMORY_MB} MB")
     return rows

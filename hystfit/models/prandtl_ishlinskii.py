@@ -17,7 +17,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, SearchStep
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.polynomial import legendre_series
+from hystfit.models.polynomial import legendre_series, rising_series
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -39,7 +39,8 @@ def envelope(kind: Envelope, x: Array) -> Array:
 class PrandtlIshlinskii(AbstractHysteresis):
     """Weighted plays, or stops, of envelopes of the input, and a single-valued polynomial.
 
-        y = offset + sum over e, j of w[e, j] E[e, j] + sum over i >= 1 of b_i P_i(2 x - 1),   x = (u - low) / (high - low)
+        y = offset + sum over e, j of w[e, j] E[e, j] + s(x),   x = (u - low) / (high - low)
+        s(x) = sum over i >= 1 of rise_i (sum over k >= i of B_k(x)) + b_i P_i(2 x - 1)
         p[e, j] <- max(gamma_e(x) - r_j, min(gamma_e(x) + r_j, p[e, j]));   E = p (play) or gamma_e(x) - p (stop)
 
     Plays make the output lag (piezo, magnetics: counter-clockwise loops), stops make it lead (force against displacement of
@@ -48,9 +49,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
     Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that fade with the path that x has run:
     w_h[j] exp(-path / s0) E[0, j], for steel that hardens or softens in its first cycles.
 
-    The output is linear in w, hardening, b and offset; its derivative in the thresholds r has kinks (a play that sticks
-    does not feel its width). Weights w are >= 0: a rising output has an inverse then. Before the record the input rested on `level`, or on
-    the record's first input where rest = "first".
+    The output is linear in w, hardening, rise, b and offset; its derivative in the thresholds r has kinks (a play that sticks
+    does not feel its width). B_k are the Bernstein polynomials of degree n = number of rise_i, continued by straight lines outside
+    0 <= x <= 1: with w, rise >= 0 and no b the output of plays never falls while the input rises, and an inverse exists. `of` therefore
+    gives plays a rising polynomial; stops, whose loops may descend, get Legendre coefficients of either sign. Before the record the input
+    rested on `level`, or on the record's first input where rest = "first".
 
     Raises:
         ModelError: an unknown envelope, operator or rest, or weights whose shape does not fit the thresholds.
@@ -63,7 +66,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
         bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, in parts of the input range"
     )
     b: Float[Array, " degree"] = param(
-        (1.0,), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
+        (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
+    )
+    rise: Float[Array, " degree"] = param(
+        (),
+        bounds=(0.0, np.inf),
+        unit="y",
+        linear=True,
+        doc="increments of the rising single-valued part over the range",
     )
     offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     hardening: Float[Array, " fading"] = param(
@@ -114,7 +124,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
         Args:
             plays: number of thresholds.
-            degree: of the single-valued polynomial.
+            degree: of the single-valued polynomial, which rises where the operator is "play".
             envelopes: of the input, one row of weights each: their names, or 1 (symmetric loops) or 3 (all, for asymmetric loops).
             operator: "play" or "stop".
             hardening: path, in input ranges, over which additional weights fade; 0 for none.
@@ -134,10 +144,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
         r = 0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2
         w = np.full((len(envelopes), plays), 0.01)
         fading = np.zeros(plays if hardening else 0)
+        single = {"rise": np.full(degree, 2.0 / degree)} if operator == "play" else {"b": np.eye(degree)[0]}
         return cls(
             w=w,
             r=r,
-            b=np.eye(degree)[0],
+            **single,
             hardening=fading,
             s0=float(hardening or 3.0),
             envelopes=tuple(envelopes),
@@ -174,6 +185,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
         target = self._envelopes(u)
         return jnp.maximum(target - self.r, jnp.minimum(target + self.r, plays))
 
+    def _single(self, x: Array) -> Array:
+        return legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0) + rising_series(
+            self.rise, x
+        )
+
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: the plays, moved from rest to u0, and with hardening the path run so far."""
         rest = u0 if self.rest == "first" else self.level + 0.0 * u0
@@ -187,10 +203,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """Drag the plays along."""
         plays, total, fading = self._dragged(state[: self.w.size].reshape(self.w.shape), u1)
-        y = self.offset + total + self._single(u1)
+        x = self._position(u1)
+        y = self.offset + total + self._single(x)
         if not self.hardening.size:
             return plays.reshape(-1), y
-        path = state[-1] + jnp.abs(self._position(u1) - self._position(u0))
+        path = state[-1] + jnp.abs(x - self._position(u0))
         return jnp.append(plays.reshape(-1), path), y + jnp.exp(-path / self.s0) * fading
 
     def sweep(
@@ -210,10 +227,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
             plays, total, fading = self._dragged(plays, u1)
             return (plays, path + way), (total, fading, path + way)
 
-        ways = jnp.abs(jnp.diff(self._position(u), prepend=self._position(u0)))
+        x = self._position(u)
+        ways = jnp.abs(jnp.diff(x, prepend=self._position(u0)))
         begin = state[: self.w.size].reshape(self.w.shape), state[-1]
         (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways), unroll=unroll)
-        y = self.offset + total + self._single(u) + jnp.exp(-path / self.s0) * fading
+        y = self.offset + total + self._single(x) + jnp.exp(-path / self.s0) * fading
         return jnp.append(plays.reshape(-1), last), y
 
     def _dragged(self, plays: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -223,27 +241,25 @@ class PrandtlIshlinskii(AbstractHysteresis):
         fading = jnp.dot(self.hardening, elements[0]) if self.hardening.size else jnp.zeros_like(u)
         return plays, jnp.sum(self.w * elements), fading
 
-    def _single(self, u: Array) -> Array:
-        """The single-valued part."""
-        return legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * self._position(u) - 1.0)
-
     def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
         """Ranges from the samples that count; the weights follow from a linear solve."""
         place, out = fitted_input_range(records), output_range(records)
         w = jnp.full(self.w.shape, 0.2 * out.half / self.w.size)
-        b = jnp.zeros_like(self.b).at[0].set(0.8 * out.half)
+        b = jnp.zeros_like(self.b).at[:1].set(0.8 * out.half)
+        rise = jnp.full(self.rise.shape, 1.6 * out.half / max(self.rise.size, 1))  # equal increments: a straight line
+        offset = out.center - 0.5 * jnp.sum(rise)
         low, high = place.center - place.half, place.center + place.half
         return eqx.tree_at(
-            lambda m: (m.w, m.b, m.offset, m.low, m.high),
+            lambda m: (m.w, m.b, m.rise, m.offset, m.low, m.high),
             self,
-            (w, b, jnp.asarray(out.center), jnp.asarray(low), jnp.asarray(high)),
+            (w, b, rise, offset, jnp.asarray(low), jnp.asarray(high)),
         )
 
     def settings(self) -> dict[str, int | bool | str]:
         """See the base class."""
         count, plays = self.w.shape
         path = round(float(self.s0)) if self.hardening.size else 0
-        shape = {"plays": plays, "degree": self.b.shape[0], "envelopes": count}
+        shape = {"plays": plays, "degree": self.b.size + self.rise.size, "envelopes": count}
         return shape | {"operator": self.operator, "hardening": path, "rest": self.rest}
 
     def with_rest(self, rest: str) -> PrandtlIshlinskii:
@@ -257,7 +273,8 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PlayStep`; a search where the model has envelopes, a bent single-valued part or hardening."""
-        plain = self.envelopes == ("identity",) and self.b.shape[0] == 1 and not self.hardening.size
+        straight = self.b.size <= 1 and self.rise.size <= 1
+        plain = self.envelopes == ("identity",) and straight and not self.hardening.size
         return PlayStep(self) if plain else SearchStep(self, sign)
 
     def c_part(self) -> CPart:
@@ -267,8 +284,15 @@ class PrandtlIshlinskii(AbstractHysteresis):
         hardens = int(bool(self.hardening.size))
         numbers = {"OFFSET": self.offset, "LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
         numbers |= {"FIRST": int(self.rest == "first"), "STOPS": int(self.operator == "stop"), "HARDENS": hardens}
-        numbers |= {"ENVELOPES": int(count), "PLAYS": int(plays), "B": int(self.b.shape[0]) + 1}
+        numbers |= {
+            "ENVELOPES": int(count),
+            "PLAYS": int(plays),
+            "B": int(self.b.size) + 1,
+            "RISE": int(self.rise.size),
+        }
         arrays = {"w": self.w, "r": self.r, "b": np.append(0.0, np.asarray(self.b)), "kinds": np.array(kinds)}
+        if self.rise.size:
+            arrays["rise"] = self.rise
         if hardens:
             numbers["S0"] = self.s0
             arrays["hardening"] = self.hardening
@@ -289,7 +313,7 @@ class PlayStep(AbstractStepInverse):
         """See the base class."""
         pi = self.model
         w, x0 = pi.w[0], (u0 - pi.low) / (pi.high - pi.low)
-        steepness = 2.0 * pi.b[0]
+        steepness = 2.0 * jnp.sum(pi.b) + jnp.sum(pi.rise)
         now = pi.step(state, u0, u0, dt)[1]
         s, way = jnp.where(target < now, -1.0, 1.0), jnp.abs(target - now)
         dead = jnp.maximum(s * (state - x0) + pi.r, 0.0)
