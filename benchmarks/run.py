@@ -46,14 +46,17 @@ def machine() -> dict[str, Any]:
 
 
 def below(rows: Sequence[Row], floors: dict[str, dict[str, float]]) -> list[str]:
-    """Rows whose ratio is below the floor, in words; also a floor whose row is missing."""
-    ratios = {row.name: row.ratio for row in rows if row.ratio is not None}
-    short = [
-        f"{name}: {ratio:.2f} is below its floor {floors[name]['floor']:.2f} (recorded {floors[name]['value']:.2f})"
-        for name, ratio in ratios.items()
-        if name in floors and ratio < floors[name]["floor"]
+    """Rows whose ratio is below the floor, in words."""
+    return [
+        f"{row.name}: {row.ratio:.2f} is below its floor {floors[row.name]['floor']:.2f} (recorded {floors[row.name]['value']:.2f})"
+        for row in rows
+        if row.ratio is not None and row.name in floors and row.ratio < floors[row.name]["floor"]
     ]
-    return short + [f"{name}: has no floor; run with --record" for name in ratios if name not in floors]
+
+
+def unguarded(rows: Sequence[Row], floors: dict[str, dict[str, float]]) -> list[str]:
+    """Names of rows that have a ratio and no floor."""
+    return [row.name for row in rows if row.ratio is not None and row.name not in floors]
 
 
 def measured(parts: Sequence[str], quick: bool) -> list[Row]:
@@ -98,6 +101,8 @@ def main() -> None:
     short = [] if chosen.quick else below(rows, floors)
     for line in short:
         print("BELOW", line)
+    if not chosen.quick and (names := unguarded(rows, floors)):
+        print("without a floor (record them with --record):", "; ".join(names))
     raise SystemExit(int(bool(short)))
 
 
