@@ -1,6 +1,7 @@
 """What makes a benchmark run fail; the benchmarks themselves run in `make smoke`."""
 
 import sys
+from collections.abc import Iterator
 from types import ModuleType
 
 import pytest
@@ -9,7 +10,7 @@ from .conftest import ROOT
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def run(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """benchmarks/run.py, imported as its command line imports it."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     import run
