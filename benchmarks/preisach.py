@@ -92,6 +92,7 @@ def memory(n: int, samples: int) -> dict[str, float]:
     grad = jax.jit(jax.grad(lambda m, c: jnp.sum(respond(m, c) ** 2), allow_int=True))
     plan = grad.lower(model, compiled).compile().memory_analysis()
     arrays = sum(leaf.nbytes for leaf in jax.tree.leaves(compiled))
+    assert plan is not None
     temporary = plan.temp_size_in_bytes
     return {
         "host_mb": host / 1e6,

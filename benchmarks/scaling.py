@@ -126,7 +126,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--redraw", action="store_true", help="draw the stored numbers again")
     numbers = HERE / "scaling.json"
     if not parser.parse_args().redraw:
