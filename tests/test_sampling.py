@@ -193,7 +193,7 @@ def test_saved_and_read_back(posterior, tmp_path):
     made = again.provenance
     assert made["fit"]["date"] == posterior.result.provenance["date"] <= made["date"]
     assert (made["seed"], made["records"]) == (posterior.seed, posterior.result.provenance["records"])
-    with pytest.raises(DataError, match="not a posterior"):
+    with pytest.raises(DataError, match="holds no posterior"):
         load_posterior(tmp_path)
 
 

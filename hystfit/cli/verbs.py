@@ -29,7 +29,7 @@ VERBS = {
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
 }
 # A value that is not quoted is left alone: records are called by column=value, too.
-_ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|(?![\w'\"({\[.+-]))")
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
 
 
 def place(verb: str) -> str:
@@ -51,7 +51,7 @@ def option_names() -> frozenset[str]:
 
 
 def as_options(message: str) -> str:
-    """A message of the library in the words of the shell: gaps='split' is --gaps split, and time=False --time none."""
+    """A message of the library in the words of the shell: gaps='split' is --gaps split, time=False --time none, trust=True --trust."""
 
     def option(match: re.Match[str]) -> str:
         if match[1] not in option_names():

@@ -29,7 +29,7 @@ from hystfit.registry import attribute, near
 from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
 
-SCHEMA = "hystfit.fit/2"
+SCHEMA = "hystfit.fit/3"
 _CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
 
 
@@ -376,6 +376,8 @@ class FitResult:
 
     def save(self, folder: str | Path, *, report: bool = True) -> Path:
         """Write result.json, model.json, the records (records.npz), the report and its pictures into a folder; all or none.
+
+        manifest.json has the SHA-256 of the files from which `load_fit` makes the same result.
 
         Args:
             folder: made if it is not there; its parent must be.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 
-SCHEMA = "hystfit.sample/2"
+SCHEMA = "hystfit.sample/3"
 
 
 def _view(name: str) -> Any:
@@ -249,7 +250,7 @@ class Posterior:
         stats = {"lp": self.log_density, **self.stats}
         variable = _view("files:variable")
         posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
-        if hasattr(arviz, "InferenceData"):
+        if "posterior" in inspect.signature(arviz.from_dict).parameters:
             return arviz.from_dict(posterior=posterior, sample_stats=stats)
         return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
 
