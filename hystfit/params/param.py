@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from collections.abc import Sequence
@@ -55,15 +56,36 @@ def as_array(value: Any) -> Any:
         ParameterError: text, complex numbers, ragged lists.
     """
     # Python numbers in a module are static for jit: one compilation for each value, and no gradient (nor for integer arrays).
+    if type(value) is float:
+        return _number(value, math.copysign(1.0, value), _float_type())
     whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
     if whole or isinstance(value, (int, float, complex, str, list, tuple, np.ndarray, np.generic)):
         try:
             if jnp.iscomplexobj(value):
                 raise TypeError("complex")
-            return jnp.asarray(value, dtype=jnp.result_type(float))
+            if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+                value = value.astype(_float_type())  # faster than in JAX
+            return jnp.asarray(value, dtype=_float_type())
         except (TypeError, ValueError) as error:
             raise ParameterError(f"a parameter must be a real number or an array of them, got {value!r}") from error
     return value
+
+
+def _float_type() -> Any:
+    return np.float64 if jax.config.jax_enable_x64 else np.float32  # type: ignore[attr-defined]
+
+
+@functools.lru_cache(maxsize=1024)
+def _number(value: float, sign: float, dtype: Any) -> jax.Array:
+    """A number as an array. Arrays cannot be changed, so that models share them: making one takes longer than a model may.
+
+    Args:
+        value: of the number.
+        sign: tells 0.0 from -0.0, which are the same key otherwise.
+        dtype: of the array.
+    """
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(np.asarray(value, dtype=dtype))
 
 
 def _as_vector(value: Any) -> Any:
