@@ -30,7 +30,9 @@ class Facts:
 
     def model(self) -> AbstractHysteresis:
         """The model of the pictures."""
-        made = MODELS[self.example].make() if self.example in MODELS else make_model(self.example)  # a filter alone, too
+        made = (
+            MODELS[self.example].make() if self.example in MODELS else make_model(self.example)
+        )  # a filter alone, too
         return made.replace(**self.values)
 
 

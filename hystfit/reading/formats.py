@@ -27,9 +27,9 @@ def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
         MissingExtraError: the library for it is not installed.
     """
     suffix = Path(path).suffix.lower()
-    reader = _READERS.get(suffix)
+    reader = READERS.get(suffix)
     if reader is None:
-        known = ".csv .dat .txt .tsv " + " ".join(sorted(_READERS))
+        known = ".csv .dat .txt .tsv " + " ".join(sorted(READERS))
         if Path(path).is_dir():
             load(path)
         raise DataError(
@@ -60,6 +60,7 @@ def _import(package: str, purpose: str) -> Any:
 
 
 def _numpy(raw: bytes) -> dict[str, np.ndarray]:
+    """NumPy arrays: each array of a .npz is a column, a matrix gives several, a structured array its fields."""
     found = np.load(io.BytesIO(raw), allow_pickle=False)
     if isinstance(found, np.ndarray):
         return {"": found} if found.dtype.names is None else {name: found[name] for name in found.dtype.names}
@@ -67,6 +68,7 @@ def _numpy(raw: bytes) -> dict[str, np.ndarray]:
 
 
 def _matlab(raw: bytes) -> dict[str, np.ndarray]:
+    """MATLAB variables, also within structures; version 7.3 files need the extra "files"."""
     from scipy.io import loadmat
 
     if raw[:128].startswith(b"MATLAB 7.3") or raw[:4] == b"\x89HDF" or raw[512:516] == b"\x89HDF":
@@ -76,6 +78,7 @@ def _matlab(raw: bytes) -> dict[str, np.ndarray]:
 
 
 def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
+    """HDF5 data sets in all groups, and the fields of compound ones; needs the extra "files"."""
     h5py = _import("h5py", "reading HDF5 (and MATLAB 7.3) files")
     arrays: dict[str, np.ndarray] = {}
 
@@ -181,12 +184,17 @@ def _cell(value: object) -> str:
     return cells.clean(str(value).replace("\t", " ").replace("\n", " "))
 
 
-_READERS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
+def _excel(raw: bytes) -> dict[str, np.ndarray]:
+    """Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"."""
+    raise NotImplementedError  # a sheet has rows of cells, like text, and is read by `_workbook`
+
+
+READERS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
     ".npz": _numpy,
     ".npy": _numpy,
     ".mat": _matlab,
     ".h5": _hdf5,
     ".hdf5": _hdf5,
-    ".xlsx": lambda raw: {},
-    ".xlsm": lambda raw: {},
+    ".xlsx": _excel,
+    ".xlsm": _excel,
 }
