@@ -29,11 +29,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "docs", help="folder for the sources and the site")
     chosen = parser.parse_args(arguments)
     source, site = chosen.out / "source", chosen.out / "site"
+    shutil.rmtree(source, ignore_errors=True)
+    shutil.rmtree(site, ignore_errors=True)
     skip = shutil.ignore_patterns("__pycache__", "*.py", "gallery", "generate", "models.toml")
-    shutil.copytree(HERE, source, dirs_exist_ok=True, ignore=skip)
+    shutil.copytree(HERE, source, ignore=skip)
     shutil.copy2(HERE / "conf.py", source)
-    shutil.copytree(HERE / "gallery", source / "gallery_scripts", dirs_exist_ok=True)
-    generate(source, chosen.quick)
+    shutil.copytree(HERE / "gallery", source / "gallery_scripts")
+    generate(source, chosen.out / "pictures", redraw=not chosen.quick)
     copy_results(source)
     copy_notebooks(source, chosen.quick)
     quick = ["-D", "plot_gallery=0"] if chosen.quick else []
@@ -43,22 +45,24 @@ def main(arguments: list[str] | None = None) -> int:
     return status
 
 
-def generate(source: Path, quick: bool) -> None:
+def generate(source: Path, pictures: Path, redraw: bool) -> None:
     """Write the pages and parts of pages that follow from the package.
 
     Args:
         source: folder that Sphinx reads.
-        quick: keep the pictures that exist.
+        pictures: folder of the pictures of models, kept between runs.
+        redraw: draw pictures that exist, too.
     """
     import hystfit as hf
 
     hf.enable_x64()
     from generate import api, commands, excerpts, lists
     from generate.markdown import write
-    from generate.model_facts import facts
-    from generate.model_pages import write_model_pages
+    from generate.model_pages import draw_pictures, write_model_pages
 
-    write_model_pages(source / "models", facts(), redraw=not quick)
+    draw_pictures(pictures, redraw)
+    shutil.copytree(pictures, source / "models")
+    write_model_pages(source / "models")
     for make in (
         lists.statuses,
         lists.codes,

@@ -24,10 +24,11 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
 ]
-exclude_patterns = ["parts", "gallery_scripts", "gallery/*.ipynb", "gallery/*.py", "**/sg_execution_times.rst"]
+exclude_patterns = ["parts", "gallery_scripts", "gallery/*.ipynb", "gallery/*.py"]
 suppress_warnings = ["config.cache", "mystnb.unknown_mime_type", "ref.python"]
 
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+smartquotes = False  # "--out" stays as it is
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # notebooks/run.py has executed them
 nb_merge_streams = True
@@ -36,6 +37,7 @@ autodoc_typehints = "none"  # shapes and units are in the text
 autodoc_member_order = "bysource"
 napoleon_use_ivar = True
 napoleon_use_rtype = False
+napoleon_attr_annotations = False
 napoleon_custom_sections = ["Class attributes"]
 maximum_signature_line_length = 88
 
@@ -47,11 +49,13 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_signature": False,
     "show_memory": False,
+    "write_computation_times": False,
     "min_reported_time": 1e9,
     "image_srcset": ["2x"],
     "abort_on_example_error": True,
 }
 
+html_context = {"default_mode": "auto"}  # light or dark as the reader's system is
 html_theme = "pydata_sphinx_theme"
 html_title = "hystfit"
 html_static_path = ["static"]

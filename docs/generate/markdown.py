@@ -45,8 +45,6 @@ def interval(bounds: tuple[float, float]) -> str:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a generated page where it differs, so that Sphinx reads only what has changed."""
-    text = HEADER + text.rstrip() + "\n"
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+    """Write a generated page."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(HEADER + text.rstrip() + "\n", encoding="utf-8")

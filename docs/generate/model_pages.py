@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from generate.effects import draw_effects
 from generate.markdown import docstring, interval, plain, table, write
-from generate.model_facts import Facts
+from generate.model_facts import Facts, facts
 from generate.style import both
 from hystfit.cli.catalog import PLACES
 from hystfit.models.base import AbstractHysteresis
@@ -25,17 +24,23 @@ _DIRECTIONS = {
 }
 
 
-def write_model_pages(folder: Path, known: Mapping[str, Facts], redraw: bool) -> None:
-    """Write the page of every model, its pictures and the index.
+def draw_pictures(folder: Path, redraw: bool) -> None:
+    """Draw what the parameters of every model do.
 
     Args:
-        folder: of the pages.
-        known: facts of every model, by name.
+        folder: of the pictures.
         redraw: draw pictures that exist, too.
     """
-    for name, entry in MODELS.items():
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, known in facts().items():
         if redraw or not (folder / f"{name}.light.svg").exists():
-            draw_effects(known[name], folder / name)
+            draw_effects(known, folder / name)
+
+
+def write_model_pages(folder: Path) -> None:
+    """Write the page of every model and the index, beside the pictures."""
+    known = facts()
+    for name, entry in MODELS.items():
         write(folder / f"{name}.md", model_page(name, entry, known[name]))
     write(folder / "index.md", index_page())
 
@@ -45,7 +50,7 @@ def index_page() -> str:
     parts = [
         "# Models",
         'Each name works in `hystfit fit --model NAME` and in `hf.fit("NAME", data)`; names are joined by `+`, and settings follow '
-        "after colons (`preisach:n=60`). [Choosing a model](../../guide/choosing.md) says which to try.",
+        "after colons (`preisach:n=60`). [Choosing a model](../guide/choosing.md) says which to try.",
     ]
     for place, heading in PLACES.items():
         rows = [
@@ -70,7 +75,6 @@ def model_page(name: str, entry: Entry, known: Facts) -> str:
     parts = [f"# {name}", plain(entry.doc[0].upper() + entry.doc[1:]) + "."]
     if known.equation:
         parts.append(f"$$\n{known.equation}\n$$")
-    parts.append(docstring(inspect.getdoc(type(model)) or ""))
     if known.makes:
         parts.append(f"## Loops\n\n**It makes:** {known.makes}\n\n**It cannot make:** {known.cannot}")
     parts.append(f"## Parameters\n\n{_parameters(model)}")
@@ -83,6 +87,7 @@ def model_page(name: str, entry: Entry, known: Facts) -> str:
         parts.append(
             f"## What each parameter does\n\nThree values of one parameter; the others stay.{drawn}\n\n{picture}"
         )
+    parts.append(f"## Details\n\n{docstring(inspect.getdoc(type(model)) or '')}")
     parts.append(f"## Data and cost\n\n{_needs(name, model)}")
     parts.append(f"## Use\n\n```console\n$ hystfit fit LOOP --model {_expression(name, entry)}\n```")
     if known.source:
