@@ -19,7 +19,6 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 sys.path.insert(0, str(HERE))
-PAPERS = ("duhem", "preisach", "ukf", "uncertainty", "measured")  # experiments whose results are pages
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -84,13 +83,12 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
 
 
 def copy_results(source: Path) -> None:
-    """Copy the numbers and pictures of the experiments, and the guide to new models, as pages."""
-    for name in PAPERS:
-        folder = ROOT / "experiments" / name
-        target = source / "results" / name
-        target.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(folder / "RESULTS.md", target / "index.md")
-        for picture in folder.glob("*.png"):
+    """Copy the numbers and pictures of the experiments, and the changelog, as pages."""
+    for page in sorted((ROOT / "experiments").glob("*/RESULTS.md")):
+        target = source / "results" / page.parent.name
+        target.mkdir(parents=True)
+        shutil.copy2(page, target / "index.md")
+        for picture in page.parent.glob("*.png"):
             shutil.copy2(picture, target)
     shutil.copy2(ROOT / "CHANGELOG.md", source / "changelog.md")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import functools
 import http.server
+import importlib
 import itertools
 import re
 import shlex
@@ -162,6 +163,30 @@ def test_options_in_the_documents_exist():
     for path in SOURCES:
         prose = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
         assert [option for option in OPTION.findall(prose) if option not in known] == [], path
+
+
+def test_a_model_without_an_entry_is_drawn_within_its_bounds(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    model_facts = importlib.import_module("generate.model_facts")
+    known = model_facts._completed("bouc-wen", {})
+    assert known.vary == {"c": [0.5, 1.0, 2.0], "mu": [0.2, 0.4, 0.8], "tau": [0.5, 1.0, 2.0], "rho": [0.25, 0.5, 1.0]}
+    for name, values in known.vary.items():
+        for value in values:
+            known.model().replace(**{name: value})
+
+
+def test_docstrings_become_restructured_text(monkeypatch):
+    """Marks of restructured text in formulas are escaped; code, and indented equations, are literal."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    escape_marks = importlib.import_module("generate.docstrings").escape_marks
+    lines = ["The law |h| <= 2 * x_.", "", "    y = |u| * w_", "", "Call `f(*x)`_step.", "", "Args:", "    w_: of |x|."]
+    escape_marks(None, "", "", None, None, lines)
+    core, nodes = (pytest.importorskip(f"docutils.{name}") for name in ("core", "nodes"))
+    document = core.publish_doctree("\n".join(lines).replace(".. code-block:: text", "::"))
+    text = document.astext()
+    assert not list(document.findall(nodes.system_message))
+    for piece in ("|h| <= 2 * x_.", "y = |u| * w_", "f(*x)", "w_: of |x|."):
+        assert piece in text
 
 
 # -- the built site ----------------------------------------------------------------------------------------------------------

@@ -74,7 +74,8 @@ def model_page(name: str, entry: Entry, known: Facts) -> str:
     model = entry.make()
     parts = [f"# {name}", plain(entry.doc[0].upper() + entry.doc[1:]) + "."]
     if known.equation:
-        parts.append(f"$$\n{known.equation}\n$$")
+        lines = known.equation.replace(r"\qquad", r"\\[0.5ex]")  # one below the other, for narrow windows
+        parts.append(f"$$\n\\begin{{gathered}}\n{lines}\n\\end{{gathered}}\n$$")
     if known.makes:
         parts.append(f"## Loops\n\n**It makes:** {known.makes}\n\n**It cannot make:** {known.cannot}")
     parts.append(f"## Parameters\n\n{_parameters(model)}")
@@ -103,7 +104,7 @@ def _expression(name: str, entry: Entry) -> str:
 
 
 def _parameters(model: AbstractHysteresis) -> str:
-    """Name, unit, default, bounds and meaning of every parameter."""
+    """Name, meaning, unit, default and bounds of every parameter."""
     label = Scales(u_unit="[u]", y_unit="[y]").label
     rows = []
     for leaf in leaves_of(model):
@@ -112,12 +113,12 @@ def _parameters(model: AbstractHysteresis) -> str:
         marks = [word for word in ("fixed", "per_record", "linear") if getattr(leaf.info, word)]
         unit = label(leaf.info.unit)
         about = plain(leaf.info.doc) + (f" *({', '.join(marks).replace('_', ' ')})*" if marks else "")
-        rows.append((f"`{name}`{count}", plain(unit) or "1", _default(model, name), interval(leaf.info.bounds), about))
+        rows.append((f"`{name}`{count}", about, plain(unit) or "1", _default(model, name), interval(leaf.info.bounds)))
     note = (
         "`[u]` and `[y]` are the units of the data. *Fixed* parameters keep their value unless freed by `--free`; *per record*: each "
         "record has its own value; *linear*: the output is linear in it. A fit estimates starting values from the data."
     )
-    return f"{table(['name', 'unit', 'default', 'bounds', 'meaning'], rows)}\n\n{note}"
+    return f"{table(['name', 'meaning', 'unit', 'default', 'bounds'], rows)}\n\n{note}"
 
 
 def _default(model: AbstractHysteresis, name: str) -> str:
