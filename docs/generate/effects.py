@@ -51,9 +51,10 @@ def _curve(model: AbstractHysteresis, view: str) -> Curve:
 
 
 def _figure(entry: Facts, curves: dict[str, list[Curve]]) -> Figure:
-    columns = min(COLUMNS, len(curves))
+    columns = COLUMNS if len(curves) in (3, 5, 6) else min(2, len(curves))
     rows = -(-len(curves) // columns)
-    figure, grid = plt.subplots(rows, columns, figsize=(2.9 * columns, 2.5 * rows), squeeze=False, layout="constrained")
+    size = (max(3.4, 2.5 * columns), 2.2 * rows)
+    figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
     for ax in grid.flat[len(curves) :]:
         ax.remove()
     for ax, (name, drawn) in zip(grid.flat, curves.items(), strict=False):
