@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 QUICK ?= --quick
+CONSTRAINTS ?= constraints.txt
 # Tests and experiments compile the same programs in many processes: they share one compilation cache.
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/build/programs
 export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0.1
@@ -11,7 +12,7 @@ export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks smoke package records versions clean
+.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks smoke docs package records versions clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -19,7 +20,7 @@ help:  ## this list
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[dev]'
 	touch $@
 
 setup: $(VENV)/.installed  ## create .venv with hystfit and all test dependencies
@@ -60,6 +61,9 @@ benchmarks: setup  ## speed beside other programs: one table of ratios, which fa
 
 smoke: setup  ## every benchmark on little work, unjudged
 	$(BIN)/python benchmarks/run.py --quick
+
+docs: setup  ## build the documentation in build/docs/site; DOCS=--quick without running notebooks and gallery
+	$(BIN)/python docs/build.py $(DOCS)
 
 package: setup  ## build the wheel and check that its data are found without the checkout
 	rm -rf build/wheel && mkdir -p build/wheel/site

@@ -10,7 +10,7 @@ from hystfit.cli.write import finish, record_columns, show, write_csv
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
 
-_PLACES = {
+PLACES = {
     "core": "Hysteresis",
     "beside": "Added to the output (join by +)",
     "before": "Before the hysteresis (join by +)",
@@ -33,12 +33,12 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
     entry = MODELS.get(name or "")
     if name is None:
         width = max(map(len, MODELS))
-        places = {place: [item for item in MODELS.items() if item[1].place == place] for place in _PLACES}
+        places = {place: [item for item in MODELS.items() if item[1].place == place] for place in PLACES}
         groups = {
             place: Table(["", Column("", left=True)], [[f"{key:<{width}}", item.doc] for key, item in listed])
             for place, listed in places.items()
         }
-        blocks = ["\n".join([heading, *groups[place].lines("  ")]) for place, heading in _PLACES.items()]
+        blocks = ["\n".join([heading, *groups[place].lines("  ")]) for place, heading in PLACES.items()]
         text = "\n\n".join([*blocks, _EXAMPLE])
         listed = {
             key: {"place": entry.place, "about": entry.doc, "settings": entry.settings()}

@@ -30,7 +30,7 @@ class BoucWen(AbstractHysteresis):
     delta = rho tau with |rho| < 1 keeps the loop dissipative, |h| <= mu c / (tau + delta). The form is normalized (h enters
     with gain one), so that no two parameters do the same thing; one amplitude alone still determines mu and rho poorly.
 
-    `scheme`: "exact" is the closed form of papers' section 3.1 for any step; "semi-implicit" is second order, several times cheaper,
+    `scheme`: "exact" is the closed form of the law for any step; "semi-implicit" is second order, several times cheaper,
     bounded, dissipative and continuous in its parameters for any step, and warned about where the sampling is coarse.
 
     Raises:

@@ -33,7 +33,7 @@ class Duhem(AbstractHysteresis):
     lengths of the coefficient arrays less one (3 and 2 in the paper). `from_powers` and `powers` go to and from the
     paper's powers of v. The output is linear in f, g and w0. The state is the output w alone (local memory).
 
-    `scheme` is used for fitting and simulation alike: "midpoint" (closed form, papers' eq. (6), unconditionally stable), "explicit"
+    `scheme` is used for fitting and simulation alike: "midpoint" (closed form, unconditionally stable), "explicit"
     (stable for alpha |dv| < 2), or "exact" (integrates each sample exactly, for coarse sampling).
 
     Raises:

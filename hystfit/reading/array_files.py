@@ -69,6 +69,7 @@ def check_members(archive: zipfile.ZipFile, raw: bytes) -> None:
 
 
 def _numpy(raw: bytes) -> dict[str, np.ndarray]:
+    """NumPy arrays: each array of a .npz is a column, a matrix gives several, a structured array its fields."""
     if raw.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             check_members(archive, raw)
@@ -111,6 +112,7 @@ def _npy_size(start: bytes, size: int) -> int:
 
 
 def _matlab(raw: bytes) -> dict[str, np.ndarray]:
+    """MATLAB variables, also within structures; version 7.3 files need the extra "files"."""
     from scipy.io import loadmat, whosmat
 
     if raw[:128].startswith(b"MATLAB 7.3") or raw[:4] == b"\x89HDF" or raw[512:516] == b"\x89HDF":
@@ -133,6 +135,7 @@ def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]
 
 
 def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
+    """HDF5 data sets in all groups, and the fields of compound ones; needs the extra "files"."""
     h5py = imported("h5py", "reading HDF5 (and MATLAB 7.3) files")
     found: list[tuple[str, Any]] = []
 

@@ -23,7 +23,7 @@ from hystfit.reading.layout import layout_of
 from hystfit.reading.raw_table import Table, plain_table
 from hystfit.reading.text import tabulate
 
-_WORKBOOKS = frozenset({".xlsx", ".xlsm"})
+WORKBOOKS = frozenset({".xlsx", ".xlsm"})
 _MOST_CELLS = 4_000_000
 _MOST_COLUMNS = 5000
 _SAMPLE = 2000  # rows of a sheet that show its layout
@@ -37,8 +37,8 @@ def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
         MissingExtraError: the library for it is not installed.
     """
     suffix = inner_name(path).suffix.lower()
-    if suffix not in KINDS and suffix not in _WORKBOOKS:
-        known = ".csv .dat .txt .tsv " + " ".join(sorted({*KINDS, *_WORKBOOKS}))
+    if suffix not in KINDS and suffix not in WORKBOOKS:
+        known = ".csv .dat .txt .tsv " + " ".join(sorted({*KINDS, *WORKBOOKS}))
         if Path(path).is_dir():
             load(path)
         raise DataError(
@@ -46,7 +46,7 @@ def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
             "read_csv, else export it as CSV"
         )
     file = load(path)
-    if suffix in _WORKBOOKS:
+    if suffix in WORKBOOKS:
         return _workbook(file, str(path), sheet)
     if sheet is not None:
         raise DataError(f"{path} has no sheets; leave out sheet=")

@@ -1,0 +1,118 @@
+"""Build the documentation site.
+
+    python docs/build.py [--quick] [--out build/docs]
+
+Assembles the pages of docs/ and those generated from the package in OUT/source, and has Sphinx make OUT/site from them. The full form
+executes the notebooks (in their short form, where there is no newer run of them) and the scripts of the gallery. `--quick` shows both
+without outputs and draws only pictures that do not exist yet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+sys.path.insert(0, str(HERE))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Build the site as the command line says; returns the exit status of Sphinx."""
+    parser = argparse.ArgumentParser(description="Build the documentation site.")
+    parser.add_argument("--quick", action="store_true", help="notebooks and gallery without outputs")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "docs", help="folder for the sources and the site")
+    chosen = parser.parse_args(arguments)
+    source, site = chosen.out / "source", chosen.out / "site"
+    shutil.rmtree(source, ignore_errors=True)
+    shutil.rmtree(site, ignore_errors=True)
+    skip = shutil.ignore_patterns("__pycache__", "*.py", "gallery", "generate", "models.toml")
+    shutil.copytree(HERE, source, ignore=skip)
+    shutil.copy2(HERE / "conf.py", source)
+    shutil.copytree(HERE / "gallery", source / "gallery_scripts")
+    generate(source, chosen.out / "pictures", redraw=not chosen.quick)
+    copy_results(source)
+    copy_notebooks(source, chosen.quick)
+    quick = ["-D", "plot_gallery=0"] if chosen.quick else []
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", *quick, str(source), str(site)]
+    status = subprocess.run(command, check=False).returncode
+    print(f"site: {site / 'index.html'}" if status == 0 else "the site has errors", flush=True)
+    return status
+
+
+def generate(source: Path, pictures: Path, redraw: bool) -> None:
+    """Write the pages and parts of pages that follow from the package.
+
+    Args:
+        source: folder that Sphinx reads.
+        pictures: folder of the pictures of models, kept between runs.
+        redraw: draw pictures that exist, too.
+    """
+    import hystfit as hf
+
+    hf.enable_x64()
+    from generate import api, commands, excerpts, lists
+    from generate.markdown import write
+    from generate.model_pages import draw_pictures, write_model_pages
+
+    draw_pictures(pictures, redraw)
+    shutil.copytree(pictures, source / "models")
+    write_model_pages(source / "models")
+    for make in (
+        lists.statuses,
+        lists.codes,
+        lists.noises,
+        lists.samplers,
+        lists.methods,
+        lists.signals,
+        lists.formats,
+        lists.benchmarks,
+        excerpts.coverage,
+        excerpts.sbc,
+        excerpts.contributing,
+    ):
+        write(source / "parts" / f"{make.__name__}.md", make())
+    write(source / "reference" / "commands.md", commands.command_page())
+    write(source / "reference" / "api" / "index.md", api.index_page())
+    for page in api.PAGES:
+        write(source / "reference" / "api" / f"{page}.md", api.api_page(page))
+
+
+def copy_results(source: Path) -> None:
+    """Copy the numbers and pictures of the experiments, and the changelog, as pages."""
+    for page in sorted((ROOT / "experiments").glob("*/RESULTS.md")):
+        target = source / "results" / page.parent.name
+        target.mkdir(parents=True)
+        shutil.copy2(page, target / "index.md")
+        for picture in page.parent.glob("*.png"):
+            shutil.copy2(picture, target)
+    shutil.copy2(ROOT / "CHANGELOG.md", source / "changelog.md")
+
+
+def copy_notebooks(source: Path, quick: bool) -> None:
+    """Copy the notebooks, executed unless `quick`; a run that is newer than its notebook is used as it is.
+
+    Args:
+        source: folder that Sphinx reads.
+        quick: without outputs.
+    """
+    import jupytext
+
+    (source / "notebooks").mkdir(exist_ok=True)
+    for path in sorted((ROOT / "notebooks").glob("[0-9]*.py")):
+        target, run = source / "notebooks" / f"{path.stem}.ipynb", path.parent / "out" / f"{path.stem}.ipynb"
+        if quick:
+            jupytext.write(jupytext.read(path), target)
+            continue
+        if not run.exists() or run.stat().st_mtime < path.stat().st_mtime:
+            command = [sys.executable, str(path.parent / "run.py"), "--quick", path.stem]
+            subprocess.run(command, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+        shutil.copy2(run, target)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
