@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
@@ -271,7 +270,7 @@ def conclude(
     predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
     train = Metrics.of(measured, predicted)
     rows = [y - m for y, m in zip(predicted, measured, strict=True)]
-    model = problem.space.coordinates.assemble(jnp.asarray(x), 0)
+    model = problem.space.assembled(x)
     baselines = Baselines.of(data)
     fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
     status, reasons = verdict_of(fitted)
@@ -329,6 +328,7 @@ def parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple
         errors: their standard errors.
     """
     space, c = problem.space, problem.space.coordinates
+    low, high = np.asarray(c.lower), np.asarray(c.upper)
     finite = lambda value: float(value) if np.isfinite(value) else None
     variance, sides = np.diag(errors.covariance), problem.at_bound(x)
     rows = []
@@ -336,7 +336,7 @@ def parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple
         error = float(np.sqrt(variance[k])) if np.isfinite(variance[k]) else None
         known = bool(errors.determined[k]) and not sides[k]
         info, unit = space.infos[k], space.units[k]
-        lower, upper = finite(c.lower[k]), finite(c.upper[k])
+        lower, upper = finite(low[k]), finite(high[k])
         rows.append(ParameterEstimate(name, float(x[k]), error, unit, lower, upper, False, sides[k], known, info.doc))
     for name, value, info in space.fixed():
         lower, upper = (finite(b) for b in info.bounds)

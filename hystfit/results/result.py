@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
@@ -143,13 +142,17 @@ class FitResult:
     @functools.cached_property
     def models(self) -> tuple[AbstractHysteresis, ...]:
         """The fitted model of each record; they share all but per-record parameters."""
-        coordinates = self.problem.space.coordinates
-        return tuple(coordinates.assemble(jnp.asarray(self.x), k) for k in range(len(self.data)))
+        return tuple(self.problem.space.assembled(self.x, k) for k in range(len(self.data)))
 
     @property
     def model(self) -> AbstractHysteresis:
         """The fitted model, of the type that went in; with several records, that of the first."""
         return self.models[0]
+
+    @functools.cached_property
+    def _simulated(self) -> list[np.ndarray]:
+        """Output of the model on every record fitted, by the program that the fit has compiled."""
+        return self.problem.predict(self.x)
 
     @functools.cached_property
     def derived(self) -> tuple[ParameterEstimate, ...]:
@@ -283,8 +286,12 @@ class FitResult:
         record = self.in_own_units(given)
         if record.t is None and not self.model.rate_independent:
             raise ModelError(f"{self.name} depends on time: give t, the time of each sample")
-        model = self.models[self.record_number(record)]
-        y = model.free_run(record.u, None if record.t is None else record.dt)
+        fitted = next((k for k, own in enumerate(self.data) if own is record), None)
+        if fitted is not None:
+            y = self._simulated[fitted]
+        else:
+            model = self.models[self.record_number(record)]
+            y = model.free_run(record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
