@@ -89,9 +89,9 @@ def fit(
     points: tuple[AbstractHysteresis, ...] = (model,)
     if start == "data":
         fix = fix if named else _held(model, fix)
-        points = model.starting_points(list(data.map(model.prepared)))
-        model = points[0]
-    problem = Problem(model, data, fix=fix, free=free, loss=loss)
+        problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
+    else:
+        problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
     if name == "convex" and start == "data" and model.has_rest:
         problem, notes = _choose_rest(problem, fix, free, loss)
@@ -107,6 +107,21 @@ def fit(
     label = ESTIMATORS.label(name)
     result = conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
     return result if test is None else with_test(result, test)
+
+
+def started_problem(
+    model: AbstractHysteresis, data: Dataset, **options: Any
+) -> tuple[Problem, tuple[AbstractHysteresis, ...]]:
+    """The problem of a model with starting values from the records, and all models to start from.
+
+    Args:
+        model: any model.
+        data: records.
+        **options: of `Problem`.
+    """
+    check_fittable(model, data)
+    points = model.starting_points(list(data.map(model.prepared)))
+    return Problem(points[0], data, **options), points
 
 
 def changed_settings(given: Mapping[str, Any]) -> list[str]:
