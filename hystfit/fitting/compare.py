@@ -8,7 +8,7 @@ import functools
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.fit import choose_method, fit, solve, started_problem
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
-from hystfit.fitting.sizes import choose_size
+from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import with_left_out
 from hystfit.fitting.workers import Workers
@@ -34,6 +34,7 @@ from hystfit.results.result import FitResult
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
 _HOPELESS = 2.0  # a model whose first fit errs this much more than the best on left-out data is not validated
+_HOPELESS_SIZE = 3.0  # the same of models with elements, whose other sizes may err less than the default one
 _FIRST_STARTS = 2  # starting points of that fit
 
 
@@ -57,9 +58,10 @@ def compare(
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: the rms error of
-            their first fit, from two starting points and to its own samples, is more than twice the smallest error on left-out
-            data of the models with a closed-form solution (where there is none, of the model with the best first fit).
+            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit errs
+            more than twice as much as the best model on left-out data. A first fit starts from two points and is judged on the
+            samples fitted; that of a model with elements has its default size, is judged on left-out data, and may err three
+            times as much.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -160,27 +162,44 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
     )
 
 
+class _First(NamedTuple):
+    """The first fit of a model: its rms error [y], how many times the best error it may be, and its number of parameters."""
+
+    error: float
+    limit: float
+    parameters: int | None = None
+
+
+def _leading(firsts: dict[str, _First], alone: bool) -> list[str]:
+    """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
+
+    Args:
+        firsts: first fits by name.
+        alone: no model has been validated yet, so that the others wait for the ones whose first fit is near the best.
+    """
+    sized = {name: first for name, first in firsts.items() if first.limit == _HOPELESS_SIZE}
+    if not sized and not alone:
+        return list(firsts)
+    least = min((first.error for first in (sized or firsts).values()), default=0.0)
+    return [name for name, first in (sized or firsts).items() if first.error <= first.limit * least]
+
+
 @dataclasses.dataclass(frozen=True)
 class _Outcome:
     """What work on one candidate gave.
 
     Attributes:
         row, result: of the comparison, where the candidate was validated.
-        first: rms error [y] of the first fit and number of parameters, where there was one.
+        first: the first fit, where there was one.
         failure: why there is no result.
         seconds: what it took.
     """
 
     row: Row | None = None
     result: FitResult | None = None
-    first: tuple[float, int] | None = None
+    first: _First | None = None
     failure: Exception | None = None
     seconds: float = 0.0
-
-    @property
-    def error(self) -> float:
-        """The rms error of the first fit [y]."""
-        return np.inf if self.first is None else self.first[0]
 
     def after(self, earlier: _Outcome | None) -> _Outcome:
         """This work as the second on the same candidate."""
@@ -220,22 +239,18 @@ class _Judge:
             for name, outcome in zip(chosen, workers.run(tasks), strict=True):
                 outcomes[name] = outcome.after(outcomes.get(name))
 
-        doubtful = [name for name in names if self._may_be_stopped(name)]
-        sure = [name for name in names if name not in doubtful]
-        each(lambda name, say: self._first_fit(name, say) if name in doubtful else self._judged(name, say), names)
-        self._keep(sure, outcomes, shown)
-        tried = [name for name in doubtful if outcomes[name].first is not None]
-        self._keep([name for name in doubtful if name not in tried], outcomes, shown)
-        if tried and self._best() is None:
-            tried.sort(key=lambda name: outcomes[name].error)
-            each(self._judged, tried[:1])
-            self._keep(tried[:1], outcomes, shown)
-            tried = tried[1:]
-        stopped = {name: row for name in tried if (row := self._stopped(name, outcomes[name])) is not None}
-        each(self._judged, [name for name in tried if name not in stopped])
-        for name, row in stopped.items():
-            outcomes[name] = dataclasses.replace(outcomes[name], row=row)
-        self._keep(tried, outcomes, shown)
+        each(self._begun, names)
+        waiting = [name for name in names if outcomes[name].row is None]
+        self._keep([name for name in names if name not in waiting], outcomes, shown)
+        while waiting:
+            stopped = {name: row for name in waiting if (row := self._stopped(name, outcomes[name])) is not None}
+            for name, row in stopped.items():
+                outcomes[name] = dataclasses.replace(outcomes[name], row=row)
+            going = {name: first for name in waiting if name not in stopped and (first := outcomes[name].first)}
+            leading = _leading(going, self._best() is None)
+            each(self._judged, leading)
+            self._keep([*stopped, *leading], outcomes, shown)
+            waiting = [name for name in going if name not in leading]
         self.rows.sort(key=lambda row: names.index(row.asked) if row.asked in names else -1)
 
     def _timed(
@@ -306,21 +321,21 @@ class _Judge:
         )
         return _Outcome(row=row, result=result)
 
-    def _may_be_stopped(self, name: str) -> bool:
-        """Whether a first fit decides if a model is validated: not where the user chose it, nor where its size is chosen on left-out data."""
+    def _begun(self, name: str, progress: Callable[[str], object]) -> _Outcome:
+        """A first fit, which decides whether a model is validated; the models that users chose, and a search, are validated."""
         if self.named or name == SEARCH:
-            return False
+            return self._judged(name, progress)
         model = make_model(name)
-        return model.estimator is None and not model.sizes(list(self.data))
-
-    def _first_fit(self, name: str, progress: Callable[[str], object]) -> _Outcome:
         progress("first fit")
-        data = thinned(self.data) if make_model(name).allows_thinning else self.data
-        problem, points = started_problem(make_model(name), data)
+        if (error := first_error(model, self.data)) is not None:
+            return _Outcome(first=_First(error, _HOPELESS_SIZE))
+        if model.estimator is not None:
+            return self._judged(name, progress)
+        problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
         estimate = solve(problem, choose_method(problem), _FIRST_STARTS, self.seed, points)
         weight = np.asarray(problem.objective.batch.weight)
         rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-        return _Outcome(first=(rms, estimate.x.size))
+        return _Outcome(first=_First(rms, _HOPELESS, estimate.x.size))
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""
@@ -329,15 +344,17 @@ class _Judge:
 
     def _stopped(self, name: str, outcome: _Outcome) -> Row | None:
         """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
-        best, error = self._best(), 100 * outcome.error / self._span
-        if best is None or error <= _HOPELESS * best:
+        best, first = self._best(), outcome.first
+        if best is None or first is None:
+            return None
+        error = 100 * first.error / self._span
+        if not np.isfinite(error) or error <= first.limit * best:
             return None
         note = (
             f"stopped after a first fit with an error of {error:.2g} %, because another model has {best:.2g} % on left-out data "
             f"(hystfit compare --models {name} validates it)"
         )
-        assert outcome.first is not None
-        return Row(name, name, None, error, None, outcome.first[1], 0.0, Status.UNTESTED, note)
+        return Row(name, name, None, error, None, first.parameters, 0.0, Status.UNTESTED, note)
 
     @property
     def _span(self) -> float:

@@ -221,19 +221,31 @@ def solve(
     estimator = ESTIMATORS.make(method)
     count = starts if estimator.needs_starts else 1
     models = points[:count] or (problem.model,)
-    at = [problem.space.unconstrained(_settled(problem, problem.space.vector(model))) for model in models]
+    begin = _settled if estimator.needs_starts or not _solves_offsets(problem) else _inside
+    at = [problem.space.unconstrained(begin(problem, problem.space.vector(model))) for model in models]
     return estimator.estimate(problem, np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed))
 
 
 def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
-    c = problem.space.coordinates
     per_record = np.array([info.per_record and info.linear for info in problem.space.infos])
     if len(problem.data) > 1 and per_record.any():
         system = LinearSystem.of(problem, x, per_record)
         x = x.copy()
         x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
+    return _inside(problem, x)
+
+
+def _inside(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Starting values inside their bounds."""
+    c = problem.space.coordinates
     return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
+
+
+def _solves_offsets(problem: Problem) -> bool:
+    """Whether each record's own linear parameters are free or >= 0: a closed-form solve for all weights needs no start for them."""
+    own = [info.bounds for info in problem.space.infos if info.per_record and info.linear]
+    return all(high == np.inf and low in (0.0, -np.inf) for low, high in own)
 
 
 def _choose_rest(

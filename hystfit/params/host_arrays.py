@@ -8,6 +8,10 @@ import jax
 import numpy as np
 from jax import dtypes
 
+from hystfit.config import compile_whole_loops
+
+compile_whole_loops()  # before JAX computes: every model is made of arrays from here
+
 
 def to_device(values: Any, dtype: Any = None) -> jax.Array:
     """Numbers or a NumPy array as an array of JAX.

@@ -29,6 +29,7 @@ from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
 
 SCHEMA = "hystfit.fit/2"
+_LARGE = 200  # parameters whose covariance is no longer written as text
 _CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
 
 
@@ -346,8 +347,13 @@ class FitResult:
         )
         return warn(Code.EXTRAPOLATION, text)
 
+    @property
+    def has_large_covariance(self) -> bool:
+        """Whether the covariance is saved in covariance.npy, because as text it would take megabytes."""
+        return len(self.covariance) > _LARGE
+
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`; unknown values are null."""
+        """The contents of `result.json`; unknown values are null, as is the covariance of more than 200 parameters."""
         return {
             "schema": SCHEMA,
             "model": self.name,
@@ -357,7 +363,7 @@ class FitResult:
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
             "free_names": list(self.free_names),
-            "covariance": [[float(v) if np.isfinite(v) else None for v in row] for row in self.covariance],
+            "covariance": None if self.has_large_covariance else _matrix(self.covariance),
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},
             "verdict": {
                 "train": verdict_dict(self.train, self.baselines),
@@ -423,6 +429,11 @@ class FitResult:
             refit_offset: as in `predict`.
         """
         return _view("plots:fit")(self, kind, ax=ax, data=data, refit_offset=refit_offset)
+
+
+def _matrix(values: np.ndarray) -> list[list[float | None]]:
+    """A matrix for JSON, which has no number that is not finite."""
+    return np.where(np.isfinite(values), values, np.array(None)).tolist()
 
 
 def _view(name: str) -> Any:

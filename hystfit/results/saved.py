@@ -34,8 +34,10 @@ def save_fit(result: FitResult, folder: str | Path, *, report: bool = True) -> P
 
 
 def write_fit(result: FitResult, folder: Path) -> None:
-    """Write result.json, model.json and records.npz of a fit into an existing folder."""
+    """Write result.json, model.json, records.npz, and covariance.npy where it is large, of a fit into an existing folder."""
     dump_json(folder / "result.json", result.to_dict())
+    if result.has_large_covariance:
+        np.save(folder / "covariance.npy", result.covariance)
     dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models]})
     save_records(folder / "records.npz", result.data)
 
@@ -108,10 +110,12 @@ def load_fit(folder: str | Path) -> FitResult:
         older = " (written by an earlier version of hystfit: fit again)" if schema == "hystfit.fit/1" else ""
         raise DataError(f"{folder / 'result.json'}: schema {schema!r}, expected {SCHEMA!r}{older}")
     try:
+        if stored["covariance"] is None:
+            stored["covariance"] = np.load(folder / "covariance.npy", allow_pickle=False)
         return _result_of(stored, described, load_records(folder / "records.npz"))
     except DataError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
         raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit again") from error
 
 
