@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.interpolate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,9 +22,14 @@ CELLS = Preisach(w=RNG.uniform(0.0, 1.0, 15), levels=LEVELS, offset=0.4, center=
 R = np.array([0.04, 0.11, 0.2, 0.36])
 PLAYS = PrandtlIshlinskii(w=RNG.uniform(0.1, 1.0, (1, 4)), r=R, b=(0.5, 0.2), offset=0.3, low=-1.0, high=1.0, level=0.1)
 GENERAL = PrandtlIshlinskii(
-    w=RNG.uniform(0.1, 1.0, (3, 4)), r=R, low=-1.0, high=1.0, envelopes=("identity", "square", "mirror")
+    w=RNG.uniform(0.1, 1.0, (3, 4)),
+    r=R,
+    rise=(0.3, 0.0, 0.5),
+    low=-1.0,
+    high=1.0,
+    envelopes=("identity", "square", "mirror"),
 )
-STOPS = PrandtlIshlinskii(w=RNG.uniform(0.1, 1.0, (1, 4)), r=R, low=-1.0, high=1.0, operator="stop")
+STOPS = PrandtlIshlinskii(w=RNG.uniform(0.1, 1.0, (1, 4)), r=R, b=(1.0,), low=-1.0, high=1.0, operator="stop")
 MEMORIES = {"relays": RELAYS, "cells": CELLS, "plays": PLAYS, "general plays": GENERAL, "stops": STOPS}
 
 LENGTH = 24
@@ -60,6 +66,15 @@ ENVELOPES = {
 }
 
 
+def rising(increments: np.ndarray, x: float) -> float:
+    """The rising single-valued part by scipy's Bernstein polynomials, with its tangents outside 0 to 1."""
+    if not increments.size:
+        return 0.0
+    inside = scipy.interpolate.BPoly(np.append(0.0, np.cumsum(increments))[:, None], [0.0, 1.0])
+    edge = min(max(x, 0.0), 1.0)
+    return float(inside(edge) + inside(edge, nu=1) * (x - edge))
+
+
 @pytest.mark.parametrize("model", [PLAYS, GENERAL, STOPS], ids=["plays", "general", "stops"])
 def test_plays_equal_a_plain_loop(model: PrandtlIshlinskii) -> None:
     u = np.random.default_rng(2).uniform(-1.2, 1.1, 60)
@@ -75,7 +90,7 @@ def test_plays_equal_a_plain_loop(model: PrandtlIshlinskii) -> None:
             element = [target - p for p in plays[e]] if model.operator == "stop" else plays[e]
             y += sum(float(w) * p for w, p in zip(model.w[e], element, strict=True))
         y += np.polynomial.legendre.legval(2 * place(v) - 1, [0.0, *np.asarray(model.b)])
-        out.append(y)
+        out.append(y + rising(np.asarray(model.rise), place(v)))
     np.testing.assert_allclose(simulate(model, u)[0], out, rtol=1e-12, atol=1e-13)
 
 
@@ -127,6 +142,18 @@ def test_loops_run_counter_clockwise(name: str, u: np.ndarray) -> None:
     model = eqx.tree_at(lambda m: m.b, model, jnp.zeros_like(model.b))  # the single-valued part may fall
     y = np.asarray(simulate(model, np.concatenate([u, u]))[0])  # the second run through the same corners is a cycle
     assert np.sum(u * np.diff(y[LENGTH - 1 :])) >= -1e-12
+
+
+@FEW
+@given(WALK, st.floats(-1.4, 1.4), st.lists(st.floats(0.0, 2.0), min_size=1, max_size=5))
+def test_the_output_of_plays_never_falls_while_the_input_rises(
+    history: np.ndarray, end: float, rise: list[float]
+) -> None:
+    """From any state, on the way to any input: what an inverse needs."""
+    model = eqx.tree_at(lambda m: m.rise, GENERAL, jnp.asarray(rise[:3] + [0.0] * (3 - len(rise[:3]))))
+    way = np.linspace(history[-1], end, LENGTH)
+    y = continued(model, history, way)
+    assert (np.diff(y) * np.sign(end - history[-1])).min() >= -1e-12
 
 
 def test_an_infinitely_wide_play_is_stuck_and_a_narrow_one_follows() -> None:

@@ -796,3 +796,15 @@ def test_the_damper_needs_a_velocity_term():
     report = check(datasets.load("mr_labcontrol/4.1", folder=SHARED))
     assert has(report.findings, Code.SPEED_DEPENDENT)
     assert has(report.findings, Code.SPIKES) == (report.records[0].spikes > 0)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.7, 2.0, 4.5])
+def test_a_cycle_that_begins_in_the_middle_of_its_loop_has_the_shape_of_the_ellipse(begin):
+    """One closed cycle, as magnetometers record it: area pi sin(phi), width sin(phi) of the stroke, symmetric about its center."""
+    phase, lag = begin + np.linspace(0.0, 2 * np.pi, 400), 0.4
+    [record] = check(Record(np.cos(phase), np.cos(phase - lag))).records
+    assert record.shape is not None
+    assert record.shape.circulation == "counter-clockwise"
+    assert record.shape.area == pytest.approx(np.pi * np.sin(lag), rel=0.01)
+    assert record.shape.width_percent == pytest.approx(100 * np.sin(lag), rel=0.01)
+    assert record.shape.asymmetry_percent < 0.5

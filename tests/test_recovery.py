@@ -30,9 +30,9 @@ def started(model, u):
 def plays():
     model = started(hf.PrandtlIshlinskii.of(4), RANDOM)
     return eqx.tree_at(
-        lambda m: (m.w, m.b, m.offset),
+        lambda m: (m.w, m.rise, m.offset),
         model,
-        (jnp.asarray([[0.4, 0.3, 0.5, 0.6]]), jnp.asarray([0.8]), jnp.asarray(0.2)),
+        (jnp.asarray([[0.4, 0.3, 0.5, 0.6]]), jnp.asarray([1.6]), jnp.asarray(0.2)),
     )
 
 

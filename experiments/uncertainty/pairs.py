@@ -44,9 +44,9 @@ def models() -> dict[str, AbstractHysteresis]:
     )  # forty samples a cycle are too few for the other
     plays = hf.PrandtlIshlinskii.of(plays=4)
     plays = eqx.tree_at(
-        lambda m: (m.w, m.b, m.low, m.high),
+        lambda m: (m.w, m.rise, m.low, m.high),
         plays,
-        (jnp.asarray([[0.3, 0.25, 0.2, 0.25]]), jnp.asarray([0.8]), jnp.asarray(-1.0), jnp.asarray(1.0)),
+        (jnp.asarray([[0.3, 0.25, 0.2, 0.25]]), jnp.asarray([1.6]), jnp.asarray(-1.0), jnp.asarray(1.0)),
     )
     density = ParametricPreisach(
         saturation=0.8, coercivity=0.35, width=0.25, spread=0.25, slope=0.2, levels=np.linspace(-1, 1, 13), depth=6

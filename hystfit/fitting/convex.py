@@ -202,6 +202,21 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
     return RidgeFit(weights, strengths[best], ridge * finite**2, np.array(left_out), max(float(r @ total @ r), 0.0))
 
 
+def penalized(system: LinearSystem, strength: float) -> float:
+    """Least sum of squares and ridge that the weights reach at a given strength: what nonlinear parameters minimize.
+
+    Args:
+        system: at some values of the nonlinear parameters.
+        strength: of the ridge.
+    """
+    grams, scale, counts = system.normal()
+    total, dead = grams.sum(axis=0), ~np.isfinite(scale)
+    ridge = (system.ridged | dead) * strength * counts.sum() + dead
+    w = solve_normal(total, system.free, ridge)
+    r = np.append(-w, 1.0)
+    return max(float(r @ total @ r), 0.0) + float(ridge @ w**2)
+
+
 class Convex(AbstractEstimator):
     """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by a simplex outside.
 
@@ -251,7 +266,7 @@ class Convex(AbstractEstimator):
         strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
 
         def cost(x: np.ndarray) -> float:
-            return float(np.log(fit_ridge(LinearSystem.of(problem, x), (strength,)).score + 1e-300))
+            return float(np.log(penalized(LinearSystem.of(problem, x), strength) + 1e-300))
 
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-2, fatol=1e-4)
 

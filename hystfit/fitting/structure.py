@@ -243,7 +243,8 @@ class _Bench:
         """The linear system of a structure, joined from the columns of its terms."""
         plays = [self._plays(s.rest, s.lag, s.operator, kind, 0) for kind in _ALL[: s.envelopes]]
         parts = [play["w"] for play in plays]
-        parts += [plays[0]["b"].take(range(s.degree)), plays[0]["offset"]]
+        single = self._single(s.rest, s.lag, s.operator, s.degree)
+        parts += [single["rise" if s.operator == "play" else "b"], single["offset"]]
         parts += [self._plays(s.rest, s.lag, s.operator, _ALL[0], s.hardening)["hardening"]] if s.hardening else []
         parts += [
             self._beside(term, s.rest, s.lag) for term in ["creep"] * s.creep + ["viscous", "saturating"][: s.rate]
@@ -265,10 +266,17 @@ class _Bench:
 
     @functools.cache  # noqa: B019  (the bench lives as long as one search)
     def _plays(self, rest: Rest, lag: float, operator: Operator, kind: Envelope, fade: int) -> dict[str, LinearSystem]:
-        """Columns of one envelope by the name of their weights: w, b, offset, and hardening where the weights fade."""
-        model = PrandtlIshlinskii.of(
-            self.plays, max(_DEGREES), envelopes=(kind,), operator=operator, hardening=fade, rest=rest
+        """Columns of one envelope by the name of their weights: w, and hardening where the weights fade."""
+        return self._groups(
+            PrandtlIshlinskii.of(self.plays, envelopes=(kind,), operator=operator, hardening=fade, rest=rest), rest, lag
         )
+
+    @functools.cache  # noqa: B019  (the bench lives as long as one search)
+    def _single(self, rest: Rest, lag: float, operator: Operator, degree: int) -> dict[str, LinearSystem]:
+        """Columns of the single-valued part, and the offset; polynomials of different degree share no columns."""
+        return self._groups(PrandtlIshlinskii.of(1, degree, operator=operator, rest=rest), rest, lag)
+
+    def _groups(self, model: PrandtlIshlinskii, rest: Rest, lag: float) -> dict[str, LinearSystem]:
         problem, system = self._respond(model, rest, lag)
         groups: dict[str, list[int]] = {}
         for k, name in enumerate(problem.space.names):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,6 +17,26 @@ def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."]) ->
     for i in range(n - 1, 0, -1):
         latest, later = coefficients[i] + (2 * i + 1) / (i + 1) * x * latest - (i + 1) / (i + 2) * later, latest
     return coefficients[0] + x * latest - 0.5 * later if n > 1 else coefficients[0] + 0.0 * x
+
+
+def rising_series(increments: Float[Array, " n"], x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """A polynomial of degree n with value 0 at x = 0 that never falls where the increments are >= 0.
+
+    Its Bernstein coefficients are the cumulative sums of the increments; outside 0 <= x <= 1 it goes on as its tangent.
+
+    Args:
+        increments: differences of the Bernstein coefficients, shape (n,); none for zero.
+        x: any shape.
+    """
+    n = increments.shape[0]
+    if n == 0:
+        return jnp.zeros_like(x)
+    within = jnp.clip(x, 0.0, 1.0)
+    level, y = jnp.zeros_like(increments[0]), jnp.zeros_like(x)
+    for k in range(1, n + 1):
+        level = level + increments[k - 1]
+        y = y + math.comb(n, k) * level * within**k * (1.0 - within) ** (n - k)
+    return y + n * (increments[-1] * jnp.maximum(x - 1.0, 0.0) + increments[0] * jnp.minimum(x, 0.0))
 
 
 def derivative_matrix(n: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, SearchStep
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.polynomial import legendre_series
+from hystfit.models.polynomial import legendre_series, rising_series
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -38,7 +38,8 @@ def envelope(kind: Envelope, x: Array) -> Array:
 class PrandtlIshlinskii(AbstractHysteresis):
     """Weighted plays, or stops, of envelopes of the input, and a single-valued polynomial.
 
-        y = offset + sum over e, j of w[e, j] E[e, j] + sum over i >= 1 of b_i P_i(2 x - 1),   x = (u - low) / (high - low)
+        y = offset + sum over e, j of w[e, j] E[e, j] + s(x),   x = (u - low) / (high - low)
+        s(x) = sum over i >= 1 of rise_i (sum over k >= i of B_k(x)) + b_i P_i(2 x - 1)
         p[e, j] <- max(gamma_e(x) - r_j, min(gamma_e(x) + r_j, p[e, j]));   E = p (play) or gamma_e(x) - p (stop)
 
     Plays make the output lag (piezo, magnetics: counter-clockwise loops), stops make it lead (force against displacement of
@@ -47,9 +48,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
     Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that fade with the path that x has run:
     w_h[j] exp(-path / s0) E[0, j], for steel that hardens or softens in its first cycles.
 
-    The output is linear in w, hardening, b and offset; its derivative in the thresholds r has kinks (a play that sticks
-    does not feel its width). Weights w are >= 0: a rising output has an inverse then. Before the record the input rested on `level`, or on
-    the record's first input where rest = "first".
+    The output is linear in w, hardening, rise, b and offset; its derivative in the thresholds r has kinks (a play that sticks
+    does not feel its width). B_k are the Bernstein polynomials of degree n = number of rise_i, continued by straight lines outside
+    0 <= x <= 1: with w, rise >= 0 and no b the output of plays never falls while the input rises, and an inverse exists. `of` therefore
+    gives plays a rising polynomial; stops, whose loops may descend, get Legendre coefficients of either sign. Before the record the input
+    rested on `level`, or on the record's first input where rest = "first".
 
     Raises:
         ModelError: an unknown envelope, operator or rest, or weights whose shape does not fit the thresholds.
@@ -62,7 +65,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
         bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, in parts of the input range"
     )
     b: Float[Array, " degree"] = param(
-        (1.0,), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
+        (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
+    )
+    rise: Float[Array, " degree"] = param(
+        (),
+        bounds=(0.0, np.inf),
+        unit="y",
+        linear=True,
+        doc="increments of the rising single-valued part over the range",
     )
     offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     hardening: Float[Array, " fading"] = param(
@@ -113,7 +123,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
         Args:
             plays: number of thresholds.
-            degree: of the single-valued polynomial.
+            degree: of the single-valued polynomial, which rises where the operator is "play".
             envelopes: of the input, one row of weights each: their names, or 1 (symmetric loops) or 3 (all, for asymmetric loops).
             operator: "play" or "stop".
             hardening: path, in input ranges, over which additional weights fade; 0 for none.
@@ -133,10 +143,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
         r = 0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2
         w = np.full((len(envelopes), plays), 0.01)
         fading = np.zeros(plays if hardening else 0)
+        single = {"rise": np.full(degree, 2.0 / degree)} if operator == "play" else {"b": np.eye(degree)[0]}
         return cls(
             w=w,
             r=r,
-            b=np.eye(degree)[0],
+            **single,
             hardening=fading,
             s0=float(hardening or 3.0),
             envelopes=tuple(envelopes),
@@ -173,6 +184,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
         target = self._envelopes(u)
         return jnp.maximum(target - self.r, jnp.minimum(target + self.r, plays))
 
+    def _single(self, x: Array) -> Array:
+        return legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0) + rising_series(
+            self.rise, x
+        )
+
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: the plays, moved from rest to u0, and with hardening the path run so far."""
         rest = u0 if self.rest == "first" else self.level + 0.0 * u0
@@ -188,8 +204,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         plays = self._move(state[: self.w.size].reshape(self.w.shape), u1)
         elements = self._envelopes(u1) - plays if self.operator == "stop" else plays
         x = self._position(u1)
-        single = legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0)
-        y = self.offset + jnp.sum(self.w * elements) + single
+        y = self.offset + jnp.sum(self.w * elements) + self._single(x)
         if not self.hardening.size:
             return plays.reshape(-1), y
         path = state[-1] + jnp.abs(x - self._position(u0))
@@ -200,19 +215,21 @@ class PrandtlIshlinskii(AbstractHysteresis):
         """Ranges from the samples that count; the weights follow from a linear solve."""
         place, out = fitted_input_range(records), output_range(records)
         w = jnp.full(self.w.shape, 0.2 * out.half / self.w.size)
-        b = jnp.zeros_like(self.b).at[0].set(0.8 * out.half)
+        b = jnp.zeros_like(self.b).at[:1].set(0.8 * out.half)
+        rise = jnp.full(self.rise.shape, 1.6 * out.half / max(self.rise.size, 1))  # equal increments: a straight line
+        offset = out.center - 0.5 * jnp.sum(rise)
         low, high = place.center - place.half, place.center + place.half
         return eqx.tree_at(
-            lambda m: (m.w, m.b, m.offset, m.low, m.high),
+            lambda m: (m.w, m.b, m.rise, m.offset, m.low, m.high),
             self,
-            (w, b, jnp.asarray(out.center), jnp.asarray(low), jnp.asarray(high)),
+            (w, b, rise, offset, jnp.asarray(low), jnp.asarray(high)),
         )
 
     def settings(self) -> dict[str, int | bool | str]:
         """See the base class."""
         count, plays = self.w.shape
         path = round(float(self.s0)) if self.hardening.size else 0
-        shape = {"plays": plays, "degree": self.b.shape[0], "envelopes": count}
+        shape = {"plays": plays, "degree": self.b.size + self.rise.size, "envelopes": count}
         return shape | {"operator": self.operator, "hardening": path, "rest": self.rest}
 
     def with_rest(self, rest: str) -> PrandtlIshlinskii:
@@ -226,7 +243,8 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PlayStep`; a search where the model has envelopes, a bent single-valued part or hardening."""
-        plain = self.envelopes == ("identity",) and self.b.shape[0] == 1 and not self.hardening.size
+        straight = self.b.size <= 1 and self.rise.size <= 1
+        plain = self.envelopes == ("identity",) and straight and not self.hardening.size
         return PlayStep(self) if plain else SearchStep(self, sign)
 
     def c_part(self) -> CPart:
@@ -236,8 +254,15 @@ class PrandtlIshlinskii(AbstractHysteresis):
         hardens = int(bool(self.hardening.size))
         numbers = {"OFFSET": self.offset, "LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
         numbers |= {"FIRST": int(self.rest == "first"), "STOPS": int(self.operator == "stop"), "HARDENS": hardens}
-        numbers |= {"ENVELOPES": int(count), "PLAYS": int(plays), "B": int(self.b.shape[0]) + 1}
+        numbers |= {
+            "ENVELOPES": int(count),
+            "PLAYS": int(plays),
+            "B": int(self.b.size) + 1,
+            "RISE": int(self.rise.size),
+        }
         arrays = {"w": self.w, "r": self.r, "b": np.append(0.0, np.asarray(self.b)), "kinds": np.array(kinds)}
+        if self.rise.size:
+            arrays["rise"] = self.rise
         if hardens:
             numbers["S0"] = self.s0
             arrays["hardening"] = self.hardening
@@ -258,7 +283,7 @@ class PlayStep(AbstractStepInverse):
         """See the base class."""
         pi = self.model
         w, x0 = pi.w[0], (u0 - pi.low) / (pi.high - pi.low)
-        steepness = 2.0 * pi.b[0]
+        steepness = 2.0 * jnp.sum(pi.b) + jnp.sum(pi.rise)
         now = pi.step(state, u0, u0, dt)[1]
         s, way = jnp.where(target < now, -1.0, 1.0), jnp.abs(target - now)
         dead = jnp.maximum(s * (state - x0) + pi.r, 0.0)

@@ -177,7 +177,13 @@ MODELS: dict[str, Entry] = {
     ),
     "saturating-rate": Entry(SaturatingRate, "beside", "force that saturates in the input's rate; needs time"),
     "offset": Entry(Offset, "beside", "a constant for each record"),
-    "relaxation": Entry(Relaxation, "after", "a part of the output follows slowly (curved actuators); needs time"),
+    "relaxation": Entry(
+        Relaxation,
+        "after",
+        "a part of the output follows slowly (curved actuators); needs time",
+        compared_on=("lagging-timed",),
+        compared_as=("bouc-wen+relaxation",),
+    ),
     "second-order": Entry(
         SecondOrder,
         "after",

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 
 from hystfit.quality.drift import like_cycles
-from hystfit.quality.loops import Loop, loop_area, loop_branches
+from hystfit.quality.loops import Loop, closed_loops, loop_area, loop_branches
 
 _SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
+_CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
 
@@ -54,6 +55,9 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     Returns:
         None where there is no loop of at least eight samples.
     """
+    begun = None if len(cycles) else _from_its_end(u, y)
+    if begun is not None:
+        return loop_shape(*begun, closed_loops(begun[0], _CLOSED * float(np.ptp(u))), cycles)
     complete = [loop for loop in loops if loop.start > 0] or loops
     spans = [(loop.start, loop.stop, loop.stroke) for loop in complete]
     closed = bool(spans) and max(stroke for _, _, stroke in spans) > 0.5 * np.ptp(u)
@@ -89,6 +93,15 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         pinching=pinching,
         loops=len(chosen),
     )
+
+
+def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
+    lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= _CLOSED * np.ptp(u)
+    if not 0 < lowest < u.size - 1 or not closes or not abs(y[-1] - y[0]) <= _CLOSED * np.ptp(y):
+        return None
+    turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
+    return turned(u), turned(y)
 
 
 def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float]:

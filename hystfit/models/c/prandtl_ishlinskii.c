@@ -13,6 +13,24 @@ static double @f@_position(double u)
     return (u - @M@_LOW) / (@M@_HIGH - @M@_LOW);
 }
 
+#if @M@_RISE
+/* A polynomial that rises over 0 <= x <= 1, by the Bernstein coefficients; its tangents outside. */
+static double @f@_rising(double x)
+{
+    const double inside = fmax(0, fmin(1, x));
+    double level[@M@_RISE + 1];
+    int i, k;
+    level[0] = 0;
+    for (i = 0; i < @M@_RISE; i++)
+        level[i + 1] = level[i] + @f@_rise[i];
+    for (k = @M@_RISE; k > 0; k--)
+        for (i = 0; i < k; i++)
+            level[i] += inside * (level[i + 1] - level[i]);
+    return level[0] +
+           @M@_RISE * (@f@_rise[@M@_RISE - 1] * fmax(x - 1, 0) + @f@_rise[0] * fmin(x, 0));
+}
+#endif
+
 static double @f@_move(double play, double target, double r)
 {
     return fmax(target - r, fmin(target + r, play));
@@ -43,6 +61,9 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     (void)u0;
 #endif
     (void)dt;
+#if @M@_RISE
+    y += @f@_rising(x);
+#endif
     for (e = 0; e < @M@_ENVELOPES; e++) {
         const double target = @f@_envelope(@f@_kinds[e], x);
         for (j = 0; j < @M@_PLAYS; j++) {
