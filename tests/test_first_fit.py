@@ -5,7 +5,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 from scipy.stats import qmc
 
 import hystfit as hf
@@ -82,6 +81,5 @@ def test_a_descent_from_a_simulation_that_is_not_finite_does_not_converge():
     u = np.sin(np.linspace(0, 20, 100))
     problem = hf.Problem(hf.BoucWen(), hf.Record(u, u + 0.1 * np.sign(np.cos(np.linspace(0, 20, 100)))))
     ended = descend(problem.objective, np.full((1, len(problem.space)), 600.0), rtol=1e-8, atol=1e-10, steps=10)
-    assert not ended.converged[0] or ended.cost[0] == pytest.approx(
-        0.5 * np.sum(problem.misfit(problem.space.physical(ended.z[0])) ** 2)
-    )
+    assert not ended.converged[0]
+    assert ended.cost[0] > 1

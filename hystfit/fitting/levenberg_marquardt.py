@@ -46,7 +46,8 @@ def descend(objective: Objective, starts: np.ndarray, *, rtol: float, atol: floa
     samples, p = objective.batch.u.size, starts.shape[1]
     lanes = int(np.clip(_BYTES // (8 * samples * (p + 1)), 1, _LANES))
     groups = [starts[k : k + lanes] for k in range(0, len(starts), lanes)]
-    ended = [_together(objective, group, lanes, rtol, atol, steps) for group in groups]
+    with np.errstate(over="ignore", invalid="ignore"):  # of simulations that are not finite, whose steps are rejected
+        ended = [_together(objective, group, lanes, rtol, atol, steps) for group in groups]
     return Descents(*(np.concatenate(part) for part in zip(*ended, strict=True)))
 
 
