@@ -11,7 +11,7 @@ export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types tests notebooks experiments measured benchmarks package records clean
+.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks package records versions clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -51,6 +51,10 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
 
+hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, and saves that are killed
+	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
+	$(BIN)/python -m tests.hard.fits
+
 benchmarks: setup  ## speed, as ratios within one run
 	@for run in benchmarks/*.py; do echo "== $$run"; $(BIN)/python $$run || exit 1; done
 
@@ -61,6 +65,18 @@ package: setup  ## build the wheel and check that its data are found without the
 	cd build/wheel && PYTHONPATH=site ../../$(BIN)/python -c "import hystfit, pathlib; \
 	  assert pathlib.Path(hystfit.__file__).is_relative_to(pathlib.Path('site').resolve()), hystfit.__file__; \
 	  print('wheel:', len(hystfit.datasets.load('stage-sine')), 'samples of stage-sine')"
+
+# Tests that touch every dependency. The oldest Python with the oldest versions that pyproject.toml declares, the newest with the newest.
+VERSIONED := tests/test_versions.py tests/test_saved_fits.py tests/test_bouc_wen.py tests/test_params.py
+versions: setup  ## a selection of tests under the oldest and the newest Python and dependencies that are to be had
+	$(BIN)/python -m pip install --quiet 'uv>=0.8'
+	@status=0; for case in "3.11 lowest-direct" "3.13 highest"; do set -- $$case; \
+	  found=$$(UV_PYTHON_DOWNLOADS=never $(BIN)/uv python find $$1 2>/dev/null) || { echo "skipped: no Python $$1 on this machine"; continue; }; \
+	  echo "== Python $$1, $$2"; env=build/versions/$$1; \
+	  $(BIN)/uv venv --quiet --clear --python $$found $$env && \
+	  $(BIN)/uv pip install --quiet --resolution $$2 --python $$env/bin/python --editable '.[bayes,files,frames]' \
+	    'pytest>=9.0' 'pytest-timeout>=2.4' 'beartype>=0.22' 'hypothesis>=6.130' && \
+	  $$env/bin/python -m pytest -q -o filterwarnings=default -m "not slow" $(VERSIONED) || status=1; done; exit $$status
 
 records: setup  ## rewrite the bundled records
 	$(BIN)/python data/make.py

@@ -24,6 +24,7 @@ import numpy as np
 import scipy.signal
 
 import hystfit as hf
+from hystfit.sampling.bend import BEND
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Nuts
@@ -55,9 +56,11 @@ def record(samples: int, slow: bool = False) -> hf.Record:
 def peer_density(q, center, factor, u, y, scales, wide):
     """Log posterior of one walker up to a constant: the library's parametrization, priors and semi-implicit step in a plain loop."""
     z = center + factor @ q
-    logistic = 1.0 / (1.0 + np.exp(-z))
-    c, mu, tau = scales[0] * np.exp(z[0]), logistic[1], scales[2] * np.exp(z[2])
-    rho, offset, sigma = 2.0 * logistic[3] - 1.0, scales[4] * z[4], scales[5] * np.exp(z[5])
+    # mu and rho have two bounds: linear inside, see hystfit.sampling.bend.
+    a, far = (z / 4 + 0.5) / BEND, 1 / BEND
+    part = BEND * (np.log1p(np.exp(a)) - np.log1p(np.exp(a - far)))
+    c, mu, tau = scales[0] * np.exp(z[0]), part[1], scales[2] * np.exp(z[2])
+    rho, offset, sigma = 2.0 * part[3] - 1.0, scales[4] * z[4], scales[5] * np.exp(z[5])
     m, up, down = mu * c, tau * (1 + rho), tau * (1 - rho)
     highest = m / up
     h, total = 0.0, 0.0
@@ -73,7 +76,8 @@ def peer_density(q, center, factor, u, y, scales, wide):
         h = s * min(max(new, min(g, highest)), max(g, highest))
         total += (offset + c * u[k] - h - y[k]) ** 2
     prior = -0.5 * (z[0] ** 2 + z[2] ** 2 + z[5] ** 2) / 9.0 - 0.5 * (offset / wide) ** 2
-    prior += np.log(logistic[1] * (1 - logistic[1])) + np.log(logistic[3] * (1 - logistic[3]))
+    slopes = 1 / (1 + np.exp(-a)) - 1 / (1 + np.exp(far - a))
+    prior += np.log(slopes[1]) + np.log(slopes[3])
     return prior - 0.5 * total / sigma**2 - u.size * np.log(sigma)
 
 

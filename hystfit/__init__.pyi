@@ -1,6 +1,8 @@
 """The public names and their modules: the only list, read by `__init__.py` and by type checkers."""
 
 from . import signals as signals
+from .batch.fits import Fits as Fits
+from .batch.many import fit_many as fit_many
 from .config import enable_x64 as enable_x64
 from .control.bands import inverse_bands as inverse_bands
 from .control.inverse import Inverse as Inverse

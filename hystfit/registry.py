@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import importlib
 import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from hystfit.errors import HystfitError, ParameterError
@@ -73,7 +75,8 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
     def label(self, choice: Any) -> str:
         """A choice as text that `find` accepts: the name of an entry, or file.py:Class of a user's own class or object."""
         if isinstance(choice, str):
-            return choice
+            path, _, name = choice.rpartition(":")
+            return f"{Path(path).resolve()}:{name}" if path.endswith(".py") else choice
         kind = choice if isinstance(choice, type) else type(choice)
         named = [name for name, entry in self._entries.items() if entry == f"{kind.__module__}:{kind.__name__}"]
         return named[0] if named else f"{file_of(kind)}:{kind.__name__}"
@@ -105,8 +108,12 @@ def attribute(place: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
+_PREFIX = "user_file_"
+_executed: dict[tuple[Path, str], ModuleType] = {}  # files of the user's, by path and SHA-256 of what was run
+
+
 def class_from_file(path: str, name: str, base: type, error: type[HystfitError] = ParameterError) -> type:
-    """A class from a Python file of the user's. The file is executed.
+    """A class from a Python file of the user's. The file is executed, once in a process for the same content.
 
     Args:
         path: of the file.
@@ -117,24 +124,69 @@ def class_from_file(path: str, name: str, base: type, error: type[HystfitError] 
     Raises:
         HystfitError: the file cannot be read or run, or holds no such class; the message lists those that it holds.
     """
-    file = Path(path)
+    file = Path(path).resolve()
     if not file.is_file():
         raise error(f"no file {path!r} with a {base.__name__.removeprefix('Abstract')}")
-    spec = importlib.util.spec_from_file_location(f"user_file_{file.stem}", file.resolve())
-    if spec is None or spec.loader is None:
-        raise error(f"{path!r} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses and the saved description look up the module of a class there
     try:
-        spec.loader.exec_module(module)
+        module = in_process(file) or _execute(file)
     except Exception as failure:
-        del sys.modules[spec.name]
         raise error(f"{path} does not run: {type(failure).__name__}: {failure}") from failure
     found = getattr(module, name, None)
     if not (isinstance(found, type) and issubclass(found, base)):
         classes = [k for k, v in vars(module).items() if isinstance(v, type) and issubclass(v, base) and v is not base]
         raise error(f"{path} has no class {name!r} of this kind; it has {classes}{near(name, classes)}")
     return found
+
+
+def _execute(file: Path) -> ModuleType:
+    """Run a file as a module. Its text is run, never a compiled copy in __pycache__, which its SHA-256 does not cover."""
+    source = file.read_bytes()
+    place = hashlib.sha256(str(file).encode()).hexdigest()[:8]  # files of one name in two folders are two modules
+    spec = importlib.util.spec_from_file_location(f"{_PREFIX}{file.stem}_{place}", file)
+    if spec is None:
+        raise ImportError("it is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    before = sys.modules.get(spec.name)
+    sys.modules[spec.name] = module  # dataclasses and the saved description look up the module of a class there
+    try:
+        exec(compile(source, str(file), "exec", dont_inherit=True), vars(module))
+    except BaseException:
+        if before is None:
+            del sys.modules[spec.name]
+        else:
+            sys.modules[spec.name] = before
+        raise
+    _executed[file, hashlib.sha256(source).hexdigest()] = module
+    return module
+
+
+def in_process(file: Path) -> ModuleType | None:
+    """The module that this process already has of a file, as a script, by an import or by `class_from_file`; None where it has none.
+
+    A file that has changed since `class_from_file` ran it counts as another one.
+    """
+    for module in list(sys.modules.values()):
+        place = getattr(module, "__file__", None)
+        imported = not getattr(module, "__name__", _PREFIX).startswith(_PREFIX)
+        if imported and place and Path(place).name == file.name and Path(place).resolve() == file:
+            return module
+    return _executed.get((file, file_digest(file) or ""))
+
+
+def code_digest(kind: type) -> str | None:
+    """SHA-256 of the file of a class, as it was run; None for a class that was typed into an interpreter."""
+    for (_, digest), module in _executed.items():
+        if getattr(module, kind.__name__, None) is kind:
+            return digest
+    return file_digest(Path(file_of(kind)))
+
+
+def file_digest(file: Path) -> str | None:
+    """SHA-256 of a file; None where it cannot be read."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return None
 
 
 def refuse_unfinished(kind: type, error: type[HystfitError] = ParameterError) -> None:

@@ -16,6 +16,7 @@ import hystfit as hf
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.inference.priors import LogNormal, priors_around
 from hystfit.params.space import ParameterSpace
+from hystfit.runs import pool
 from hystfit.uncertainty import replicate_pool
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 
@@ -122,7 +123,6 @@ def test_a_damaged_chunk_is_made_again(honest, damage):
 
 
 def test_a_chunk_that_breaks_is_told_and_not_kept(honest, tmp_path, monkeypatch):
-    from hystfit.uncertainty import replicate_pool
 
     run_chunk = replicate_pool.run_chunk
 
@@ -183,7 +183,7 @@ def test_dask_workers_that_are_not_there_end_a_study_and_keep_its_chunks(
     monkeypatch, tmp_path, workers, leave, message
 ):
     # Tasks that no worker takes wait for ever.
-    monkeypatch.setattr(replicate_pool, "_PATIENCE", 2.0)
+    monkeypatch.setattr(pool, "_PATIENCE", 2.0)
     with dask(workers, processes=False) as cluster:
         told = lambda line: threading.Thread(target=leave, args=[cluster]).start() if line.startswith("1 of") else None
         with pytest.raises(DataError, match=message):

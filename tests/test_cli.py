@@ -73,7 +73,7 @@ def fitted(folder, loop) -> Path:
 
 def test_fit_finds_the_truth_and_writes_the_contract(fitted):
     result = strict((fitted / "result.json").read_text())
-    assert result["schema"] == "hystfit.fit/2"
+    assert result["schema"] == "hystfit.fit/3"
     assert result["status"] == "ok"
     for name, truth in TRUTH.items():
         found = result["parameters"][name]
@@ -88,7 +88,7 @@ def test_fit_finds_the_truth_and_writes_the_contract(fitted):
     assert (result["metrics"]["train"]["n"], result["metrics"]["test"]["n"]) == (160, 80)
     assert set(result["timing"]) == {"compile_s", "run_s"}
     assert result["provenance"]["records"][0]["file_sha256"]
-    names = {"report.html", "report.txt", "model.json", "records.npz"}
+    names = {"report.html", "report.txt", "model.json", "records.npz", "manifest.json"}
     names |= {
         f"{k}.{e}"
         for k in ("loop", "series", "residuals", "autocorrelation", "parameters", "test")
@@ -412,7 +412,7 @@ def test_a_damaged_fit_is_refused(fitted, folder, capsys):
         "{",
         '{"schema": "other/1"}',
         '{"schema": "hystfit.fit/1"}',
-        '{"schema": "hystfit.fit/2"}',
+        '{"schema": "hystfit.fit/3"}',
         "[]",
         *by_hand,
     ):

@@ -67,7 +67,7 @@ def fitted(process, folder) -> Path:
 
 def test_fit_finds_the_truth(fitted):
     content = json.loads((fitted / "result.json").read_text())
-    assert (content["schema"], content["status"]) == ("hystfit.fit/2", "ok")
+    assert (content["schema"], content["status"]) == ("hystfit.fit/3", "ok")
     for name, truth in TRUTH.items():
         found = content["parameters"][name]
         assert abs(found["value"] - truth) < 5 * found["stderr"] < truth

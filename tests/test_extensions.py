@@ -148,7 +148,7 @@ class RandomWalk(AbstractSampler):
         q, log_density, accepted = chains(setup.target, jax.random.split(jax.random.key(seed), self.chains))
         report(f"{self.chains * self.draws} draws", 1.0)
         q, log_density, accepted = (np.asarray(v)[:, self.warmup :] for v in (q, log_density, accepted))
-        z = np.asarray(setup.target.center) + q @ np.asarray(setup.target.factor).T
+        z = np.asarray(setup.target.unwhitened(q))
         return Raw(z, log_density, {"acceptance": accepted.astype(float)})
 '''
 
@@ -274,8 +274,14 @@ def test_the_same_at_the_shell(folder, fitted):
     assert content["problem"]["noise"]["parameters"]["noise_echo"] == pytest.approx(ECHO, abs=0.15)
     sampler = ("--sampler", "my_sampler.py:RandomWalk", "--draws", "6000", "--chains", "4", "--warmup", "300")
     ended = shell(folder, "sample", "fit", *noise, *sampler, "--out", "draws")
+    assert ended.returncode == 2  # the fit names a file that would be run
+    ended = shell(folder, "sample", "fit", "--trust", *noise, *sampler, "--out", "draws")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     content = json.loads((folder / "draws" / "result.json").read_text())
-    assert (content["status"], content["sampler"], content["noise"]) == ("ok", "random-walk", noise[1])
-    ended = shell(folder, "sample", "fit", "--sampler", "my_sampler.py:Missing")
+    assert (content["status"], content["sampler"], content["noise"]) == (
+        "ok",
+        "random-walk",
+        str(folder.resolve() / noise[1]),
+    )
+    ended = shell(folder, "sample", "fit", "--trust", "--sampler", "my_sampler.py:Missing")
     assert ended.returncode == 2

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
+import scipy.special
 import scipy.stats
 
 import hystfit as hf
@@ -24,6 +25,7 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
+from hystfit.sampling.bend import bent, log_slope, unbent
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.files import load_posterior
@@ -58,7 +60,7 @@ def test_density_is_likelihood_prior_and_jacobian(fitted):
     map_out = eqx.filter_jit(lambda z: target.density.physical(z))
     physical = lambda z: np.asarray(map_out(jnp.asarray(z)))
     for shift in (0.0, 0.3):
-        z = target.center + shift * target.factor[:, 0]
+        z = target.unwhitened(jnp.zeros(target.center.size).at[0].set(shift))
         x = dict(zip(setup.names, physical(z), strict=True))
         model = hf.BoucWen(c=x["c"], mu=x["mu"], tau=x["tau"], rho=0.5, offset=x["offset"])
         want = scipy.stats.norm.logpdf(record.y, np.asarray(hf.simulate(model, record.u)[0]), x["noise_white"]).sum()
@@ -84,11 +86,29 @@ def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
     assert "40" in prepare(fitted, noise="ou", priors={"noise_time": own}).describe_priors()["noise_time"]
 
 
+def test_coordinates_for_sampling_are_linear_inside_two_bounds_and_logistic_in_the_tails():
+    both = jnp.asarray([True, False])
+    v = np.linspace(-4.5, 4.5, 181)
+    rows = jnp.asarray(np.stack([v, v], 1))
+    z = np.asarray(jax.vmap(lambda row: unbent(row, both))(rows))
+    np.testing.assert_array_equal(z[:, 1], v)
+    np.testing.assert_allclose(np.asarray(jax.vmap(lambda row: bent(row, both))(jnp.asarray(z))), rows, atol=1e-9)
+    part = scipy.special.expit(z[:, 0])  # of the interval
+    inside = np.abs(v) < 1.0
+    np.testing.assert_allclose(part[inside], v[inside] / 4 + 0.5, atol=1e-3)
+    tail = v < -3.5
+    np.testing.assert_allclose(
+        np.diff(z[tail, 0]) / np.diff(v[tail]), 5.0, rtol=0.01
+    )  # exponential in v, as far as z goes
+    slopes = [float(log_slope(row, both)) for row in rows[1:-1]]
+    np.testing.assert_allclose(np.exp(slopes), (z[2:, 0] - z[:-2, 0]) / (v[2:] - v[:-2]), rtol=0.01)
+
+
 def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
     target = prepare(fitted, noise="ou").target
     value = eqx.filter_jit(lambda q: target(q))
     slope = eqx.filter_jit(jax.grad(lambda q: target(q)))
-    lean = eqx.filter_jit(lambda q: target.density.log_density(target.unwhitened(q), lean=True))
+    lean = eqx.filter_jit(lambda q: target.log_density(target.center + target.factor @ q, lean=True))
     rng = np.random.default_rng(0)
     for _ in range(3):
         q = jnp.asarray(rng.normal(size=target.center.size))
@@ -123,7 +143,7 @@ def test_banana_in_two_dimensions_agrees_with_a_grid(fitted):
     x = np.array([at_truth.get(name, value) for name, value in zip(fit.free_names, fit.x, strict=True)])
     centered = dataclasses.replace(fit, x=x)
     setup = prepare(centered, noise="iid", priors=own)
-    z, at = setup.target.center, [setup.names.index(name) for name in ("mu", "tau")]
+    z, at = setup.target.unwhitened(jnp.zeros(len(setup.names))), [setup.names.index(name) for name in ("mu", "tau")]
     scale = setup.problem.scales.size("1/u")
     axes = [np.linspace(-4, 4, 141), np.log(np.geomspace(0.02, 100.0, 141) / scale)]  # logit of mu, log of tau
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
@@ -193,7 +213,7 @@ def test_saved_and_read_back(posterior, tmp_path):
     made = again.provenance
     assert made["fit"]["date"] == posterior.result.provenance["date"] <= made["date"]
     assert (made["seed"], made["records"]) == (posterior.seed, posterior.result.provenance["records"])
-    with pytest.raises(DataError, match="not a posterior"):
+    with pytest.raises(DataError, match="holds no posterior"):
         load_posterior(tmp_path)
 
 
@@ -238,7 +258,7 @@ def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(poste
     fit = hf.fit("prandtl-ishlinskii:plays=40", hf.Record(u, y, t))
     names = fit.problem.space.names
     weights = fit.problem.space.weights
-    assert weights.sum() == 40
+    assert weights.sum() == 41  # the plays and the slope
     plain = {name for name, weight in zip(names, weights, strict=True) if not weight}
     for count, shown in ((30, 12), (3, 5)):
         draws = np.random.default_rng(1).normal(size=(2, count, len(names)))

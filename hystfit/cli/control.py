@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Output, Reading, input_limits
+from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Output, Reading, Trust, input_limits
 from hystfit.cli.records import load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, write_csv, written
 from hystfit.errors import DataError
@@ -25,6 +25,7 @@ def invert(
     /,
     *,
     limits: Limits = None,
+    trust: Trust = False,
     reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
 ) -> int:
@@ -41,11 +42,11 @@ def invert(
     from hystfit.results.result import provenance
 
     sampled = (fitdir / "posterior.nc").is_file()
-    result = open_fit(fitdir / "fit" if sampled else fitdir, output)
+    result = open_fit(fitdir / "fit" if sampled else fitdir, output, trust)
     target = result.in_own_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
-    bands = _bands(fitdir, target.y, dt, span) if sampled else None
+    bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None
     inverse = solve(result, target.y, dt, limits=span) if bands is None else bands.given
     status = Status.OK if inverse.ok else Status.MISSED
     notes = [warn(Code.MISSED, str(note)) for note in inverse.notes()]
@@ -99,12 +100,12 @@ def _target(path: str, reading: Reading) -> Record:
     return data[0]
 
 
-def _bands(folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None) -> InverseBands:
+def _bands(folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None, trust: bool) -> InverseBands:
     from hystfit.control.bands import inverse_bands
     from hystfit.sampling.files import load_posterior
 
     with progress("inverting by draws"):
-        return inverse_bands(load_posterior(folder), reference, dt, limits=limits)
+        return inverse_bands(load_posterior(folder, trust=trust), reference, dt, limits=limits)
 
 
 def _summary(bands: InverseBands) -> dict[str, Any]:
@@ -150,7 +151,9 @@ def _write_inverse(
     write_csv(path, time | run | edges)
 
 
-def export(fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: Limits = None) -> int:
+def export(
+    fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: Limits = None, trust: Trust = False
+) -> int:
     """Write a fitted model and its inverse as C99 with fixed memory, and a test program.
 
     Args:
@@ -160,7 +163,7 @@ def export(fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: L
     from hystfit.control.export import export_c
 
     span = input_limits(limits)
-    result = open_fit(fitdir, Output(out=c))
+    result = open_fit(fitdir, Output(out=c), trust)
     files = export_c(result, c, name=name, limits=span)
     print(written(c, [file.name for file in files]).lstrip())
     print(_limits_line(result, span).strip())

@@ -63,7 +63,7 @@ def fit(
         starts: number of starting points.
         seed: random seed for the starting points.
     """
-    output.check(fit=True)
+    output.check("hystfit.fit")
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
     }  # fmt: skip

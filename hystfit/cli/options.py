@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypeVar
 
 from cyclopts import Group, Parameter
 
-from hystfit.errors import DataError, HystfitError, ParameterError
+from hystfit.errors import DataError, ParameterError
 
 F = TypeVar("F", bound=Callable[..., int])
 FILE = Group("Reading the file", sort_key=1)
@@ -18,6 +18,10 @@ Text = Annotated[str | None, Parameter(group=FILE)]
 Part = Annotated[str | None, Parameter(group=SPLIT)]
 Flag = Annotated[bool, Parameter(group=SPLIT)]
 FitFolder = Annotated[Path, Parameter(help="folder written by `hystfit fit --out`")]
+Trust = Annotated[
+    bool,
+    Parameter(help="open a fit that runs a Python file of yours, or whose files were edited after they were saved"),
+]
 Loop = Annotated[
     str,
     Parameter(
@@ -66,7 +70,7 @@ class Reading:
         by: column whose values separate several curves in one file.
         only: which curves: values (3,4) or positions from 0 (1::4).
         where: rows to read, as column=value.
-        gaps: "split" makes a record of each piece where the input is missing; "error" refuses.
+        gaps: "split" makes a record of each piece where the input is missing, "drop" joins the pieces; "error" refuses.
         sheet: sheet of a workbook.
         delimiter: column delimiter; recognized by default.
         decimal: decimal mark, "." or ",".
@@ -127,25 +131,22 @@ class Output:
     out: Path | None = None
     json: Annotated[bool, Parameter(name="--json")] = False
 
-    def check(self, *, fit: bool = False) -> None:
-        """Fail before long work where the result could not be written after it, or would replace a saved fit.
+    def check(self, own: str = "") -> None:
+        """Fail before long work where the result could not be written after it, or would replace another one.
 
         Args:
-            fit: whether the result is a fit, or belongs to the fit in the folder.
+            own: schema of the result without its number, where it may replace a fit or a posterior of its own kind.
 
         Raises:
-            HystfitError: `out` cannot be written, or holds a fit.
+            HystfitError: `out` cannot be written, or holds something else.
         """
         if self.out is None:
             return
         from hystfit.results.folders import check_writable
-        from hystfit.results.saved import holds_fit
+        from hystfit.results.saved import check_target
 
+        check_target(self.out, own)
         check_writable(self.out)
-        if not fit and holds_fit(self.out):
-            raise HystfitError(
-                f"{str(self.out)!r} holds a fit, whose result.json would be overwritten: choose another folder"
-            )
 
 
 DEFAULT_READING, NO_SPLIT, STDOUT = Reading(), Split(), Output()

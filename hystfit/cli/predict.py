@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, bounds_of
+from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, Trust, bounds_of
 from hystfit.cli.records import load, load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, record_columns, show, write_csv, written
 from hystfit.errors import DataError
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
 
-def report(folder: FitFolder, /, *, output: Output = STDOUT) -> int:
+def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOUT) -> int:
     """Print the report of a saved fit and draw its pictures and HTML page again.
 
     They are written into --out, or into the folder of the fit.
     """
+    from hystfit.results.folders import check_writable
     from hystfit.results.report import write
     from hystfit.results.saved import load_fit
 
-    result = load_fit(folder)
+    result = load_fit(folder, trust=trust)
     target = output.out or folder
-    Output(out=target).check(fit=True)
+    check_writable(target)
     with progress("drawing"):
         write(result, target)
     show(str(result) + written(target, ["report.html", "report.txt", "pictures"]), result.to_dict(), output.json)
@@ -43,6 +44,7 @@ def predict(
     input_only: Annotated[bool, Parameter(group=SPLIT)] = False,
     window: Part = None,
     refit_offset: Annotated[bool, Parameter(group=SPLIT)] = False,
+    trust: Trust = False,
     reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
 ) -> int:
@@ -55,7 +57,7 @@ def predict(
         window: compare only the samples in start:stop.
         refit_offset: shift the prediction to the mean of the measurement (another zero of the sensor).
     """
-    result = open_fit(fitdir, output)
+    result = open_fit(fitdir, output, trust)
     if input_only and reading.output is not None:
         raise DataError("--output and --input-only exclude each other")
     if input_only:

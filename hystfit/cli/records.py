@@ -16,16 +16,22 @@ if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
 
-def open_fit(folder: Path, output: Output) -> FitResult:
+def open_fit(folder: Path, output: Output, trust: bool, own: str = "") -> FitResult:
     """The saved fit of a folder, after a check that the result can be written.
+
+    Args:
+        folder: of the fit.
+        output: where the result of the verb goes.
+        trust: see `hystfit.load_fit`.
+        own: see `Output.check`.
 
     Raises:
         HystfitError: no fit, or see `Output.check`.
     """
     from hystfit.results.saved import load_fit
 
-    result = load_fit(folder)
-    output.check()
+    result = load_fit(folder, trust=trust)
+    output.check(own)
     return result
 
 

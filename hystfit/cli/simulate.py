@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.catalog import finish_table
-from hystfit.cli.options import STDOUT, Output, lists, named_values
+from hystfit.cli.options import STDOUT, Output, Trust, lists, named_values
 from hystfit.cli.write import items, record_columns
 from hystfit.errors import DataError, ParameterError
 from hystfit.outcome import Table
@@ -34,6 +34,7 @@ def simulate(
     seed: int = 0,
     axes: int = 1,
     drive: str | None = None,
+    trust: Trust = False,
     output: Output = STDOUT,
     **shape: str,
 ) -> int:
@@ -67,7 +68,7 @@ def simulate(
     t, u, curve, used = _drive(signal, shape, what, seed)
     values = named_values(set or [])
     if axes == 1:
-        record = _respond(what, t, u, values, noise, seed, signal)
+        record = _respond(what, t, u, values, noise, seed, signal, trust)
         data, notes, extra = [record], record.notes, {}
         columns = record_columns(Dataset.of(record)) | ({} if curve is None else {"curve": curve})
         reach = {"u": record.u, "y": record.y}
@@ -172,7 +173,14 @@ def _value(name: str, text: str) -> Any:
 
 
 def _respond(
-    what: str, t: Any, u: Any, values: dict[str, float | None], noise: float | None, seed: int, signal: str
+    what: str,
+    t: Any,
+    u: Any,
+    values: dict[str, float | None],
+    noise: float | None,
+    seed: int,
+    signal: str,
+    trust: bool,
 ) -> Record:
     """The record of one actuator of the stage, of a model, or of a fit."""
     import numpy as np
@@ -189,7 +197,7 @@ def _respond(
             actuator = Actuator(model=_changed(actuator.model, values), sensor=actuator.sensor)
         return actuator.record(t, u, seed=seed, name=name)
     if Path(what).is_dir():
-        result = load_fit(what)
+        result = load_fit(what, trust=trust)
         model, units = result.model, {f"{k}_unit": v for k, v in result.data.units.items()}
     else:
         model = make_model(what)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
-from hystfit.cli.options import STDOUT, FitFolder, Output, lists
+from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
 from hystfit.cli.write import finish, named, progress, save_figure, write_csv
 from hystfit.inference.noise.registry import NOISES
@@ -33,6 +33,7 @@ def sample(
     walkers: int | None = None,
     live: int | None = None,
     seed: int = 0,
+    trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
     """Sample the posterior of a saved fit.
@@ -55,7 +56,7 @@ def sample(
     """
     from hystfit.sampling.sample import sample as draw
 
-    result = open_fit(fitdir, output)
+    result = open_fit(fitdir, output, trust, "hystfit.sample")
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
     run = None if output.out is None else output.out / "run"
@@ -105,6 +106,7 @@ def profile(
     parameter: list[str] | None = None,
     noise: str = "auto",
     level: float = 0.95,
+    trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
     """Confidence limits of the parameters of a saved fit by profile likelihood.
@@ -118,14 +120,16 @@ def profile(
     """
     from hystfit.uncertainty.profiles import profile as follow
 
-    result = open_fit(fitdir, output)
+    result = open_fit(fitdir, output, trust)
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
     save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
     return finish(str(profiles), profiles.to_dict(), output, save)
 
 
-def errors(fitdir: FitFolder, /, *, block: int | None = None, seed: int = 0, output: Output = STDOUT) -> int:
+def errors(
+    fitdir: FitFolder, /, *, block: int | None = None, seed: int = 0, trust: Trust = False, output: Output = STDOUT
+) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
 
     With --out, the folder holds errors.txt.
@@ -136,7 +140,7 @@ def errors(fitdir: FitFolder, /, *, block: int | None = None, seed: int = 0, out
     """
     from hystfit.uncertainty.robust_errors import standard_errors
 
-    result = open_fit(fitdir, output)
+    result = open_fit(fitdir, output, trust)
     table = standard_errors(result, block=block, seed=seed)
     save = lambda folder: (folder / "errors.txt").write_text(f"{table}\n", encoding="utf-8")
     return finish(str(table), table.to_dict(), output, save)
@@ -155,6 +159,7 @@ def calibrate(
     seed: int = 0,
     workers: int = 1,
     scheduler: str | None = None,
+    trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
     """Check by simulation whether the error bars of a saved fit hold. Exit status 1: they do not, or there are too few replicates.
@@ -175,7 +180,7 @@ def calibrate(
     from hystfit.results.result import provenance
     from hystfit.uncertainty.calibration import calibrate as study
 
-    result = open_fit(fitdir, output)
+    result = open_fit(fitdir, output, trust)
     with progress("calibrating") as update:
         calibration = study(
             result.model,
@@ -216,6 +221,7 @@ def design(
     aim: list[str] | None = None,
     method: Literal["families", "gradient"] = "gradient",
     seed: int = 0,
+    trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
     """Propose the next input within the limits of the actuator, which reduces the errors most.
@@ -232,7 +238,7 @@ def design(
     """
     from hystfit.uncertainty.input_design import design as propose
 
-    result = open_fit(fitdir, output)
+    result = open_fit(fitdir, output, trust)
     with progress("designing"):
         proposal = propose(result, low=low, high=high, samples=samples, aim=aim, method=method, seed=seed)
     record, step, u = result.data[0], proposal.dt, proposal.best.u

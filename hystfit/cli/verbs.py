@@ -11,6 +11,7 @@ import re
 VERBS = {
     "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
+    "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
     "check": ("check:check", "Check the quality of a record and which models it can determine."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
     "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),
@@ -29,7 +30,7 @@ VERBS = {
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
 }
 # A value that is not quoted is left alone: records are called by column=value, too.
-_ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|(?![\w'\"({\[.+-]))")
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
 
 
 def place(verb: str) -> str:
@@ -51,7 +52,7 @@ def option_names() -> frozenset[str]:
 
 
 def as_options(message: str) -> str:
-    """A message of the library in the words of the shell: gaps='split' is --gaps split, and time=False --time none."""
+    """A message of the library in the words of the shell: gaps='split' is --gaps split, time=False --time none, trust=True --trust."""
 
     def option(match: re.Match[str]) -> str:
         if match[1] not in option_names():

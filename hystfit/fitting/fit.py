@@ -84,29 +84,91 @@ def fit(
         return result if test is None else with_test(result, test)
     if settings:
         raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
-    _check_settings(method, starts, loss, noise, start)
+    check_settings(method, starts, loss, noise, start)
+    posed = pose(
+        model, data, method=method, fix=fix, free=free, start=start, loss=loss, held=not named, notes=tuple(notes)
+    )
+    estimate = solve(posed.problem, posed.method, starts, seed, posed.points)
+    result = judge(posed, estimate, noise=noise, seed=seed, watch=watch)
+    return result if test is None else with_test(result, test)
+
+
+@dataclasses.dataclass(frozen=True)
+class Posed:
+    """A fit that is ready to be solved.
+
+    Attributes:
+        problem: what is fitted.
+        method: an estimator or its name.
+        points: models to start from, the best first.
+        notes: of choices made on the way.
+    """
+
+    problem: Problem
+    method: str | AbstractEstimator
+    points: tuple[AbstractHysteresis, ...]
+    notes: tuple[Note, ...] = ()
+
+
+def pose(
+    model: AbstractHysteresis,
+    data: Dataset,
+    *,
+    method: str | AbstractEstimator = "auto",
+    fix: Sequence[str] | Mapping[str, Any] = (),
+    free: Sequence[str] = (),
+    start: Literal["data", "model"] = "data",
+    loss: Loss = "linear",
+    held: bool = False,
+    notes: tuple[Note, ...] = (),
+) -> Posed:
+    """Collect what a fit needs before it is solved: the problem, its estimator and starting points.
+
+    Args:
+        model: what is fitted.
+        data: the records.
+        method, fix, free, start, loss: see `hystfit.fit`.
+        held: whether parameters in `fix` without a value keep that of the model where starting values are read off the data.
+        notes: of choices made before.
+    """
     check_fittable(model, data)
     points: tuple[AbstractHysteresis, ...] = (model,)
     if start == "data":
-        fix = fix if named else _held(model, fix)
+        fix = _held(model, fix) if held else fix
         problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
+        model = points[0]
     else:
         problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
     if name == "convex" and start == "data" and model.has_rest:
-        problem, notes = _choose_rest(problem, fix, free, loss)
-    estimate = solve(problem, name, starts, seed, points)
+        problem, of_rest = _choose_rest(problem, fix, free, loss)
+        notes = (*notes, *of_rest)
+    return Posed(problem, name, points, notes)
+
+
+def judge(
+    posed: Posed, estimate: Estimate, *, noise: str | type[AbstractNoise], seed: int, watch: Stopwatch
+) -> FitResult:
+    """The result of a solved fit: standard errors under the noise, and the verdict.
+
+    Args:
+        posed: what was solved.
+        estimate: where the fit ended.
+        noise: see `hystfit.fit`.
+        seed: of the starting points.
+        watch: started with the fit.
+    """
+    problem, notes = posed.problem, list(posed.notes)
     if noise in ("auto", "iid"):
         errors = uncertainty(problem, estimate, correlated=noise == "auto")
         slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
         noise_estimate = NoiseEstimate(str(noise), slow.noise.parameters if slow else {})
     else:
         estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
-        notes = [*notes, description]
-    notes = [*notes, *_mismatches(errors, noise, problem.scales.y)]
-    label = ESTIMATORS.label(name)
-    result = conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
-    return result if test is None else with_test(result, test)
+        notes.append(description)
+    notes += _mismatches(errors, noise, problem.scales.y)
+    label = ESTIMATORS.label(posed.method)
+    return conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
 
 
 def started_problem(
@@ -175,7 +237,15 @@ def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: flo
     ]
 
 
-def _check_settings(method: Any, starts: int, loss: str, noise: Any, start: str) -> None:
+def check_settings(method: Any, starts: int, loss: str, noise: Any, start: str) -> None:
+    """Refuse settings that no data can be fitted with.
+
+    Args:
+        method, starts, loss, noise, start: see `hystfit.fit`; no sequential method.
+
+    Raises:
+        ParameterError: one of them is unknown.
+    """
     if method != "auto" and not isinstance(method, AbstractEstimator):
         ESTIMATORS.find(method)
     if noise != "auto":
@@ -216,14 +286,24 @@ def solve(
     Raises:
         ParameterError: nothing is free.
     """
+    estimator = ESTIMATORS.make(method)
+    return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))
+
+
+def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[AbstractHysteresis] = ()) -> np.ndarray:
+    """Starting points of shape (S, p) in unconstrained coordinates; arguments and errors as for `solve`.
+
+    Args:
+        problem: what to fit.
+        count: of the points at most.
+        seed: of the hypercube.
+        points: models to start from, the best first.
+    """
     if not len(problem.space):
         raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
-    estimator = ESTIMATORS.make(method)
-    count = starts if estimator.needs_starts else 1
     models = points[:count] or (problem.model,)
-    begin = _settled if estimator.needs_starts or not _solves_offsets(problem) else _inside
-    at = [problem.space.unconstrained(begin(problem, problem.space.vector(model))) for model in models]
-    return estimator.estimate(problem, np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed))
+    at = [problem.space.unconstrained(_settled(problem, problem.space.vector(model))) for model in models]
+    return np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed)
 
 
 def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
@@ -233,19 +313,8 @@ def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
         system = LinearSystem.of(problem, x, per_record)
         x = x.copy()
         x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
-    return _inside(problem, x)
-
-
-def _inside(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Starting values inside their bounds."""
     c = problem.space.coordinates
     return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
-
-
-def _solves_offsets(problem: Problem) -> bool:
-    """Whether each record's own linear parameters are free or >= 0: a closed-form solve for all weights needs no start for them."""
-    own = [info.bounds for info in problem.space.infos if info.per_record and info.linear]
-    return all(high == np.inf and low in (0.0, -np.inf) for low, high in own)
 
 
 def _choose_rest(
@@ -355,15 +424,15 @@ def parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple
         errors: their standard errors.
     """
     space, c = problem.space, problem.space.coordinates
-    low, high = np.asarray(c.lower), np.asarray(c.upper)
     finite = lambda value: float(value) if np.isfinite(value) else None
     variance, sides = np.diag(errors.covariance), problem.at_bound(x)
+    lowest, highest = np.asarray(c.lower), np.asarray(c.upper)
     rows = []
     for k, name in enumerate(space.names):
         error = float(np.sqrt(variance[k])) if np.isfinite(variance[k]) else None
         known = bool(errors.determined[k]) and not sides[k]
         info, unit = space.infos[k], space.units[k]
-        lower, upper = finite(low[k]), finite(high[k])
+        lower, upper = finite(lowest[k]), finite(highest[k])
         rows.append(ParameterEstimate(name, float(x[k]), error, unit, lower, upper, False, sides[k], known, info.doc))
     for name, value, info in space.fixed():
         lower, upper = (finite(b) for b in info.bounds)

@@ -19,15 +19,16 @@ _TURN = 0.02  # of the input's range: smaller reversals need not be kept
 _PAYS = 2  # times as many samples make the short form worth its compilation
 
 
-def thin(problem: Problem) -> Objective | None:
+def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
     """The objective on every k-th sample and the reversals of the input; None for short records, and models that do not allow it.
 
     Args:
         problem: its model says whether it can be simulated on fewer samples (`AbstractHysteresis.allows_thinning`).
+        samples: of all records together; more where the input has many reversals.
     """
     if not problem.model.allows_thinning:
         return None
-    turns, length = _plan(problem.data)
+    turns, length = _plan(problem.data, samples)
     if _PAYS * length > problem.objective.batch.u.shape[1]:
         return None
     batch = on_host(problem.objective.batch)
@@ -49,11 +50,11 @@ def thinned(data: Dataset) -> Dataset:
     )
 
 
-def _plan(data: Dataset) -> tuple[list[np.ndarray], int]:
+def _plan(data: Dataset, samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:
     """Reversals of the input of every record, and the number of samples to keep of each."""
     turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in data]
     most = max(turn.size for turn in turns)
-    return turns, bucket(max(_SAMPLES // len(turns), _LEAST, _A_BRANCH * most))
+    return turns, bucket(max(samples // len(turns), _LEAST, _A_BRANCH * most))
 
 
 def kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:

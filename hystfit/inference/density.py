@@ -146,7 +146,13 @@ class Density(eqx.Module):
 
     def _slope_by_residuals(self, z: Array) -> tuple[Array, Array, Array]:
         """The same for any noise."""
-        r, J = self.objective.linearize(self.objective.coordinates.physical(z[: self.p]))
+        x = self.objective.coordinates.physical(z[: self.p])
         density = lambda noise, r: self._of_residual(self.noise.tree(noise), r)
-        value, (by_noise, by_residual) = jax.value_and_grad(density, argnums=(0, 1))(z[self.p :], r)
+        slopes = jax.value_and_grad(density, argnums=(0, 1))
+        if self.p > FORWARD:  # one backward pass costs less than so many forward ones
+            r, pull = jax.vjp(self.objective.residual, x)
+            value, (by_noise, by_residual) = slopes(z[self.p :], r)
+            return value, pull(by_residual)[0], by_noise
+        r, J = self.objective.linearize(x)
+        value, (by_noise, by_residual) = slopes(z[self.p :], r)
         return value, jnp.einsum("rt,rtp->p", by_residual, J), by_noise

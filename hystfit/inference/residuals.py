@@ -227,7 +227,7 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     kept = size > 1e-8 * size[-1]
     size, axes = size[kept], axes[:, kept]
     score = axes.T @ gram[1:, 0]  # under slow noise alone normal with variances `size`
-    ideal = np.random.default_rng(0).chisquare(1, (_DRAWS, size.size)) @ size
+    ideal = _chi_squares(size.size) @ size
     chance = (1 + np.count_nonzero(ideal >= score @ score)) / (_DRAWS + 1)
     strengths = np.geomspace(1e-3, 1e3, 61) / size[-1]
     variances = size + strengths[:, None] * size**2  # with a curve of that variance
@@ -235,6 +235,11 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     curve = columns @ (axes @ (strength * score / (1 + strength * size)))
     curve = curve - basis @ (basis.T @ curve)
     return Repeating(float(np.sum(curve**2) / np.sum(residual**2)), float(chance))
+
+
+@functools.lru_cache(maxsize=4)  # many fits one after another draw the same numbers
+def _chi_squares(count: int) -> np.ndarray:
+    return np.random.default_rng(0).chisquare(1, (_DRAWS, count))
 
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:

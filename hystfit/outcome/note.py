@@ -46,6 +46,7 @@ class Code(enum.StrEnum):
     CHOICE = "choice"  # what was chosen automatically
     EXTRAPOLATION = "extrapolation"  # a record leaves the fitted range of inputs
     RECORD_PARAMETERS = "record-parameters"  # what the prediction of a record assumes for parameters of each record
+    CHANGED_FILES = "changed-files"  # files of a saved fit, or of its model, differ from those that were saved
     OFFSET_REFITTED = "offset-refitted"  # the offset of a test record was refitted
     # identifiers
     SEQUENTIAL = "sequential"  # the result comes from a sequential identifier

@@ -29,6 +29,7 @@ class Status(enum.StrEnum):
     FIT_NOT_USABLE = "fit-not-usable"
     SKIPPED = "skipped"
     UNTESTED = "untested"
+    PARTIAL = "partial"
 
     @property
     def usable(self) -> bool:
@@ -80,6 +81,7 @@ _ADVICE = {
     Status.NOT_FINITE: "the simulation is not finite: the model is unstable on this input or at this sampling rate",
     Status.FIT_NOT_USABLE: "the fit behind this result is not usable: see its status",
     Status.SKIPPED: "the data were not found, so nothing was run",
+    Status.PARTIAL: "some loops could not be fitted, or their fits are not usable: the table gives the reason for each",
     Status.UNTESTED: "these data test none of the assumptions: measure a record with nested loops",
 }
 _OF_VERB = {
@@ -93,5 +95,6 @@ _OF_VERB = {
     ("identify", Status.POOR): (
         "the free run does not follow the record: use output-error least squares (method='lm') or another model"
     ),
+    ("batch", Status.FAILED): "no loop has a usable fit: the table gives the reason for each",
     ("calibrate", Status.OK): "the error bars of this setup hold, as far as this number of replicates can show",
 }

@@ -106,22 +106,32 @@ class Coordinates(eqx.Module):
         both = jnp.log(width) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
         return jnp.sum(jnp.where(kind == REAL, free, jnp.where(kind == BOTH, both, free + z)))
 
-    def assemble(self, x: Float[Array, " p"], record: Any = 0) -> Any:
-        """The tree with the free elements set from x, with the parameters of record number `record`."""
+    def assemble(self, x: Float[Array, " p"] | Float[np.ndarray, " p"], record: Any = 0) -> Any:
+        """The tree with the free elements set from x, with the parameters of record number `record`.
+
+        NumPy values are set on the host: operations of JAX outside compiled code would take a hundred times longer.
+        """
+        host = isinstance(x, np.ndarray)
         leaves, start = list(self.leaves), 0
         for index, positions, per_record in self.layout:
             count = len(positions)
             if per_record:
                 block = x[start : start + count * self.n_records].reshape(self.n_records, count)
-                values = jnp.take(block, jnp.asarray(record), axis=0)
+                values = block[record] if host else jnp.take(block, jnp.asarray(record), axis=0)
                 start += count * self.n_records
             else:
                 values = x[start : start + count]
                 start += count
-            leaf = jnp.asarray(leaves[index])
+            leaf = np.asarray(leaves[index]) if host else jnp.asarray(leaves[index])
             flat = leaf.reshape(-1)
-            flat = values if count == flat.size else flat.at[np.asarray(positions)].set(values)
-            leaves[index] = flat.reshape(leaf.shape)
+            if count == flat.size:
+                flat = values
+            elif host:
+                flat = flat.copy()
+                flat[list(positions)] = values
+            else:
+                flat = flat.at[np.asarray(positions)].set(values)
+            leaves[index] = jnp.asarray(flat.reshape(leaf.shape))
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:

@@ -16,9 +16,11 @@ NUMBER, MISSING, STAMP, TEXT = "N", "M", "D", "T"
 
 _MISSING_WORDS = frozenset(
     """nan +nan -nan nan(ind) -nan(ind) na n/a #n/a #na null none nil - -- --- ---- . .. ... ? * ** *** **** missing
-    #value! #div/0! #ref! #num! #name? #null! 1.#qnan -1.#qnan 1.#ind -1.#ind 1.#nan ol over overflow overload overrange
-    ovld ovrflw err error bad invalid nodata""".split()
+    #value! #div/0! #ref! #num! #name? #null! 1.#qnan -1.#qnan 1.#ind -1.#ind 1.#nan ol +ol -ol o.l. over +over -over
+    overflow underflow overload overrange overrun ovf +ovf -ovf ovl ovld ovrflw ovr sat saturated err error bad invalid
+    nodata n.d. nd n.v.""".split()
 ) | {""}
+_BLANKED = re.compile(r"[-.*#?]+")  # ---.-- and #####
 _INFINITE = {"inf": np.inf, "infinity": np.inf, "∞": np.inf, "1.#inf": np.inf}
 
 _STAMP = re.compile(
@@ -36,11 +38,14 @@ _STAMP = re.compile(
 def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern[str]]:
     """Patterns of a plain number, one with the other mark between thousands, and one with spaces between them."""
     mark, group = re.escape(decimal), re.escape("," if decimal == "." else ".")
-    tail = rf"(?:{mark}\d*)?(?:[eE][+-]?\d+)?"
+    tail = rf"(?:{mark}\d*)?"  # no exponent, before which nobody separates thousands
     plain = rf"[+-]?(?:\d+{mark}?\d*|{mark}\d+)(?:[eEdD][+-]?\d+)?"
     grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{group}\d{{3}})+{tail}"
     spaced = rf"[+-]?[1-9]\d{{0,2}}(?:[ '’\u00a0\u2009\u202f]\d{{3}})+{tail}"
     return re.compile(plain, re.ASCII), re.compile(grouped, re.ASCII), re.compile(spaced, re.ASCII)
+
+
+_LONGEST = 1000  # characters of a number or stamp
 
 
 def clean(cell: str) -> str:
@@ -53,7 +58,7 @@ def clean(cell: str) -> str:
 
 def is_stamp(cell: str) -> bool:
     """Whether a cleaned cell is a date, a time of day or both."""
-    match = _STAMP.fullmatch(cell)
+    match = _STAMP.fullmatch(cell) if cell[:1].isdigit() and len(cell) <= _LONGEST else None
     if not match:
         return False
     clock = match["min"] is not None or (match["hh"] is not None and match["ss"] is not None)
@@ -61,9 +66,44 @@ def is_stamp(cell: str) -> bool:
     return clock or date
 
 
+def is_missing(cell: str) -> bool:
+    """Whether a cleaned cell stands for a missing value: empty, a word of an instrument such as OVF, or marks only."""
+    return not cell or (len(cell) <= 20 and (cell.lower() in _MISSING_WORDS or _BLANKED.fullmatch(cell) is not None))
+
+
+def is_word(cell: str) -> bool:
+    """Whether a cell holds one short word, as instruments write in place of a number."""
+    return len(cell) < 40 and len(clean(cell)) <= 12 and not re.search(r"\s", clean(cell))
+
+
+def are_dates(column: Sequence[str]) -> bool:
+    """Whether every cell holds a date without time of day, or nothing."""
+    matches = [_STAMP.fullmatch(clean(cell)) for cell in column if cell.strip()]
+    return bool(matches) and all(m and (m["y"] or m["p"]) and not (m["hh"] or m["min"]) for m in matches)
+
+
+def are_clocks(column: Sequence[str]) -> bool:
+    """Whether every cell holds a time of day without date, or nothing."""
+    matches = [_STAMP.fullmatch(clean(cell)) for cell in column if cell.strip()]
+    return bool(matches) and all(m and (m["hh"] or m["min"]) and not (m["y"] or m["p"]) for m in matches)
+
+
+def _of_account(cell: str) -> str:
+    """The number in (1.5) or 1.5-; "" for other cells."""
+    if cell.endswith("-") or (cell.startswith("(") and cell.endswith(")")):
+        inner = cell[:-1].strip("( ")
+        return inner if inner[:1].isdigit() or inner[:1] in (".", ",") else ""
+    return ""
+
+
 def number(cell: str, decimal: str) -> float | None:
-    """The number in a cleaned cell; None for missing values and text."""
+    """The number in a cleaned cell; None for missing values and text. Negative ones may be (1.5) or 1.5-, as in accounts."""
+    if len(cell) > _LONGEST:
+        return None
     plain, grouped, spaced = patterns(decimal)
+    if unsigned := _of_account(cell):
+        value = number(unsigned, decimal)
+        return None if value is None else -value
     if plain.fullmatch(cell):
         return float(cell.replace(decimal, ".").replace("D", "e").replace("d", "e"))
     if grouped.fullmatch(cell):
@@ -78,8 +118,10 @@ def number(cell: str, decimal: str) -> float | None:
 
 def kind(cell: str, decimal: str) -> str:
     """Kind of a cell: NUMBER, MISSING, STAMP or TEXT."""
+    if patterns(decimal)[0].fullmatch(cell):
+        return NUMBER
     cell = clean(cell)
-    if cell.lower() in _MISSING_WORDS:
+    if is_missing(cell):
         return MISSING
     if number(cell, decimal) is not None:
         return NUMBER
@@ -101,23 +143,41 @@ def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.nda
             pass  # a header, a missing value or a number in another notation: one by one
         else:
             return values, np.where(np.isnan(values), MISSING, NUMBER)
-    cleaned = [clean(cell) for cell in cells]
-    numbers = [number(cell, decimal) for cell in cleaned]
-    values = np.array([np.nan if value is None else value for value in numbers])
-    kinds = [
-        NUMBER if value is not None else MISSING if cell.lower() in _MISSING_WORDS else TEXT
-        for cell, value in zip(cleaned, numbers, strict=True)
+    plain = patterns(decimal)[0].fullmatch
+    parsed = [
+        (float(cell.replace(decimal, ".")), NUMBER) if plain(cell) and "d" not in cell.lower() else _odd(cell, decimal)
+        for cell in cells
     ]
-    return values, np.array(kinds)
+    return np.array([value for value, _ in parsed]), np.array([kind for _, kind in parsed])
+
+
+@functools.lru_cache(maxsize=8192)
+def _odd(cell: str, decimal: str) -> tuple[float, str]:
+    """Number (NaN where there is none) and kind of a cell that is no plain number; the same words occur again and again."""
+    cell = clean(cell)
+    value = number(cell, decimal)
+    if value is not None:
+        return value, NUMBER
+    return np.nan, MISSING if is_missing(cell) else TEXT
 
 
 def whole_from_first(cells: Sequence[str]) -> np.ndarray | None:
     """A column of whole numbers too large for a double, as differences to the first; None if it is no such column."""
     try:
         whole = [int(clean(cell)) for cell in cells]
-    except ValueError:
+        return np.array([float(value - whole[0]) for value in whole])
+    except (ValueError, OverflowError):
         return None
-    return np.array([float(value - whole[0]) for value in whole])
+
+
+def dots_are_doubtful(delimiter: str | None) -> bool:
+    """Whether a file with this delimiter may come from a language in which dots separate thousands (and commas decimals)."""
+    return delimiter in (";", "\t")
+
+
+def may_be_thousands(cell: str, mark: str) -> bool:
+    """Whether a mark in a cleaned cell may separate thousands, as in 12.345: one to three digits before it, three after."""
+    return re.fullmatch(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+", cell, re.ASCII) is not None
 
 
 def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, bool]:
@@ -129,6 +189,7 @@ def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, boo
     other = "," if decimal == "." else "."
     joined = "\x00".join(cells)
     grouped = [clean(cell) for cell in cells if other in cell] if other in joined else []
+    grouped = [cell for cell in grouped if number(cell, decimal) is not None]
     proven = any(decimal in cell or cell.count(other) > 1 for cell in grouped)
     if decimal == "." or "," not in joined:
         return bool(grouped), False, proven, False

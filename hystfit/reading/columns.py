@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
+import unicodedata
 from collections.abc import Sequence
 
 import numpy as np
@@ -55,6 +56,7 @@ _UPPER = {
     "D": "polarization",
     "T": "temperature",
 }
+_TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 _SENSED = (
     "displacement",
     "force",
@@ -107,6 +109,7 @@ _COMMON = (
     ("voltage", "force"),
     ("current", "force"),
     ("displacement", "moment"),
+    *(("temperature", output) for output in ("displacement", "strain", "force", "stress", "current", "", "output")),
 )
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
@@ -128,6 +131,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column
+    if _TEMPERATURES.fullmatch(base):
+        return "temperature"
     if base in _UPPER and not by_unit:
         return _UPPER[base]
     kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
@@ -155,6 +160,11 @@ def _words(base: str) -> list[str]:
     return [base.lower(), *tokens, *camel]
 
 
+def _composed(name: str) -> str:
+    """A name in one of the forms that look alike: letters with their accents composed, one micro sign."""
+    return unicodedata.normalize("NFC", name).replace("\u00b5", "\u03bc").strip()
+
+
 def find(table: Table, key: str | int, role: str) -> int:
     """Position of a column by name (with or without its unit, upper or lower case) or by number from 0.
 
@@ -173,10 +183,11 @@ def find(table: Table, key: str | int, role: str) -> int:
         raise DataError(f"{table.source}: {role} column {key} does not exist; there are {count}: {table.describe()}")
     if not isinstance(key, str):
         raise DataError(f"{role} must be a column name or number, got {key!r}")
-    wanted = key.strip()
-    bases = [split_unit(name, table.names)[0] for name in table.names]
+    wanted = _composed(key)
+    stored = [_composed(name) for name in table.names]
+    bases = [split_unit(name, stored)[0] for name in stored]
     lower = wanted.lower()
-    spellings = (table.names, wanted), (bases, wanted), ([n.lower() for n in table.names], lower)
+    spellings = (stored, wanted), (bases, wanted), ([n.lower() for n in stored], lower)
     for names, spelled in (*spellings, ([b.lower() for b in bases], lower)):
         hits = [k for k, name in enumerate(names) if name == spelled]
         if len(hits) > 1:
@@ -191,6 +202,10 @@ def find(table: Table, key: str | int, role: str) -> int:
 
 
 def _numeric(table: Table, position: int, role: str) -> int:
+    if position in table.stamps and role != "time":
+        raise DataError(
+            f"{table.source}: column {table.names[position]!r} for {role} holds time stamps; the columns are {table.describe()}"
+        )
     if position in table.labels:
         value = table.labels[position][0]
         raise DataError(
@@ -238,7 +253,7 @@ def choose(
         clock = _guess_time(table, free, kinds, len(given), notes)
     if clock is not None and clock in given.values():
         raise DataError(f"{table.source}: column {table.names[clock]!r} cannot be time and input or output at once")
-    free = [k for k in free if k != clock]
+    free = [k for k in free if k != clock and k not in table.stamps]
     if not {"input", "output"} <= given.keys():
         _guess_pair(table, free, kinds, given, clock, notes)
     for k, label in table.labels.items():
@@ -262,10 +277,13 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
         return None
     matrices = {re.sub(r"\[\d+\]$", "", table.names[k]) for k in free}
     named = table.named and not (len(matrices) == 1 and {kinds[k] for k in free} <= {"", "index"})
+    known = any(kind not in ("", "index") for kind in kinds.values())
     for k in free[:2]:
-        if named and table.names[k] != f"column {k}":
-            return None
         steps = np.diff(table.columns[k])
+        if named and table.names[k] != f"column {k}":
+            even = bool((steps > 0).all()) and np.ptp(steps) <= 0.01 * steps[0]
+            if known or not even:  # of names without a known word, one may be that of an evenly sampled time
+                return None
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
         if not _counts(table, k):
@@ -300,7 +318,7 @@ def _guess_pair(
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     _find_velocities(table, free, kinds)
-    candidates = _candidates(table, free, kinds, clock)
+    candidates = _candidates(table, _without_temperatures(free, kinds, len(given)), kinds, clock)
     inputs, outputs = ([given[role]] if role in given else candidates for role in ("input", "output"))
     pairs = [(i, o) for i in inputs for o in outputs if i != o]
     best = min(pairs, key=lambda pair: _preference(table, kinds, *pair))
@@ -327,11 +345,12 @@ def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> No
     """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F."""
     first, *others = [k for k in free if kinds[k] == ""] or [-1]
     for k in others if len(others) > 1 else ():
-        rate, column = np.gradient(table.columns[first]), table.columns[k]
-        known = np.isfinite(rate) & np.isfinite(column)
-        if known.sum() > 9 and np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0:
-            if np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE:
-                kinds[k] = "velocity"
+        with np.errstate(all="ignore"):  # of numbers near the largest
+            rate, column = np.gradient(table.columns[first]), table.columns[k]
+            known = np.isfinite(rate) & np.isfinite(column)
+            if known.sum() > 9 and np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0:
+                if np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE:
+                    kinds[k] = "velocity"
 
 
 def _candidates(table: Table, free: list[int], kinds: dict[int, str], clock: int | None) -> list[int]:
@@ -350,6 +369,12 @@ def _secondary(name: str) -> int:
     return len(_SECONDARY.intersection(_words(name)))
 
 
+def _without_temperatures(free: list[int], kinds: dict[int, str], given: int) -> list[int]:
+    """The columns without temperatures, where there are enough of others."""
+    others = [k for k in free if kinds[k] != "temperature"]
+    return others if len(others) + given >= 2 else free
+
+
 def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[int, ...]:
     """Sort key of column i as the input and column o as the output, the least for the best pair."""
     pair = kinds[i], kinds[o]
@@ -357,7 +382,7 @@ def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[in
     place = lambda kind, among: len(among) + (kind in _LAST) if kind not in among else among.index(kind)
     if pair in _SPECIFIC:
         rank = _SPECIFIC.index(pair)
-    elif (kinds[i] == "input" or kinds[o] == "output") and not {"", *_LAST}.intersection(pair):
+    elif (kinds[i] == "input" or kinds[o] == "output") and not {"", "temperature", *_LAST}.intersection(pair):
         rank = len(_SPECIFIC)
     elif pair in _COMMON:
         rank = len(_SPECIFIC) + 1 + _COMMON.index(pair)

@@ -16,6 +16,8 @@ from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
+_MOST_CURVES = 10_000
+
 
 def text_of(value: object) -> str:
     """A value as it is compared with others: numbers without trailing zeros, text without blanks around it."""
@@ -84,6 +86,11 @@ def split_curves(
     if number[-1] == 0:
         _suggest(table, choice, notes)
         return [("", np.arange(table.rows))], False
+    if number[-1] > _MOST_CURVES:
+        raise DataError(
+            f"{table.source}: blank lines or repeated headers separate {number[-1] + 1} curves, and {_MOST_CURVES} are the "
+            "most; remove them, or write fewer curves in a file"
+        )
     bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
     pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
     single = sum(piece.size == 1 for piece in pieces)

@@ -9,6 +9,20 @@ from __future__ import annotations
 import re
 
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+
+_MAGIC = {
+    b"PK\x03\x04": "a zip archive or Excel file (name it .xlsx)",
+    b"\x89HDF": "an HDF5 file (name it .h5, or .mat if MATLAB wrote it)",
+    b"\xd0\xcf\x11\xe0": "an old Excel file (save it as .xlsx)",
+    b"MATLAB": "a MATLAB file (name it .mat)",
+    b"\x93NUMPY": "a numpy file (name it .npy)",
+    b"TDSm": "a TDMS file (export it as CSV)",
+    b"%PDF": "a PDF document",
+    b"\x89PNG": "a picture",
+    b"PAR1": "a parquet file (export it as CSV)",
+}
 
 # Words of column names and headers, by the encoding of files in that language.
 _WORDS = {
@@ -31,6 +45,7 @@ _WESTERN = frozenset("µ°²³¹·±×÷½¼¾§¢£€¥©®«»¿¡ªº“”�
     "ÄäÖöÜüÉéÈèÊêËëÀàÁáÂâÃãÇçÌìÍíÎîÏïÒòÓóÔôÕõÙùÚúÛûÑñÝýÿŠšŽž"
 )
 _MOST = 20_000  # bytes of lines with other characters than ASCII that are examined
+_CONTROLS = bytes([*range(9), *range(14, 27), *range(28, 32)])
 
 
 def encoding_of(raw: bytes, source: str) -> str:
@@ -59,6 +74,8 @@ def encoding_of(raw: bytes, source: str) -> str:
 
 def _wide(raw: bytes) -> str:
     """UTF-16 without a byte-order mark: in rows of numbers every other byte is zero. "" for other text."""
+    if b"\x00" not in raw:
+        return ""
     padded = raw.rstrip(b"\x00")
     text = raw[: len(padded) + (len(padded) % 2 and len(raw) > len(padded))]
     for name, zeros, others in (("utf-16-le", text[1::2], text[0::2]), ("utf-16-be", text[0::2], text[1::2])):
@@ -122,3 +139,45 @@ def _is_common(sample: bytes, name: str) -> bool:
     """Whether all characters of two bytes are common ones of this encoding."""
     characters = re.findall(r"[^\x00-\x7f]", _decoded(sample, name))
     return bool(characters) and all(c.encode(name)[0] in _COMMON[name] for c in characters)
+
+
+def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Note]]:
+    """Text of a file and what was assumed about its encoding.
+
+    Raises:
+        DataError: the bytes are not text, or not in the encoding that was given.
+    """
+    for magic, what in _MAGIC.items():
+        if raw.startswith(magic):
+            raise DataError(f"{source} is not text but {what}")
+    notes: list[Note] = []
+    if encoding is None:
+        encoding = encoding_of(raw, source)
+        if encoding == "latin-1":
+            text = "the encoding of the text was not recognized, and latin-1 is assumed: set --encoding (encoding=)"
+            notes.append(warn(Code.FILE_FORMAT, text))
+        elif encoding not in ("utf-8", "utf-8-sig"):
+            notes.append(Note(Code.FILE_FORMAT, f"encoding {encoding}, which was recognized from the text"))
+    try:
+        text = raw.decode(encoding).removeprefix("\ufeff")
+    except LookupError as error:
+        raise DataError(f"{source}: there is no encoding {encoding!r}; use utf-8, utf-16 or cp1252") from error
+    except UnicodeError as error:
+        raise DataError(
+            f"{source} is not text in {encoding}: {error}; leave the encoding out or give another"
+        ) from error
+    if padded := len(text) - len(text.rstrip("\x00")):
+        text = text.rstrip("\x00")
+        notes.append(Note(Code.LEFT_OUT, f"{padded} NUL bytes at the end"))
+    plain = text.encode("utf-8", "surrogatepass")
+    odd = len(plain) - len(plain.translate(None, _CONTROLS))
+    if "\x00" in text or odd > max(2, 0.01 * len(text)):
+        place = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text)
+        line = 1 + text.count("\n", 0, place.start() if place else 0)
+        raise DataError(
+            f"{source}, line {line}: {odd} NUL or control bytes; this is a binary or damaged file: export it as text, "
+            "or name it by its format (.mat, .npz, .xlsx, .h5)"
+        )
+    if "\r" in text:
+        text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+    return text, notes

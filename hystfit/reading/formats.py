@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
-import hashlib
 import io
-from collections.abc import Callable, Mapping
+import warnings
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,17 @@ import numpy as np
 from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
+from hystfit.reading.array_files import KINDS, arrays_in, check_members, imported
+from hystfit.reading.file_bytes import FileBytes, inner_name, load
 from hystfit.reading.header import split_unit
+from hystfit.reading.layout import layout_of
 from hystfit.reading.raw_table import Table, plain_table
-from hystfit.reading.text import layout_of, load, tabulate
+from hystfit.reading.text import tabulate
+
+_WORKBOOKS = frozenset({".xlsx", ".xlsm"})
+_MOST_CELLS = 4_000_000
+_MOST_COLUMNS = 5000
+_SAMPLE = 2000  # rows of a sheet that show its layout
 
 
 def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
@@ -26,88 +36,40 @@ def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
         DataError: the kind is unknown, or the file is damaged or holds no columns.
         MissingExtraError: the library for it is not installed.
     """
-    suffix = Path(path).suffix.lower()
-    reader = _READERS.get(suffix)
-    if reader is None:
-        known = ".csv .dat .txt .tsv " + " ".join(sorted(_READERS))
+    suffix = inner_name(path).suffix.lower()
+    if suffix not in KINDS and suffix not in _WORKBOOKS:
+        known = ".csv .dat .txt .tsv " + " ".join(sorted({*KINDS, *_WORKBOOKS}))
         if Path(path).is_dir():
             load(path)
         raise DataError(
             f"{path}: files of kind {suffix!r} are not supported; hystfit reads {known}. If it is text use "
             "read_csv, else export it as CSV"
         )
-    raw = load(path)
-    if suffix in (".xlsx", ".xlsm"):
-        return _workbook(raw, str(path), sheet)
+    file = load(path)
+    if suffix in _WORKBOOKS:
+        return _workbook(file, str(path), sheet)
     if sheet is not None:
         raise DataError(f"{path} has no sheets; leave out sheet=")
     try:
-        arrays = reader(raw)
-    except (DataError, MissingExtraError):
+        arrays = arrays_in(file.raw, suffix)
+    except MissingExtraError:
         raise
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
     except Exception as error:  # each library raises its own kinds on damaged files
         raise DataError(f"{path} cannot be read as {suffix}: {error}; it is damaged or of another kind") from error
-    return _from_arrays(arrays, str(path), hashlib.sha256(raw).hexdigest())
+    return _from_arrays(arrays, str(path), file)
 
 
-def _import(package: str, purpose: str) -> Any:
-    import importlib
-
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise MissingExtraError(package, "files", purpose) from error
-
-
-def _numpy(raw: bytes) -> dict[str, np.ndarray]:
-    found = np.load(io.BytesIO(raw), allow_pickle=False)
-    if isinstance(found, np.ndarray):
-        return {"": found} if found.dtype.names is None else {name: found[name] for name in found.dtype.names}
-    return {name: found[name] for name in found.files}
-
-
-def _matlab(raw: bytes) -> dict[str, np.ndarray]:
-    from scipy.io import loadmat
-
-    if raw[:128].startswith(b"MATLAB 7.3") or raw[:4] == b"\x89HDF" or raw[512:516] == b"\x89HDF":
-        return {name: array.T for name, array in _hdf5(raw).items()}  # MATLAB stores columns first
-    found = loadmat(io.BytesIO(raw), simplify_cells=True)
-    return _flatten({name: value for name, value in found.items() if not name.startswith("__")})
-
-
-def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
-    h5py = _import("h5py", "reading HDF5 (and MATLAB 7.3) files")
-    arrays: dict[str, np.ndarray] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not name.startswith("#refs#"):
-            values = item[()]
-            if isinstance(values, np.ndarray) and values.dtype.names is not None:
-                arrays.update({f"{name}/{field}": values[field] for field in values.dtype.names})
-            elif isinstance(values, np.ndarray):
-                arrays[name] = np.array([v.decode() for v in values.ravel()]) if values.dtype.kind in "SO" else values
-
-    with h5py.File(io.BytesIO(raw), "r") as file:
-        file.visititems(visit)
-    return arrays
-
-
-def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {}
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            arrays.update(_flatten(value, f"{prefix}{name}."))
-        elif isinstance(value, np.ndarray):
-            arrays[f"{prefix}{name}"] = value
-    return arrays
-
-
-def _from_arrays(arrays: Mapping[str, np.ndarray], source: str, sha256: str) -> Table:
+def _from_arrays(arrays: Mapping[str, np.ndarray], source: str, file: FileBytes) -> Table:
     """Columns of equal length; a matrix gives one column for each of its shorter side, called name[0], name[1], ..."""
     columns: dict[str, np.ndarray] = {}
-    odd = []
+    odd, stamps = [], set()
     for name, array in arrays.items():
         array = np.squeeze(array)
+        if array.dtype.kind in "mM" and array.ndim == 1 and array.size > 1:
+            array = _seconds(array)
+            stamps.add(name or "column 0")
         if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
             odd.append(name)
         elif array.ndim == 1:
@@ -125,32 +87,51 @@ def _from_arrays(arrays: Mapping[str, np.ndarray], source: str, sha256: str) -> 
     pairs = [size for size, count in sizes.items() if count > 1]
     rows = max(pairs or sizes, key=lambda size: size)
     names = [name for name, array in columns.items() if array.size == rows]
-    notes = [Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
+    if len(names) > _MOST_COLUMNS:
+        raise DataError(
+            f"{source}: {len(names)} columns of {rows} rows; {_MOST_COLUMNS} columns are the most: save fewer"
+        )
+    notes = [*file.notes, Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
+    clocks = [name for name in names if name in stamps]
+    notes += [Note(Code.FILE_FORMAT, f"{name!r}: dates converted to seconds from the first one") for name in clocks]
     if rest := [name for name in columns if name not in names]:
         shown = ", ".join(rest[:8])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} columns of another length than {rows}: {shown}"))
     if odd:
         shown = ", ".join(odd[:8])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(odd)} variables that are not columns: {shown}"))
-    units = [split_unit(name, names)[1] for name in names]
-    table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
-    return table if "" not in arrays else Table(**{**vars(table), "named": False})
+    units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
+    table = plain_table(names, [columns[name] for name in names], source, file.sha256, tuple(notes), units)
+    positions = frozenset(k for k, name in enumerate(names) if name in stamps)
+    return dataclasses.replace(table, named="" not in arrays, stamps=positions)
 
 
-def _workbook(raw: bytes, source: str, sheet: str | int | None) -> Table:
-    openpyxl = _import("openpyxl", "reading Excel files")
+def _seconds(stamps: np.ndarray) -> np.ndarray:
+    """Dates or durations of numpy as seconds from the first one that is there, shape (rows,), NaN where missing."""
+    there = stamps[~np.isnat(stamps)]
+    passed = stamps - (there[0] if there.size else stamps[0])
+    unit = np.timedelta64(1, np.datetime_data(passed.dtype)[0])
+    if np.datetime_data(passed.dtype)[0] in ("Y", "M", "generic"):
+        return np.full(stamps.size, np.nan)
+    factor = np.datetime_data(passed.dtype)[1] * (unit / np.timedelta64(1, "s"))
+    return np.where(np.isnat(passed), np.nan, passed.astype(np.int64) * factor)
+
+
+def _workbook(file: FileBytes, source: str, sheet: str | int | None) -> Table:
+    openpyxl = imported("openpyxl", "reading Excel files")
     try:
-        book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
-        sheets = {
-            page.title: [[_cell(v) for v in row] for row in page.iter_rows(values_only=True)]
-            for page in book.worksheets
-        }
+        with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
+            check_members(archive, file.raw)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on styles and extensions of the sheets
+            book = openpyxl.load_workbook(io.BytesIO(file.raw), read_only=True, data_only=True)
+        pages = {page.title: page for page in book.worksheets}
+    except DataError as error:
+        raise DataError(f"{source}: {error}") from error
     except Exception as error:  # openpyxl raises zipfile, KeyError and its own errors on damaged files
-        raise DataError(
-            f"{source} cannot be read as an Excel file: {error}; save it again as .xlsx or as CSV"
-        ) from error
-    titles = list(sheets)
-    if isinstance(sheet, str) and sheet not in sheets and sheet.isdigit():
+        raise _unreadable(source, error) from error
+    titles = list(pages)
+    if isinstance(sheet, str) and sheet not in pages and sheet.isdigit():
         sheet = int(sheet)
     if isinstance(sheet, int):
         if not 0 <= sheet < len(titles):
@@ -158,17 +139,44 @@ def _workbook(raw: bytes, source: str, sheet: str | int | None) -> Table:
                 f"{source}: there is no sheet {sheet}; there are {len(titles)} (from 0): {', '.join(titles)}"
             )
         sheet = titles[sheet]
-    if sheet is not None and sheet not in sheets:
+    if sheet is not None and sheet not in pages:
         raise DataError(f"{source}: there is no sheet {sheet!r}; there are {', '.join(titles)}")
     for title in titles if sheet is None else [sheet]:
-        rows = sheets[title]
-        layout = layout_of(rows[:2000], "\t", ".")
+        rows = _cells_of(pages[title], source)
+        layout = layout_of(rows[:_SAMPLE], "\t", ".")
         if layout.rows > 1 and layout.score > 0:
-            notes = [Note(Code.FILE_FORMAT, f"sheet {title!r} of {', '.join(map(repr, titles))}")]
+            notes = [*file.notes, Note(Code.FILE_FORMAT, f"sheet {title!r} of {', '.join(map(repr, titles))}")]
             lines = ["\t".join(row) for row in rows]
-            return tabulate(rows, lines, layout, source, hashlib.sha256(raw).hexdigest(), notes, settled=True)
+            return tabulate(rows, lines, layout, source, file.sha256, notes, settled=True)
     searched = ", ".join(map(repr, titles if sheet is None else [sheet]))
     raise DataError(f"{source}: no rows of numbers in {searched}; name another sheet=")
+
+
+def _unreadable(source: str, error: Exception) -> DataError:
+    return DataError(f"{source} cannot be read as an Excel file: {error}; save it again as .xlsx or as CSV")
+
+
+def _cells_of(page: Any, source: str) -> list[list[str]]:
+    """Cells of a sheet, row by row.
+
+    Raises:
+        DataError: it is damaged, or has very many cells (a cell far outside the others makes the sheet that large).
+    """
+    rows: list[list[str]] = []
+    count = 0
+    try:
+        for row in page.iter_rows(values_only=True):
+            count += len(row) + 1
+            if count > _MOST_CELLS:
+                raise DataError(
+                    f"{source}, sheet {page.title!r} has more than {_MOST_CELLS} cells, in use or not; save it as CSV"
+                )
+            rows.append([_cell(value) for value in row])
+    except DataError:
+        raise
+    except Exception as error:  # as above
+        raise _unreadable(source, error) from error
+    return rows
 
 
 def _cell(value: object) -> str:
@@ -179,14 +187,3 @@ def _cell(value: object) -> str:
     if isinstance(value, datetime.datetime | datetime.date | datetime.time):
         return value.isoformat(" ") if isinstance(value, datetime.datetime) else value.isoformat()
     return cells.clean(str(value).replace("\t", " ").replace("\n", " "))
-
-
-_READERS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
-    ".npz": _numpy,
-    ".npy": _numpy,
-    ".mat": _matlab,
-    ".h5": _hdf5,
-    ".hdf5": _hdf5,
-    ".xlsx": lambda raw: {},
-    ".xlsm": lambda raw: {},
-}

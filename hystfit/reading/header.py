@@ -37,8 +37,12 @@ _SETTINGS = (
     re.compile(r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=,;\t]|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"),
 )
 _MOST_METADATA = 40
+_LONGEST_NAME = 200  # characters
+_LONGEST_SETTING = 1000  # characters of a line
 
 _COMMENT = r"(?:[#%!*]+|//|--)"
+_CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
+_LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
 
 
 def is_unit(text: str) -> bool:
@@ -49,12 +53,15 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip().translate(_WIDE)
-    if match := re.fullmatch(r"(.*?)[\s_]*[\[(<]\s*([^\[\]()<>]*?)\s*[\])>]", name):
-        unit = match[2]
-        if match[1] and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
-            return match[1], unit
-        if match[1] and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1] is a column of a matrix
-            return match[1], ""
+    if len(name) > _LONGEST_NAME:
+        return name, ""
+    if name.endswith(("]", ")", ">")) and (start := max(name.rfind(mark) for mark in "[(<")) > 0:
+        base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
+        closed = not re.search(r"[\])>]", unit)
+        if base and closed and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
+            return base, unit
+        if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
+            return base, ""
     if match := re.fullmatch(r"(.+?)_([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
         return match[1], f"{match[2]}/{match[3]}"
     if match := _JOINED.fullmatch(name):
@@ -82,6 +89,8 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
     """
     known: dict[str, str] = {}
     for line in lines:
+        if len(line) > _LONGEST_SETTING:
+            continue
         text = re.sub(rf"^\s*{_COMMENT}\s*", "", line).strip()
         match = next((m for pattern in _SETTINGS if (m := pattern.fullmatch(text))), None)
         if match is None or not _SAMPLE.match(match["key"]) or "sampl" in match["value"].lower():
@@ -107,8 +116,8 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
 
 def _cut(text: str, mark: str | None) -> list[str]:
     if mark is None:  # a bracketed unit belongs to the word before it
-        text = re.sub(r"\s+(?=[\[(])", "", text.strip())
-        parts = re.findall(r"\"[^\"]*\"|[^\s\[(]*[\[(][^\])]*[\])]\S*|\S+", text)
+        text = re.sub(r"(?<!\s)\s++(?=[\[(])", "", text.strip())
+        parts = re.findall(r"\"[^\"]*\"|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
     elif mark == "  ":
         parts = re.split(r"\s{2,}|\t", text.strip())
     else:
@@ -116,11 +125,31 @@ def _cut(text: str, mark: str | None) -> list[str]:
     return [cells.clean(part) for part in parts]
 
 
+def _named(parts: list[str]) -> list[str]:
+    """Names without the comment mark before the first, and without the commas that follow each where blanks separate them."""
+    parts = [cells.clean(part) for part in parts]
+    if parts and parts[0] not in ("%", "*"):
+        parts[0] = _LEADING.sub("", parts[0], count=1).strip()
+    for mark in (",", ";"):
+        if len(parts) > 1 and all(part.endswith(mark) for part in parts[:-1]):
+            parts = [part.removesuffix(mark) for part in parts]
+    return parts
+
+
 def _is_header(parts: list[str], decimal: str) -> bool:
-    kinds = [cells.kind(part, decimal) for part in parts]
+    kinds = [cells.kind(part, decimal) for part in parts if not re.fullmatch(r"[\[(<][-1][\])>]", part)]
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
         return False
     return not any("=" in part or part.endswith(":") for part in parts)  # those are settings
+
+
+def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> list[str]:
+    """Names of a time and of columns with a number each ("t,10,20"); none for other lines."""
+    parts = _named(_fields(line, width, delimiter) or [])
+    if not parts or split_unit(parts[0])[0].strip().lower() not in _CLOCKS or len(set(parts)) < width:
+        return []
+    kinds = {cells.kind(part, decimal) for part in parts[1:]}
+    return parts if kinds <= {cells.NUMBER, cells.TEXT} and not any("=" in part for part in parts) else []
 
 
 def read_header(
@@ -145,11 +174,12 @@ def read_header(
             if any(not line.strip() for line in above[position + 1 :]):
                 break
             parts = _fields(above[position], width, delimiter)
-        if parts is None or not _is_header(parts := [cells.clean(part) for part in parts], decimal):
+        if parts is None or not _is_header(parts := _named(parts), decimal):
             break
         headers.append((position, parts))
     if not headers:
-        return [""] * width, [""] * width, 0
+        names = _numbered(above[-1] if above else "", width, delimiter, decimal)
+        return names or [""] * width, [split_unit(name)[1] for name in names or [""] * width], int(bool(names))
     bare = [
         [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
         for _, parts in headers

@@ -26,6 +26,7 @@ class Table:
         source: path; sha256: checksum of the file's bytes.
         notes: what was assumed and left out.
         left_out: rows or lines that are not in the columns, counted by reason.
+        unread: how many of them are rows of numbers that could not be read.
         metadata: properties of the sample in the header (size, mass, ...), as written there.
         sectioned: the file has sections [Header] and [Data], in which rows without a measurement are ordinary.
         calibration: which rows are calibration points, shape (rows,), bool; None where that is unknown or there are none.
@@ -44,6 +45,7 @@ class Table:
     stamps: frozenset[int] = frozenset()
     notes: tuple[Note, ...] = ()
     left_out: dict[str, int] = dataclasses.field(default_factory=dict)
+    unread: int = 0
     metadata: dict[str, str] = dataclasses.field(default_factory=dict)
     sectioned: bool = False
     calibration: np.ndarray | None = None
@@ -100,7 +102,10 @@ def plain_table(
     columns, labels = [], {}
     for position, array in enumerate(arrays):
         if array.dtype.kind in "fiub":
-            columns.append(np.asarray(array, dtype=np.float64))
+            with np.errstate(invalid="ignore"):  # signaling NaN of damaged files, which are made quiet
+                column = np.array(array, dtype=np.float64)
+                column[np.isnan(column)] = np.nan
+            columns.append(column)
         else:
             labels[position] = np.array([str(value) for value in array])
             columns.append(np.full(rows, np.nan))

@@ -14,10 +14,13 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Dataset, Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
+from hystfit.reading.file_bytes import inner_name
 from hystfit.reading.raw_table import Table
+from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
 from hystfit.reading.text import read_table
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
@@ -26,6 +29,7 @@ TEXT_SUFFIXES = frozenset(
     {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
 )
 Column = str | int
+_UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
 _RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
 
@@ -54,15 +58,17 @@ def read(
     """A record, or a data set where there are several curves or files, from files of any kind that hystfit reads.
 
     Args:
-        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5; or several of them: a list, or a pattern such
-            as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and its output in the second.
+        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5, also packed as .gz .bz2 .xz; or several of
+            them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and
+            its output in the second.
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
             `time=False` reads without time.
         sigma: column with the standard deviation of the output of each sample, from which the weights follow.
         by: column whose values separate curves.
         only: which curves: values ("3,4" or [3, 4]) or positions from 0 as a slice ("1::4").
         where: rows to read, {"kind": "forc"} or "kind=forc".
-        gaps: "error" refuses a missing input within a record, "split" makes a data set of the pieces.
+        gaps: "error" refuses a missing input within a record, and a file with many rows that cannot be read; "split" makes a
+            data set of the pieces, "drop" joins them.
         rate: sampling rate [Hz], for files without a usable clock.
         dt: sampling interval [s], instead of the rate.
         units: of input and output ("V,um" or a pair); values in other units of the same quantity are converted.
@@ -92,7 +98,7 @@ def table_of(
     encoding: str | None = None,
 ) -> Table:
     """The columns of a file of any kind that hystfit reads; arguments and errors as for `read`."""
-    suffix = Path(path).suffix.lower()
+    suffix = inner_name(path).suffix.lower()
     if suffix in TEXT_SUFFIXES or re.fullmatch(r"\.\d+", suffix):
         if sheet is not None:
             raise DataError(f"{path} is text and has no sheets; leave out sheet=")
@@ -153,7 +159,7 @@ def _read_all(
     for file in files:
         pair = pair_of(file)
         table, chosen = (open_one(file), columns) if pair is None else pair_table(pair, open_one, columns)
-        label = Path(file if pair is None else pair[0]).stem if name is None or len(files) > 1 else name
+        label = inner_name(file if pair is None else pair[0]).stem if name is None or len(files) > 1 else name
         parts.append((str(file if pair is None else pair[0]), assemble(table, **chosen, **options, name=label)))
     data = combined(parts)
     return data if name is None else dataclasses.replace(data, name=name)
@@ -180,10 +186,12 @@ def assemble(
         time, input, output, sigma, by, only, where, gaps, name: as for `read`.
         treatment: clock, units, integration and smoothing of every record.
     """
-    if gaps not in ("error", "split"):
-        raise DataError(f"gaps must be 'error' or 'split', got {gaps!r}")
+    if gaps not in ("error", "split", "drop"):
+        raise DataError(f"gaps must be 'error', 'split' or 'drop', got {gaps!r}")
+    _check_unread(table, gaps)
     stem = name or Path(table.source).stem or "record"
     notes = list(table.notes)
+    table, replaced = without_infinite(table)
     table, taken = _filter(table, where, notes)
     divider = None if by is None else find(table, by, "by")
     spread = None if sigma is None else find(table, sigma, "sigma")
@@ -191,6 +199,8 @@ def assemble(
     marked, dividers = marked_by_kind(table, others)
     choice = choose(table, time, input, output, [*others, *dividers])
     notes += choice.notes
+    for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
+        notes += replaced_notes(replaced[position], role) if position in replaced else []
     if marked is None and divider is None:
         marked = marked_by_place(table, choice)
     table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
@@ -210,6 +220,16 @@ def assemble(
     if not several and len(records) == 1:
         return records[0]
     return Dataset(tuple(records), name=stem)
+
+
+def _check_unread(table: Table, gaps: str) -> None:
+    """Refuse a table from which many rows of numbers are left out, as they would make jumps in the record."""
+    if gaps == "error" and not table.sectioned and table.unread > max(_UNREAD, _UNREAD_SHARE * table.rows):
+        raise DataError(
+            f"{table.source}: {table.unread} rows of numbers cannot be read, and {table.rows} can "
+            f"({', '.join(f'{count} x {reason}' for reason, count in table.left_out.items())}); correct them, or leave them out "
+            "with gaps='drop'"
+        )
 
 
 def _filter(table: Table, where: str | Mapping[str, object] | None, notes: list[Note]) -> tuple[Table, list[int]]:
@@ -265,16 +285,21 @@ def _records_of(
         columns["time"] = choice.time
     data = {role: np.array(table.columns[position]) for role, position in columns.items()}
     notes = [*notes]
-    for role, values in data.items():
-        if count := int(np.isinf(values).sum()):
-            data[role] = np.where(np.isinf(values), np.nan, values)
-            notes.append(Note(Code.MISSING_VALUES, f"infinite values of the {role} are treated as missing: {count}"))
+    for role in ("input", "output"):
+        data[role], coded = without_codes(data[role], role)
+        notes += coded
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))
     good = np.isfinite(data["input"])
     if "time" in data:
         good &= np.isfinite(data["time"])
+    if gaps == "drop" and good.any() and not good.all():
+        text = (
+            f"left out: {int((~good).sum())} rows without input or time; the samples before and after them are joined"
+        )
+        notes.append(warn(Code.LEFT_OUT, text))
+        table, data, good = table.take(good), {role: values[good] for role, values in data.items()}, good[good]
     spans = _spans(good, table, title, gaps, notes)
     records = []
     for number, (start, stop) in enumerate(spans):
@@ -308,7 +333,7 @@ def _spans(good: np.ndarray, table: Table, title: str, gaps: str, notes: list[No
         shown = ", ".join(str(line) for line in table.line[gap_rows][:6]) + (", ..." if gap_rows.size > 6 else "")
         raise DataError(
             f"{where}: input or time is missing in {gap_rows.size} rows within the record (line {shown}); a model "
-            "cannot be driven through a gap: gaps='split' makes a record of each piece"
+            "cannot be driven through a gap: gaps='split' makes a record of each piece, gaps='drop' joins them"
         )
     notes.append(
         Note(Code.LEFT_OUT, f"left out: {gap_rows.size} rows without input or time; the record is split there")

@@ -16,6 +16,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion
 from hystfit.reading.columns import Choice, choose, find
+from hystfit.reading.file_bytes import exists
 from hystfit.reading.raw_table import Table
 
 PAIR = "+"
@@ -36,11 +37,14 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
         if twice or not files:
             raise DataError(f"{twice[0]!r} is given twice" if twice else "no files are given")
         return files
-    if not glob.has_magic(str(path)) or Path(path).exists():
+    if not glob.has_magic(str(path)) or exists(path):
         return [path]
-    found = [file for file in glob.glob(str(path), recursive=True) if Path(file).is_file()]
+    try:
+        found = [file for file in glob.glob(str(path), recursive=True) if Path(file).is_file()]
+    except (OSError, ValueError, RecursionError, re.error):  # names that the system does not take
+        found = []
     if not found:
-        raise DataError(f"no file matches {str(path)!r}")
+        raise DataError(f"no file matches {str(path)[:200]!r}")
     number_or_text = lambda name: [
         (not part.isdigit(), int(part) if part.isdigit() else part) for part in re.split(r"(\d+)", name)
     ]
@@ -53,7 +57,7 @@ def pair_of(path: str | Path) -> tuple[str, str] | None:
     Raises:
         DataError: more than two files.
     """
-    if PAIR not in str(path) or Path(path).exists() or not Path(str(path).split(PAIR)[0]).is_file():
+    if PAIR not in str(path) or exists(path) or not exists(str(path).split(PAIR)[0]):
         return None
     parts = str(path).split(PAIR)
     if len(parts) != 2:

@@ -1,21 +1,69 @@
-"""Folders written whole or not at all, and JSON that any reader accepts."""
+"""Folders written whole or not at all, by one process at a time, and JSON that any reader accepts."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import filelock
+
 from hystfit.errors import HystfitError
+from hystfit.results.manifest import MANIFEST, PENDING
+
+_LOCK, _SCRATCH = ".hystfit-lock", ".hystfit-new-"
+_OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+_PATIENCE = 5.0  # seconds to wait for another process that moves its files in place
+
+
+@contextlib.contextmanager
+def alone(folder: str | Path, patience: float = 0.0) -> Iterator[None]:
+    """Keep other processes out of a folder while the body runs; a process that ends, however it ends, lets the next one in.
+
+    Args:
+        folder: made where it does not exist.
+        patience: seconds to wait for another process.
+
+    Raises:
+        HystfitError: another process uses the folder, or the body could not write into it.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as held:
+            try:
+                held.enter_context(filelock.FileLock(folder / _LOCK, timeout=patience, is_singleton=False))
+            except filelock.Timeout as error:
+                raise HystfitError(
+                    f"another process is writing to {str(folder)!r}: wait for it, or choose another folder"
+                ) from error
+            except NotImplementedError:  # a file system without locks
+                pass
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):  # an open file on Windows
+                    (folder / _LOCK).unlink(missing_ok=True)
+    except OSError as error:
+        within = error.filename is not None and Path(str(error.filename)).is_relative_to(folder)
+        if within or (error.filename is None and error.errno in _OF_DISKS):
+            raise refused(folder, error) from error
+        raise
 
 
 class writing:
-    """Context manager that yields a scratch folder beside the target and moves its files in place when all are written.
+    """Context manager that yields a scratch folder within the target, and moves its files in place when all are written.
 
-    After an error or an interrupt nothing remains: no scratch folder, and no target that did not exist before.
+    One rename makes the scratch folder the pending result; then its files are moved, manifests last. A process that is killed before
+    the rename changes nothing, and one that is killed after it has written the new result: readers take what is not yet moved from the
+    pending folder (`hystfit.results.manifest`), and the next writer moves it. After an error or an interrupt nothing remains: no
+    scratch folder, and no target that did not exist before.
 
     Raises:
         HystfitError: the target cannot be made or written; the message names the folder and the reason.
@@ -27,40 +75,83 @@ class writing:
     def __enter__(self) -> Path:
         """Make the scratch folder."""
         self.created = not self.target.exists()
+        self.held = contextlib.ExitStack()
         try:
             self.target.mkdir(exist_ok=True)
-            self.scratch = Path(tempfile.mkdtemp(prefix=".hystfit-", dir=self.target))
-        except OSError as error:
-            raise self._refused(error) from error
+            self.held.enter_context(alone(self.target, _PATIENCE))
+            _move_pending(self.target)
+            for left in self.target.glob(f"{_SCRATCH}*"):  # by a process that was killed
+                shutil.rmtree(left, ignore_errors=True)
+            self.scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=self.target))
+        except BaseException as error:
+            self._leave(remove=self.created)
+            if isinstance(error, OSError):
+                raise refused(self.target, error) from error
+            raise
         return self.scratch
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         """Move the files, or remove them after an error."""
+        committed = False
         try:
             if kind is None:
-                _move(self.scratch, self.target)
+                _refuse_clashes(self.scratch, self.target)
+                os.rename(self.scratch, self.target / PENDING)
+                committed = True
+                _move_pending(self.target)
         except OSError as failure:
-            raise self._refused(failure) from failure
+            raise refused(self.target, failure) from failure
         finally:
-            shutil.rmtree(self.scratch, ignore_errors=True)
-            if self.created and kind is not None:
-                shutil.rmtree(self.target, ignore_errors=True)
+            try:
+                shutil.rmtree(self.scratch, ignore_errors=True)
+            finally:
+                self._leave(remove=self.created and not committed)
         if isinstance(error, OSError):
-            raise self._refused(error) from error
+            raise refused(self.target, error) from error
 
-    def _refused(self, error: OSError) -> HystfitError:
-        if isinstance(error, FileNotFoundError) and not self.target.parent.is_dir():
-            return HystfitError(
-                f"cannot write to {str(self.target)!r}: the folder {str(self.target.parent)!r} does not exist; make it first"
+    def _leave(self, *, remove: bool) -> None:
+        self.held.close()
+        if remove:
+            shutil.rmtree(self.target, ignore_errors=True)
+
+
+def refused(target: Path, error: OSError) -> HystfitError:
+    """Why a folder cannot be written, in words."""
+    if isinstance(error, FileNotFoundError) and not target.parent.is_dir():
+        return HystfitError(
+            f"cannot write to {str(target)!r}: the folder {str(target.parent)!r} does not exist; make it first"
+        )
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return HystfitError(f"cannot write to {str(target)!r}: it is a file, and a folder is needed")
+    return HystfitError(f"cannot write to {str(target)!r}: {error.strerror or error}")
+
+
+def _refuse_clashes(source: Path, target: Path) -> None:
+    """Refuse a target in which a folder has the name of a file, or the other way round, before anything is moved."""
+    for entry in source.iterdir():
+        place = target / entry.name
+        if place.exists() and place.is_dir() != entry.is_dir():
+            kind = "folder" if place.is_dir() else "file"
+            raise HystfitError(
+                f"cannot write {str(place)!r}: a {kind} has this name; move it away, or choose another folder"
             )
-        if isinstance(error, FileExistsError):
-            return HystfitError(f"cannot write to {str(self.target)!r}: it is a file, and a folder is needed")
-        return HystfitError(f"cannot write to {str(self.target)!r}: {error.strerror or error}")
+        if entry.is_dir() and place.is_dir():
+            _refuse_clashes(entry, place)
+
+
+def _move_pending(target: Path) -> None:
+    """Move the files of the pending result in place, where there is one: also one that a killed process has left."""
+    pending = target / PENDING
+    if pending.is_dir():
+        _move(pending, target)
+        shutil.rmtree(pending)
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move the files of a folder into another, and those of its folders into theirs."""
-    for entry in sorted(source.iterdir()):
+    """Move the files of a folder into another, and those of its folders into theirs; manifests last."""
+    for entry in sorted(source.iterdir(), key=lambda entry: (entry.name == MANIFEST, entry.name)):
+        if entry.name == _LOCK:
+            continue
         if entry.is_dir():
             (target / entry.name).mkdir(exist_ok=True)
             _move(entry, target / entry.name)
@@ -77,8 +168,7 @@ def check_writable(target: str | Path) -> None:
     attempt = writing(target)
     attempt.__enter__()
     shutil.rmtree(attempt.scratch, ignore_errors=True)
-    if attempt.created:
-        attempt.target.rmdir()
+    attempt._leave(remove=attempt.created)
 
 
 def dump_json(path: Path, content: dict[str, Any]) -> None:

@@ -28,8 +28,7 @@ from hystfit.registry import attribute, near
 from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
 
-SCHEMA = "hystfit.fit/2"
-_LARGE = 200  # parameters whose covariance is no longer written as text
+SCHEMA = "hystfit.fit/3"
 _CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
 
 
@@ -347,13 +346,8 @@ class FitResult:
         )
         return warn(Code.EXTRAPOLATION, text)
 
-    @property
-    def has_large_covariance(self) -> bool:
-        """Whether the covariance is saved in covariance.npy, because as text it would take megabytes."""
-        return len(self.covariance) > _LARGE
-
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`; unknown values are null, as is the covariance of more than 200 parameters."""
+        """The contents of `result.json`; unknown values are null."""
         return {
             "schema": SCHEMA,
             "model": self.name,
@@ -363,7 +357,7 @@ class FitResult:
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
             "free_names": list(self.free_names),
-            "covariance": None if self.has_large_covariance else _matrix(self.covariance),
+            "covariance": _matrix(self.covariance),
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},
             "verdict": {
                 "train": verdict_dict(self.train, self.baselines),
@@ -388,6 +382,8 @@ class FitResult:
 
     def save(self, folder: str | Path, *, report: bool = True) -> Path:
         """Write result.json, model.json, the records (records.npz), the report and its pictures into a folder; all or none.
+
+        manifest.json has the SHA-256 of the files from which `load_fit` makes the same result.
 
         Args:
             folder: made if it is not there; its parent must be.

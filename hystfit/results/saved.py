@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 import zlib
@@ -12,20 +13,25 @@ import numpy as np
 
 from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import DataError
-from hystfit.inference.problem import Problem
-from hystfit.models.storage import from_json, to_json
-from hystfit.outcome import Note, Status
-from hystfit.quality.baselines import Baselines
+from hystfit.errors import DataError, HystfitError
+from hystfit.models.storage import to_json
+from hystfit.outcome import Code
+from hystfit.outcome.note import warn
 from hystfit.results.folders import dump_json, writing
-from hystfit.results.metrics import Metrics
+from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
 from hystfit.results.report import write_into
-from hystfit.results.result import SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
+from hystfit.results.result import SCHEMA, FitResult
+from hystfit.results.stored_fit import result_of
+from hystfit.results.stored_values import Stored, parse
+from hystfit.results.user_code import checksums
+
+_FILES = ("result.json", "model.json", "records.npz")
 
 
 def save_fit(result: FitResult, folder: str | Path, *, report: bool = True) -> Path:
     """See `FitResult.save`."""
     target = Path(folder)
+    check_target(target, "hystfit.fit")
     with writing(target) as scratch:
         write_fit(result, scratch)
         if report:
@@ -34,12 +40,12 @@ def save_fit(result: FitResult, folder: str | Path, *, report: bool = True) -> P
 
 
 def write_fit(result: FitResult, folder: Path) -> None:
-    """Write result.json, model.json, records.npz, and covariance.npy where it is large, of a fit into an existing folder."""
+    """Write result.json, model.json, records.npz and their manifest into an existing folder."""
+    code = checksums(result.models, result.noise.name)
     dump_json(folder / "result.json", result.to_dict())
-    if result.has_large_covariance:
-        np.save(folder / "covariance.npy", result.covariance)
-    dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models]})
+    dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models], "code": code})
     save_records(folder / "records.npz", result.data)
+    seal(folder, _FILES)
 
 
 def save_records(path: Path, data: Dataset) -> None:
@@ -54,108 +60,131 @@ def save_records(path: Path, data: Dataset) -> None:
     np.savez_compressed(path, labels=np.array(json.dumps({"name": data.name, "records": labels})), **arrays)  # type: ignore[arg-type]
 
 
-def load_records(path: Path) -> Dataset:
+def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
     """The records that `save_records` wrote.
+
+    Args:
+        file: path, or the content of the file.
+        place: of the file, for messages; default: the path.
 
     Raises:
         DataError: not such a file.
     """
+    place = place or str(file)
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            described = json.loads(str(stored["labels"]))
+        with np.load(file, allow_pickle=False) as stored:
+            described = parse(str(stored["labels"]), f"{place}: labels")
             records = []
-            for k, labels in enumerate(described["records"]):
-                t = stored[f"t{k}"] if f"t{k}" in stored else None
-                records.append(
-                    Record(
-                        u=stored[f"u{k}"],
-                        y=stored[f"y{k}"],
-                        t=t,
-                        weight=stored[f"weight{k}"],
-                        **Record.labels_of(labels),
-                    )
-                )
-    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise DataError(f"{path} does not hold records as hystfit saves them: {error}") from error
-    return Dataset(tuple(records), name=described["name"])
+            for k, labels in enumerate(described.listed("records")):
+                arrays = {name: stored[f"{name}{k}"] for name in ("u", "y", "t", "weight") if f"{name}{k}" in stored}
+                if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
+                    raise ValueError(f"{wrong[0]}{k} holds no real numbers")
+                records.append(Record(**arrays, **_labels_of(Stored(labels, f"{place}: record {k}"))))
+            return Dataset(tuple(records), name=described.text("name"))
+    except HystfitError:
+        raise
+    # An .npz file is a zip archive, and its reader meets a damaged one with errors of many kinds.
+    except (OSError, KeyError, ValueError, TypeError, EOFError, MemoryError, OverflowError, NotImplementedError,
+            RuntimeError, SyntaxError, AttributeError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
+        raise DataError(f"{place} does not hold records as hystfit saves them: {error}") from error
 
 
-def holds_fit(folder: Path) -> bool:
-    """Whether a folder holds what `FitResult.save` wrote."""
-    try:
-        stored = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(stored, dict) and stored.get("schema") == SCHEMA
+def _labels_of(stored: Stored) -> dict[str, Any]:
+    """Arguments of a record from its stored labels."""
+    texts = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source")
+    labels: dict[str, Any] = {name: stored.text(name) for name in texts}
+    labels |= {"sha256": stored.optional_text("sha256"), "sigma": stored.optional_number("sigma")}
+    return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes")}
 
 
-def load_fit(folder: str | Path) -> FitResult:
-    """The result that `FitResult.save` or `hystfit fit --out` wrote.
+def check_target(folder: Path, own: str = "") -> None:
+    """Refuse a folder whose result must not be replaced, before anything is computed.
+
+    Args:
+        folder: to be written, or not there yet.
+        own: schema of what is to be written, without its number, where it may replace an older one.
 
     Raises:
-        DataError: the folder holds no fit, one of another schema, or one that is damaged.
+        HystfitError: the folder holds a fit or a posterior of another kind, or a result.json that hystfit did not write.
+    """
+    for name in ("result.json", MANIFEST):
+        if (folder / name).is_dir():
+            raise HystfitError(f"cannot write {str(folder / name)!r}: a folder has this name; choose another folder")
+    file = folder / "result.json"
+    if not file.exists():
+        return
+    kind = _schema_of(file).partition("/")[0]
+    if not kind.startswith("hystfit."):
+        raise HystfitError(f"{str(file)!r} was not written by hystfit, and would be overwritten: choose another folder")
+    if kind != own and kind in ("hystfit.fit", "hystfit.sample"):
+        what = "a fit" if kind == "hystfit.fit" else "a posterior"
+        raise HystfitError(
+            f"{str(folder)!r} holds {what}, whose result.json would be overwritten: choose another folder"
+        )
+
+
+def _schema_of(file: Path) -> str:
+    """Schema of a result.json; "" where it has none. One that is damaged, but named by a manifest of hystfit, counts as a result."""
+    try:
+        stored = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return "hystfit.damaged" if file.with_name(MANIFEST).is_file() else ""
+    return str(stored.get("schema", "")) if isinstance(stored, dict) else ""
+
+
+def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
+    """The result that `FitResult.save` or `hystfit fit --out` wrote.
+
+    Opening a fit runs no code but hystfit's own, and the files must be those that were saved.
+
+    Args:
+        folder: of the fit.
+        trust: run a Python file with the user's own model or noise model, and accept files that were edited after they were saved
+            (a note names them).
+
+    Raises:
+        DataError: the folder holds no fit, one of another schema, or one that is incomplete, edited or damaged.
+        ModelError: a model file that would have to be run without `trust`.
     """
     require_x64()
     folder = Path(folder)
+    refuse_other_schema(folder, SCHEMA, "no fit as hystfit fit --out writes it", "fit again")
+    files = read_files(folder, _FILES, allow_edits=trust)
+    place = lambda name: str(folder / name)
+    stored = parse(files.contents["result.json"], place("result.json"))
+    described = parse(files.contents["model.json"], place("model.json"))
     try:
-        stored = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-        described = json.loads((folder / "model.json").read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = f"{Path(error.filename or folder).name}: {error.strerror}"
-        raise DataError(f"{str(folder)!r} holds no fit as hystfit fit --out writes it ({reason})") from error
-    except ValueError as error:
-        raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit again") from error
-    schema = stored.get("schema") if isinstance(stored, dict) else None
-    if schema != SCHEMA:
-        older = " (written by an earlier version of hystfit: fit again)" if schema == "hystfit.fit/1" else ""
-        raise DataError(f"{folder / 'result.json'}: schema {schema!r}, expected {SCHEMA!r}{older}")
-    try:
-        if stored["covariance"] is None:
-            stored["covariance"] = np.load(folder / "covariance.npy", allow_pickle=False)
-        return _result_of(stored, described, load_records(folder / "records.npz"))
-    except DataError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
-        raise DataError(f"the fit in {str(folder)!r} is damaged ({error}): fit again") from error
+        data = load_records(io.BytesIO(files.contents["records.npz"]), place("records.npz"))
+        result = result_of(stored, described, data, trust=trust)
+    except HystfitError as error:
+        if str(folder) in str(error):
+            raise
+        raise type(error)(f"the fit in {str(folder)!r}: {error}") from error
+    edited = [warn(Code.CHANGED_FILES, f"{name} was edited after hystfit saved it") for name in files.edited]
+    known = {note.text for note in result.notes}
+    return result.with_notes(*(note for note in edited if note.text not in known))
 
 
-def _result_of(stored: dict[str, Any], described: dict[str, Any], data: Dataset) -> FitResult:
-    models = [from_json(model) for model in described["models"]]
-    block = stored["problem"]
-    free = list(dict.fromkeys(name.partition("@")[0] for name in stored["free_names"]))
-    problem = Problem(models[0], data, fix=block["fixed"], free=free, loss=block["loss"])
-    if problem.space.names != tuple(stored["free_names"]):
-        raise ValueError(f"its free parameters {stored['free_names']} are not those of its model {problem.space.names}")
-    docs = {name: info.doc for name, _, info in problem.space.fixed()}
-    docs |= {name: info.doc for name, info in zip(problem.space.names, problem.space.infos, strict=True)}
-    metrics = {k: Metrics(**v) if v else None for k, v in stored["metrics"].items()}
-    p = len(problem.space)
-    return FitResult(
-        problem=problem,
-        x=problem.space.vector(models if len(models) > 1 else models[0]),
-        status=Status(stored["status"]),
-        notes=tuple(Note.of(note) for note in stored["notes"]),
-        parameters=tuple(ParameterEstimate(name=k, **v, doc=docs.get(k, "")) for k, v in stored["parameters"].items()),
-        covariance=np.array(stored["covariance"], dtype=float).reshape(p, p),
-        train=metrics["train"],  # type: ignore[arg-type]
-        test=metrics["test"],
-        sigma=stored["residuals"]["sigma"],
-        correlation_time=stored["residuals"]["correlation_time_samples"],
-        error_ratio=stored["residuals"]["error_ratio_to_iid"],
-        rank=stored["identifiability"]["rank"],
-        condition=stored["identifiability"]["condition"],
-        method=stored["method"]["name"],
-        starts=stored["method"]["starts"],
-        in_best_basin=stored["method"]["in_best_basin"],
-        compile_s=stored["timing"]["compile_s"],
-        run_s=stored["timing"]["run_s"],
-        noise=NoiseEstimate(block["noise"]["name"], block["noise"]["parameters"]),
-        baselines=_baselines(stored["verdict"]["train"]),  # type: ignore[arg-type]
-        test_baselines=_baselines(stored["verdict"]["test"]),
-        left_out=stored["verdict"]["left_out"],
-        provenance=stored["provenance"],
-    )
+def refuse_other_schema(folder: Path, expected: str, nothing: str, remedy: str) -> None:
+    """Refuse a folder without a result, or with one of another schema.
 
+    Args:
+        folder: of the result.
+        expected: schema.
+        nothing: what is not there, for the message.
+        remedy: for a result of an earlier version.
 
-def _baselines(verdict: dict[str, Any] | None) -> Baselines | None:
-    return Baselines(**verdict["baselines"]) if verdict else None
+    Raises:
+        DataError: see above.
+    """
+    file = folder / "result.json"
+    if is_sealed(folder):
+        return
+    if not file.exists() and not (folder / MANIFEST).exists():
+        reason = "no result.json" if folder.is_dir() else "there is no such folder"
+        raise DataError(f"{str(folder)!r} holds {nothing} ({reason})")
+    schema = _schema_of(file)
+    if schema != expected and schema.partition("/")[0] == expected.partition("/")[0]:
+        raise DataError(
+            f"{str(file)!r} was written by an earlier version of hystfit (schema {schema!r}, now {expected!r}): {remedy}"
+        )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.record import Record
+from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.sampling.posterior import Posterior
 
@@ -21,9 +21,9 @@ QUANTITIES = {
 }
 
 
-def units(posterior: Posterior) -> dict[str, str]:
+def units(data: Dataset) -> dict[str, str]:
     """Units of the quantities, from those of the fitted records; empty where a record has none."""
-    u, y = posterior.result.data.units["u"], posterior.result.data.units["y"]
+    u, y = data.units["u"], data.units["y"]
     area = f"{y} {u}".strip()
     return {
         "loop_area": area,
@@ -69,12 +69,26 @@ def _record(u: np.ndarray, t: np.ndarray) -> Record:
 
 
 def _loop(posterior: Posterior, low: float, high: float, count: int) -> dict[str, np.ndarray]:
-    half = _POINTS // 2
-    inputs = np.linspace(low, high, half + 1)
-    cycle = np.concatenate([inputs[:-1], inputs[:0:-1]])
+    u = steady_cycles(low, high)
     dt = posterior.result.data[0].sampling_interval or 1.0
-    u = np.tile(cycle, _CYCLES)
-    y = posterior.predict(_record(u, np.arange(u.size) * dt), count)[:, -_POINTS:]
+    return loop_quantities(posterior.predict(_record(u, np.arange(u.size) * dt), count), low, high)
+
+
+def steady_cycles(low: float, high: float) -> np.ndarray:
+    """Input of three triangular cycles of 400 samples, of which the last shows the steady loop."""
+    inputs = np.linspace(low, high, _POINTS // 2 + 1)
+    return np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), _CYCLES)
+
+
+def loop_quantities(y: np.ndarray, low: float, high: float) -> dict[str, np.ndarray]:
+    """Quantities of steady loops, each shape (count,).
+
+    Args:
+        y: outputs on `steady_cycles`, shape (count, samples).
+        low, high: range of the input.
+    """
+    half, y = _POINTS // 2, y[:, -_POINTS:]
+    inputs = np.linspace(low, high, half + 1)
     rising = y[:, : half + 1]
     falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]  # at the same inputs
     gap = np.abs(falling - rising)

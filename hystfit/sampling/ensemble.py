@@ -6,6 +6,7 @@ The snooker move is never used: in emcee 3.1.6 it samples a distribution that is
 from __future__ import annotations
 
 import dataclasses
+import io
 import os
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,6 +21,7 @@ from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
+from hystfit.sampling.self_contained import refuse_outside
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
@@ -88,7 +90,7 @@ class Ensemble(AbstractSampler):
     ) -> Raw:
         burn = min(int(np.ceil(5 * tau)) if np.isfinite(tau) else len(chain) // 2, len(chain) // 2)
         q = np.swapaxes(chain[burn:], 0, 1)
-        z = np.asarray(target.center) + q @ np.asarray(target.factor).T
+        z = np.asarray(target.unwhitened(jnp.asarray(q)))
         rate = np.broadcast_to((accepted / len(chain))[:, None], q.shape[:2])
         notes = [Note(Code.CHAINS, f"emcee: autocorrelation time {tau:.3g} steps; the first {burn} steps are left out")]
         if not settled:
@@ -121,7 +123,7 @@ def _look(chain: np.ndarray, before: float) -> tuple[float, bool]:
 def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
     together = _TOGETHER if target.density.keeps_trajectories else len(q)
-    one = lambda row: target.density.log_density(target.unwhitened(row), lean=True)
+    one = lambda row: target.log_density(target.center + target.factor @ row, lean=True)
     return jax.lax.map(one, q, batch_size=together)
 
 
@@ -175,8 +177,8 @@ def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray
     """The whole run in emcee's own HDF5 layout, beside the old file and then in its place: a kill leaves one or the other."""
     import emcee
 
-    scratch = file.with_name(f".{file.name}")
-    with _h5py().File(scratch, "w") as handle:
+    content = io.BytesIO()  # HDF5 itself may crash where a disk is full
+    with _h5py().File(content, "w") as handle:
         group = handle.create_group("mcmc")
         group.attrs.update(version=emcee.__version__, nwalkers=chain.shape[1], ndim=chain.shape[2], has_blobs=False)
         group.attrs["iteration"] = len(chain)
@@ -184,6 +186,8 @@ def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray
             group.attrs[f"random_state_{k}"] = part
         for name, values in (("chain", chain), ("log_prob", logs), ("accepted", accepted)):
             group.create_dataset(name, data=values)
+    scratch = file.with_name(f".{file.name}")
+    scratch.write_bytes(content.getvalue())
     os.replace(scratch, file)
 
 
@@ -197,11 +201,12 @@ def _resume(file: Path | None, walkers: int, d: int) -> tuple[Any, ...] | None:
 
     if file is None or not file.exists():
         return None
+    refuse_outside(file.read_bytes(), str(file))
     try:
         backend = emcee.backends.HDFBackend(str(file), read_only=True)
         chain, logs = np.asarray(backend.get_chain()), np.asarray(backend.get_log_prob())
         accepted, random_state = np.array(backend.accepted), tuple(backend.random_state or ())
-    except (OSError, KeyError, AttributeError) as error:
+    except (OSError, KeyError, AttributeError, ValueError, TypeError, IndexError) as error:
         raise DataError(
             f"{str(file)!r} is not an emcee run that can be resumed (damaged?): remove it to start again"
         ) from error

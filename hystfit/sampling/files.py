@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hystfit.config import require_x64
-from hystfit.errors import DataError, MissingExtraError
-from hystfit.outcome import Note, Status
+from hystfit.errors import DataError, HystfitError, MissingExtraError
+from hystfit.inference.noise.registry import NOISES
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import warn
+from hystfit.params.space import ParameterSpace
 from hystfit.results.folders import dump_json, writing
-from hystfit.results.saved import load_fit
+from hystfit.results.manifest import MANIFEST, read_files, seal
+from hystfit.results.report import write_into
+from hystfit.results.result import FitResult
+from hystfit.results.saved import check_target, load_fit, refuse_other_schema, write_fit
+from hystfit.results.stored_values import Stored, parse
+from hystfit.results.user_code import allow, checksums, noise_file
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import SCHEMA, Posterior
+from hystfit.sampling.self_contained import refuse_outside
 
 _PLAIN = ("sampler", "noise", "priors", "seconds", "seed", "provenance")
 _LISTS = ("names", "units")
+_FILES = ("result.json", "posterior.nc", f"fit/{MANIFEST}")
 
 
 def variable(name: str) -> str:
@@ -46,42 +56,128 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     """Write posterior.nc, result.json, and the fit in fit/: see `Posterior.save`."""
     xarray = _xarray()
     target = Path(folder)
+    check_target(target, SCHEMA.partition("/")[0])
     stats = {"lp": posterior.log_density, **posterior.stats}
     with writing(target) as scratch:
         dump_json(scratch / "result.json", posterior.to_dict())
         file = scratch / "posterior.nc"
-        dataset(posterior).to_netcdf(file, group="posterior", engine="h5netcdf", mode="w")
-        columns = {k: (("chain", "draw"), np.asarray(v, float)) for k, v in stats.items()}
-        xarray.Dataset(columns).to_netcdf(file, group="sample_stats", engine="h5netcdf", mode="a")
-    posterior.result.save(target / "fit")
+        try:
+            dataset(posterior).to_netcdf(file, group="posterior", engine="h5netcdf", mode="w")
+            columns = {k: (("chain", "draw"), np.asarray(v, float)) for k, v in stats.items()}
+            xarray.Dataset(columns).to_netcdf(file, group="sample_stats", engine="h5netcdf", mode="a")
+        except RuntimeError as error:  # HDF5 where the disk is full
+            raise HystfitError(f"cannot write {str(target / 'posterior.nc')!r}: {error}") from error
+        (scratch / "fit").mkdir()
+        write_fit(posterior.result, scratch / "fit")
+        write_into(posterior.result, scratch / "fit")
+        seal(scratch, _FILES)
     return target
 
 
-def load_posterior(folder: str | Path) -> Posterior:
+def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
     """What `Posterior.save` wrote.
 
+    Args:
+        folder: of the posterior.
+        trust: as in `hystfit.load_fit`.
+
     Raises:
-        DataError: the folder holds no such file, or one that is damaged.
+        DataError: the folder holds no posterior, one of another schema, or one that is incomplete, edited or damaged.
+        ModelError: a model file that would have to be run without `trust`.
         MissingExtraError: xarray or h5netcdf is not installed.
     """
     require_x64()
-    xarray, place = _xarray(), Path(folder)
-    file = place / "posterior.nc"
+    _xarray()
+    folder = Path(folder)
+    refuse_other_schema(folder, SCHEMA, "no posterior as hystfit sample --out writes it", "sample again")
+    files = read_files(folder, _FILES, allow_edits=trust)
+    place, content = str(folder / "posterior.nc"), files.contents["posterior.nc"]
+    refuse_outside(content, place)
     try:
-        with xarray.open_dataset(file, group="posterior", engine="h5netcdf") as stored:
-            header = json.loads(stored.attrs["hystfit"])
-            draws = np.stack([stored[variable(name)].values for name in header["names"]], axis=-1)
-        with xarray.open_dataset(file, group="sample_stats", engine="h5netcdf") as stored:
-            stats = {str(k): stored[k].values for k in stored}
-        kept = {k: header[k] for k in _PLAIN} | {k: tuple(header[k]) for k in _LISTS}
-        kept["status"] = Status(header["status"])
-        kept["notes"] = tuple(Note.of(note) for note in header["notes"])
-        kept["convergence"] = Convergence(**{k: np.array(v, float) for k, v in header["convergence"].items()})
-        kept["evidence"] = header["evidence"] and Evidence(*header["evidence"])
-        kept["log_density"] = stats.pop("lp")
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        raise DataError(f"{os.fspath(file)!r} is not a posterior that hystfit saved: {error}") from error
-    return Posterior(result=load_fit(place / "fit"), draws=draws, stats=stats, **kept)
+        groups = [_group(content, name) for name in ("posterior", "sample_stats")]
+    except Exception as error:  # h5py meets a damaged file with errors of many kinds
+        raise DataError(f"{place} is damaged ({error}): restore it, or sample again") from error
+    (values, attributes), (stats, _) = groups
+    header = parse(str(attributes.get("hystfit", "")), f"{place}: header", finite=False)
+    if (schema := header.text("schema")) != SCHEMA:
+        raise DataError(f"{place}: schema {schema!r}, expected {SCHEMA!r}")
+    result = load_fit(folder / "fit", trust=trust)
+    noise, code = header.text("noise"), header.part("code")
+    named = {file} if (file := noise_file(noise)) else set()
+    notes = allow(named, {name: code.optional_text(name) for name in code.content}, trust)[1]
+    notes += [warn(Code.CHANGED_FILES, f"{name} was edited after hystfit saved it") for name in files.edited]
+    try:
+        return _posterior(header, values, stats, result, notes)
+    except (KeyError, ValueError, TypeError, IndexError, OverflowError) as error:
+        if isinstance(error, HystfitError):
+            raise
+        raise DataError(f"{place} is damaged ({error}): restore it, or sample again") from error
+
+
+def _group(content: bytes, name: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Data sets and attributes of a group, read by h5py alone, which follows nothing that `refuse_outside` has not seen."""
+    import h5py
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        group: Any = file[name]
+        values = {str(k): np.asarray(v[()]) for k, v in group.items() if isinstance(v, h5py.Dataset)}
+        return values, dict(group.attrs)
+
+
+def _posterior(
+    header: Stored, values: dict[str, np.ndarray], stats: dict[str, np.ndarray], result: FitResult, notes: list[Note]
+) -> Posterior:
+    """Draws with all that the header states, each of its type and shape.
+
+    Args:
+        header: of the file.
+        values: draws by variable.
+        stats: statistics of the draws by name, with "lp".
+        result: the fit.
+        notes: on the files.
+    """
+    names, units = header.texts("names"), header.texts("units")
+    fitted = len(result.free_names)
+    if len(set(names)) != len(names) or names[:fitted] != result.free_names or len(units) != len(names):
+        raise ValueError("the parameters are not those of the fit beside it")
+    draws = np.stack([values[variable(name)] for name in names], axis=-1)
+    if draws.ndim != 3 or draws.size == 0 or draws.dtype.kind != "f":
+        raise ValueError(f"draws of shape {draws.shape} and type {draws.dtype}")
+    lists = header.part("convergence")
+    convergence = Convergence(**{k: np.array(lists.listed(k), float) for k in ("rhat", "bulk", "tail")})
+    if any(getattr(convergence, k).shape != (len(names),) for k in ("rhat", "bulk", "tail")):
+        raise ValueError("the convergence is not that of its parameters")
+    stats = {name: column for name, column in stats.items() if name not in ("chain", "draw")}
+    if any(column.shape != draws.shape[:2] or column.dtype.kind != "f" for column in stats.values()):
+        raise ValueError("the statistics are not those of its draws")
+    noise = header.text("noise")
+    if noise not in NOISES and noise_file(noise) is None:
+        raise ValueError(f"no noise model {noise!r}")
+    space = ParameterSpace.of(NOISES.make(noise))
+    if names[fitted:] != space.names:
+        raise ValueError(f"the noise model {noise} has the parameters {', '.join(space.names)}")
+    evidence = header.content["evidence"]
+    if evidence is not None:
+        evidence = Evidence(*(Stored({"evidence": v}, header.place).number("evidence") for v in evidence))
+    provenance = header.part("provenance").content
+    return Posterior(
+        result=result,
+        sampler=header.text("sampler"),
+        noise=noise,
+        names=names,
+        units=units,
+        draws=draws,
+        log_density=stats.pop("lp"),
+        stats=stats,
+        convergence=convergence,
+        status=header.member("status", Status),
+        notes=(*header.notes("notes"), *notes),
+        priors=header.words("priors"),
+        seconds=header.number("seconds"),
+        seed=header.whole("seed"),
+        provenance=provenance,
+        evidence=evidence,
+    )
 
 
 def _header(posterior: Posterior) -> dict[str, Any]:
@@ -93,6 +189,7 @@ def _header(posterior: Posterior) -> dict[str, Any]:
         "notes": [note.to_dict() for note in posterior.notes],
         "convergence": {k: getattr(posterior.convergence, k).tolist() for k in ("rhat", "bulk", "tail")},
         "evidence": posterior.evidence,
+        "code": checksums((), posterior.noise),
     }
 
 

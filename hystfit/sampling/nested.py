@@ -20,8 +20,8 @@ from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.inference.density import Density
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Evidence, Progress, Raw
-from hystfit.sampling.chunks import stored
 from hystfit.sampling.setup import Setup
 
 _CHUNK = 10  # deletions of a batch in one compiled call, and between two writes to disk

@@ -19,8 +19,8 @@ from jaxtyping import Array
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.outcome import Code
 from hystfit.outcome.note import warn
+from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.chunks import stored
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
@@ -112,7 +112,8 @@ class Nuts(AbstractSampler):
             if collect(number, chunk["q"]):
                 break
         rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
-        rows["z"] = np.asarray(setup.target.center) + rows.pop("q") @ warm["factor"].T
+        adapted = setup.target.whitened(setup.target.center, jnp.asarray(warm["factor"]))
+        rows["z"] = np.asarray(adapted.unwhitened(jnp.asarray(rows.pop("q"))))
         return rows
 
     def warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:

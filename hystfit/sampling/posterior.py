@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 
-SCHEMA = "hystfit.sample/2"
+SCHEMA = "hystfit.sample/3"
 
 
 def _view(name: str) -> Any:
@@ -223,7 +224,7 @@ class Posterior:
     def derived_rows(self) -> list[dict[str, Any]]:
         """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
         finite = lambda v: float(v) if np.isfinite(v) else None
-        rows, unit, about = [], _view("derived:units")(self), _view("derived:QUANTITIES")
+        rows, unit, about = [], _view("derived:units")(self.result.data), _view("derived:QUANTITIES")
         for name, values in self.derived().items():
             low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
             row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}
@@ -249,7 +250,7 @@ class Posterior:
         stats = {"lp": self.log_density, **self.stats}
         variable = _view("files:variable")
         posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
-        if hasattr(arviz, "InferenceData"):
+        if "posterior" in inspect.signature(arviz.from_dict).parameters:
             return arviz.from_dict(posterior=posterior, sample_stats=stats)
         return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping
@@ -23,9 +24,10 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.results.agreement import differences
+from hystfit.results.folders import alone
 from hystfit.results.result import FitResult, provenance
+from hystfit.runs.chunks import claim
 from hystfit.sampling.base import AbstractSampler, Progress
-from hystfit.sampling.chunks import claim
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
@@ -69,9 +71,10 @@ def sample(
     seed = require_seed(seed)
     chosen = _make(sampler, settings)
     setup = prepare(result, noise=noise, priors=priors)
-    place = None if folder is None else _claim(Path(folder), setup, result, chosen, seed)
     started = time.perf_counter()
-    raw = chosen.run(setup, seed, place, progress or (lambda text, fraction: None))
+    with contextlib.nullcontext() if folder is None else alone(folder):
+        place = None if folder is None else _claim(Path(folder), setup, result, chosen, seed)
+        raw = chosen.run(setup, seed, place, progress or (lambda text, fraction: None))
     seconds = time.perf_counter() - started
     draws = physical_draws(setup, raw.z)
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)

@@ -12,7 +12,6 @@ import numpy as np
 
 from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.noise_refinement import refine
-from hystfit.inference.density import Density
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
@@ -31,7 +30,7 @@ _RECURS = (
     "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
     "noise='discrepancy' widens the intervals for what recurs; a model with more terms removes it"
 )
-_WIDEST = 3.0  # standard deviation in z given at first to a direction without curvature
+_WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,11 +118,11 @@ def prepare(
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
-    center, factor, value = whiten_by_curvature(_mode(problem.density, jnp.asarray(z)))
+    target = Target.about(problem.density, jnp.asarray(z))
+    center, factor, value = whiten_by_curvature(_mode(target))
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
-    target = Target(problem.density, jnp.asarray(center), jnp.asarray(factor))
-    return Setup(problem, NOISES.label(choice), target, tuple(notes))
+    return Setup(problem, NOISES.label(choice), target.whitened(jnp.asarray(center), jnp.asarray(factor)), tuple(notes))
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
@@ -136,9 +135,9 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _mode(density: Density, z: Any) -> Any:
-    """The posterior's mode in z, by Newton steps."""
-    return maximize(density.log_density, z, density.slope)
+def _mode(target: Target) -> Any:
+    """The mode over the coordinates for sampling, by Newton steps from the target's center."""
+    return maximize(target.log_density, target.center, target.slope)
 
 
 def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:

@@ -7,6 +7,7 @@ study measures misspecification.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +27,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
 from hystfit.outcome import Column, Status, Table
+from hystfit.results.folders import alone
 from hystfit.uncertainty.replicate_pool import collect
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, typical_noise
 
@@ -244,7 +246,8 @@ def calibrate(
         raise ParameterError(
             f"emcee is for up to 10 parameters, the model has {len(problem.space)}: use nuts or laplace"
         )
-    chunks, broken = collect(study, -(-replicates // CHUNK), folder, workers, scheduler, progress)
+    with contextlib.nullcontext() if folder is None else alone(folder):
+        chunks, broken = collect(study, -(-replicates // CHUNK), folder, workers, scheduler, progress)
     joined = {k: np.concatenate([chunk[k] for chunk in chunks])[:replicates] for k in ("ranks", "errors", "reason")}
     good = joined["reason"] == 0
     failures = tuple((int(k), REASONS[int(joined["reason"][k])]) for k in np.flatnonzero(~good))

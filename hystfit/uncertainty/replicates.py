@@ -93,7 +93,7 @@ class Spaces:
         self.shared = np.arange(len(self.names) if same and study.method != "laplace" else len(model))
         problem = problem.with_noise(noise, around | noise_priors).trimmed()
         z = problem.unconstrained(np.concatenate([model.vector(study.model), assumed.vector(noise)]))
-        self.target = Target(problem.density, jnp.asarray(z), jnp.eye(z.size))
+        self.target = Target.about(problem.density, jnp.asarray(z))
         take = lambda table, space: tuple(table[name] for name in space.names)
         self.true_priors = take(around, model) + take(true_priors, self.truth)
 
@@ -134,10 +134,10 @@ def _simulated(
 
 def _whitened(target: Target) -> tuple[Target, Array]:
     """The target centered on its mode, in the coordinates of the curvature there, and a reason for failure (0 for none)."""
-    mode = maximize(target.density.log_density, target.center, target.density.slope, steps=40)
+    mode = maximize(target.log_density, target.center, target.slope, steps=40)
     size, axes = jnp.linalg.eigh(-mode.hessian)
     factor = axes / jnp.sqrt(jnp.maximum(size, 1e-4))
-    return eqx.tree_at(lambda t: (t.center, t.factor), target, (mode.z, factor)), jnp.where(mode.converged, 0, 1)
+    return target.whitened(mode.z, factor), jnp.where(mode.converged, 0, 1)
 
 
 def _ranked(x: Array, target: Target, q: Array) -> tuple[Array, Array]:

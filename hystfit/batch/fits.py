@@ -1,0 +1,270 @@
+"""The fits of many loops: a table with a row a loop, the distribution of each parameter, and the loops that need a look."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystfit.batch.row import Row
+from hystfit.batch.sources import Source
+from hystfit.batch.work import Work, fit_alone
+from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.outcome import Column, Status, Table
+from hystfit.registry import near
+from hystfit.results.result import FitResult, provenance
+
+SCHEMA = "hystfit.batch/1"
+_ERRORS = ("rmse", "error_percent", "max_error_percent")
+_WORST = 20
+_OUTER = (0.05, 0.5, 0.95)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Fits:
+    """Fits of one model to many loops.
+
+    Attributes:
+        rows: one for each loop, in the order given.
+        model: its name.
+        units: of input u, output y and time t, to which all loops were converted.
+        work: what was done with every loop.
+        sources: the file or record of each row.
+    """
+
+    rows: tuple[Row, ...]
+    model: str
+    units: Mapping[str, str]
+    work: Work
+    sources: tuple[Source, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
+
+    def __getitem__(self, name: str) -> Row:
+        return self.rows[self._number(name)]
+
+    def _number(self, name: str) -> int:
+        names = [row.name for row in self.rows]
+        if name not in names:
+            raise KeyError(f"no loop {name!r}{near(name, names)}")
+        return names.index(name)
+
+    @property
+    def status(self) -> Status:
+        """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
+        usable = sum(row.usable for row in self.rows)
+        return Status.OK if usable == len(self.rows) else Status.PARTIAL if usable else Status.FAILED
+
+    @property
+    def usable(self) -> bool:
+        """Whether all fits are usable."""
+        return self.status.usable
+
+    @property
+    def advice(self) -> str:
+        """What to do about the status, in one sentence."""
+        return self.status.advice("batch")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all free parameters."""
+        return tuple(dict.fromkeys(name for row in self.rows for name in row.values))
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of the quantities that follow from the parameters."""
+        return tuple(dict.fromkeys(name for row in self.rows for name in row.quantities))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of loops by status, most frequent first."""
+        return dict(Counter(str(row.status) for row in self.rows).most_common())
+
+    def unit(self, name: str) -> str:
+        """Unit of a parameter or quantity; "" where rows differ."""
+        units = {row.units[name] for row in self.rows if name in row.units}
+        return units.pop() if len(units) == 1 else ""
+
+    def values(self, name: str, *, usable: bool = True) -> np.ndarray:
+        """Values of a parameter or quantity, of usable fits only by default, shape (n,).
+
+        Raises:
+            ParameterError: no row has it.
+        """
+        known = (*self.names, *self.quantities)
+        if name not in known:
+            raise ParameterError(f"no parameter or quantity {name!r}{near(name, known)}; there are {', '.join(known)}")
+        chosen = [row for row in self.rows if row.usable or not usable]
+        found = [row.values.get(name, row.quantities.get(name)) for row in chosen]
+        return np.array([value for value in found if value is not None], dtype=float)
+
+    def result(self, name: str) -> FitResult:
+        """The fit of one loop with everything that `hystfit.fit` gives; it is fitted again.
+
+        Raises:
+            KeyError: no loop of this name.
+            HystfitError: the loop cannot be read or fitted.
+        """
+        number = self._number(name)
+        return fit_alone(self.work, self.sources[number], self.rows[number])
+
+    # -- the table ------------------------------------------------------------------------------------------------------------
+
+    def columns(self) -> dict[str, list[Any]]:
+        """All rows as columns of text and numbers; NaN and "" where unknown."""
+        nan = lambda value: math.nan if value is None else float(value)
+        text = lambda value: "" if value is None else str(value)
+        columns: dict[str, list[Any]] = {"loop": [row.name for row in self.rows]}
+        columns |= {name: [text(getattr(row, name)) for row in self.rows] for name in ("sha256", "status", "model")}
+        columns["samples"] = [nan(row.samples) for row in self.rows]
+        for name in self.names:
+            columns[name] = [nan(row.values.get(name)) for row in self.rows]
+            columns[f"{name}_stderr"] = [nan(row.stderr.get(name)) for row in self.rows]
+        columns |= {name: [nan(getattr(row, name)) for row in self.rows] for name in _ERRORS}
+        columns |= {name: [nan(row.quantities.get(name)) for row in self.rows] for name in self.quantities}
+        columns["notes"] = [" ".join(row.codes) for row in self.rows]
+        columns["reason"] = [row.reason for row in self.rows]
+        return columns
+
+    def column_units(self) -> dict[str, str]:
+        """Unit of each column of numbers that has one."""
+        units = {name: self.unit(name) for name in (*self.names, *self.quantities)}
+        units |= {f"{name}_stderr": units[name] for name in self.names}
+        units |= {"rmse": self.units.get("y", ""), "error_percent": "%", "max_error_percent": "%"}
+        return {name: unit for name, unit in units.items() if unit}
+
+    def to_dataframe(self) -> Any:
+        """`columns` as a pandas data frame; its attribute `attrs` has the units.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        frame = pandas.DataFrame(self.columns())
+        frame.attrs = {"schema": SCHEMA, "model": self.model, "units": self.column_units()}
+        return frame
+
+    def to_xarray(self) -> Any:
+        """`columns` as an xarray dataset over the dimension `loop`, with units as attributes.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise MissingExtraError("xarray", "frames", "to_xarray") from error
+        columns, units = self.columns(), self.column_units()
+        loops = columns.pop("loop")
+        data = {
+            name: ("loop", np.asarray(values), {"units": units[name]} if name in units else {})
+            for name, values in columns.items()
+        }
+        return xarray.Dataset(data, {"loop": loops}, {"schema": SCHEMA, "model": self.model})
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table: .csv (units in the headings), .parquet, or .nc (netCDF).
+
+        Raises:
+            DataError: another ending, or the file cannot be written.
+            MissingExtraError: the package for this kind of file is not installed.
+        """
+        path = Path(path)
+        writers: dict[str, Callable[[Path], object]] = {
+            ".csv": self._write_csv,
+            ".parquet": self._write_parquet,
+            ".nc": self._write_netcdf,
+        }
+        if path.suffix not in writers:
+            raise DataError(f"a table is written as {', '.join(writers)}, got {path.name!r}")
+        try:
+            writers[path.suffix](path)
+        except OSError as error:
+            raise DataError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+        return path
+
+    def _write_csv(self, path: Path) -> None:
+        columns, units = self.columns(), self.column_units()
+        heads = [f"{name} [{units[name]}]" if name in units else name for name in columns]
+        cell = lambda value: value if isinstance(value, str) else "" if math.isnan(value) else f"{value:.15g}"
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(heads)
+            writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+
+    def _write_parquet(self, path: Path) -> None:
+        try:
+            import pyarrow  # noqa: F401
+        except ImportError as error:
+            raise MissingExtraError("pyarrow", "frames", "a Parquet table") from error
+        self.to_dataframe().to_parquet(path, engine="pyarrow", index=False)
+
+    def _write_netcdf(self, path: Path) -> None:
+        try:
+            import h5netcdf  # noqa: F401
+        except ImportError as error:
+            raise MissingExtraError("h5netcdf", "frames", "a netCDF table") from error
+        self.to_xarray().to_netcdf(path, engine="h5netcdf")
+
+    # -- overviews ------------------------------------------------------------------------------------------------------------
+
+    def worst(self, count: int = _WORST) -> tuple[Row, ...]:
+        """Loops that need a look: those without a fit first, then those not usable, then the largest errors."""
+        rank = lambda row: (row.status is not Status.FAILED, row.usable, -(row.error_percent or 0.0))
+        return tuple(sorted(self.rows, key=rank)[:count])
+
+    def summary(self) -> Table:
+        """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit."""
+        columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median")]
+        columns += [Column("5 %"), Column("95 %"), Column("standard deviation"), Column("median stderr")]
+        rows: list[Sequence[Any]] = []
+        for name in (*self.names, *self.quantities):
+            values = self.values(name)
+            errors = [error for row in self.rows if row.usable and (error := row.stderr.get(name)) is not None]
+            low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
+            spread = float(np.std(values, ddof=1)) if values.size > 1 else None
+            error = float(np.median(errors)) if errors else None
+            rows.append([name, self.unit(name), int(values.size), middle, low, high, spread, error])
+        return Table(columns, rows)
+
+    def __str__(self) -> str:
+        counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        lines = [f"{self.model} fitted to {len(self.rows)} loops: {counted}"]
+        if any(row.usable for row in self.rows):
+            lines += ["", "Usable fits", *self.summary().lines("  ")]
+        if worst := [row for row in self.worst(5) if not row.usable]:
+            lines += ["", "Not usable", *(f"  {row.name}: {row.status}: {row.reason}" for row in worst)]
+            rest = sum(not row.usable for row in self.rows) - len(worst)
+            lines += [f"  and {rest} more"] if rest else []
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`; unknown values are null."""
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "status": str(self.status),
+            "advice": self.advice,
+            "loops": len(self.rows),
+            "counts": self.counts,
+            "units": dict(self.units),
+            "settings": {name: repr(value) for name, value in self.work.options.items()},
+            "summary": self.summary().to_list(),
+            "rows": [row.to_dict() for row in self.rows],
+            "provenance": provenance((), self.work.options["seed"]),
+        }

@@ -1,0 +1,102 @@
+"""`fit_many`: one model fitted to each of many loops, together where it can be, and resumable after an interruption."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hystfit.batch.fits import Fits
+from hystfit.batch.journal import Journal
+from hystfit.batch.row import Row
+from hystfit.batch.sources import Source, sources_of, units_of
+from hystfit.batch.work import Work, fit_sources
+from hystfit.config import require_x64
+from hystfit.data.record import Record
+from hystfit.errors import ParameterError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import model_name
+from hystfit.models.storage import to_json
+from hystfit.outcome import Status
+from hystfit.runs.chunks import claim
+from hystfit.runs.pool import computed
+
+_TOGETHER = 16  # loops in one task, where each takes milliseconds
+_ROWS = "rows.jsonl"
+
+
+def fit_many(
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
+    loops: Iterable[str | Path | Record] | str | Path,
+    *,
+    folder: str | Path | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    reading: Mapping[str, Any] | None = None,
+    progress: Callable[[str, float], object] | None = None,
+    **options: Any,
+) -> Fits:
+    """Fit one model to each of many loops, each on its own, with the estimates, errors and verdicts of `hystfit.fit`.
+
+    Levenberg-Marquardt runs for many loops of like length in one compiled program. A loop that does not converge there, ends on a
+    bound, or has a model with another estimator is fitted as `hystfit.fit` does it. A loop that cannot be read or fitted is a row
+    with the reason. All loops are converted to the units of the first one that can be read.
+
+    Args:
+        model: a model, its class or its name; "auto" compares models on each loop.
+        loops: files, patterns such as "loops/*.csv", and records; every curve of a file is a loop.
+        folder: keeps finished rows; the same call resumes from them, and loops may have been added.
+        workers: processes on this machine.
+        scheduler: address of a Dask scheduler to use instead.
+        reading: arguments of `hystfit.read`, for files.
+        progress: called with a line of text and the fraction done.
+        **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise.
+
+    Returns:
+        A table with one row for each loop.
+
+    Raises:
+        HystfitError: settings that no loop can be fitted with, no loops, the same loop twice, or a folder that holds another batch.
+    """
+    require_x64()
+    if workers < 1:
+        raise ParameterError(f"workers must be at least 1, got {workers}")
+    work = Work.of(model, options, reading or {})
+    sources = sources_of(loops)
+    work = dataclasses.replace(work, units=units_of(sources, work.reading))
+    journal = None if folder is None else Journal(claim(Path(folder), "batch.json", _described(work)) / _ROWS)
+    rows: dict[str, Sequence[Row]] = {} if journal is None else dict(journal.rows)
+    missing = [source for source in sources if source.key not in rows]
+    size = max(1, min(_TOGETHER, -(-len(missing) // workers))) if work.quick else 1
+    chunks = [missing[k : k + size] for k in range(0, len(missing), size)]
+    for number, outcome in computed(partial(fit_sources, work), chunks, workers, scheduler):
+        finished = _finished(chunks[number], outcome)
+        if journal is not None and not isinstance(outcome, Exception):  # what broke is tried again by the next call
+            journal.add(finished)
+        rows |= dict(finished)
+        if progress:
+            done = sum(source.key in rows for source in sources)
+            progress(f"{done} of {len(sources)} loops", done / len(sources))
+    pairs = [(row, source) for source in sources for row in rows[source.key]]
+    return Fits(tuple(row for row, _ in pairs), _name(work), work.units, work, tuple(source for _, source in pairs))
+
+
+def _name(work: Work) -> str:
+    return str(work.model) if isinstance(work.model, str) else model_name(work.model)
+
+
+def _described(work: Work) -> dict[str, Any]:
+    """What identifies a batch: model, options and reading, not its loops."""
+    model = work.model if isinstance(work.model, str) else to_json(work.model)
+    plain = lambda options: {name: repr(value) for name, value in sorted(options.items())}
+    return {"model": model, "options": plain(work.options), "reading": plain(work.reading), "units": dict(work.units)}
+
+
+def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row]]]:
+    """Keys and rows of the loops of a task."""
+    if isinstance(outcome, Exception):
+        reason = f"its process ended: {type(outcome).__name__}: {outcome}"
+        return [(source.key, [Row(source.name, source.file, None, Status.FAILED, reason)]) for source in chunk]
+    return [(source.key, [Row.of(row) for row in rows]) for source, rows in zip(chunk, outcome, strict=True)]

@@ -1,0 +1,123 @@
+"""The fit of one loop of many, as a row of numbers that is small enough to keep."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.outcome import Code, Severity, Status
+from hystfit.results.result import FitResult
+from hystfit.sampling.derived import loop_quantities, steady_cycles, units
+
+Number = float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """The fit of one loop; what is unknown is None.
+
+    Attributes:
+        name: of the loop: its file (with the name of the curve where the file has several), or the record's name.
+        file: that it was read from; "" for a record.
+        sha256: checksum of the file, or of the numbers of a record.
+        status: of the fit; `Status.FAILED` where there is none.
+        reason: why there is no fit, or the notes that are warnings or errors; "" where there are none.
+        codes: of all notes.
+        model: readable name.
+        samples: that were fitted.
+        values, stderr: of the free parameters; the standard error is None where it means nothing.
+        rmse: root mean square error [y].
+        error_percent, max_error_percent: rms and largest error, percent of the output's range.
+        quantities: of the steady loop of the fitted model over the fitted input range (loss a cycle, coercivity, remanence, ...), and
+            those that the model derives from its parameters.
+        units: of parameters and quantities.
+    """
+
+    name: str
+    file: str
+    sha256: str | None
+    status: Status
+    reason: str = ""
+    codes: tuple[str, ...] = ()
+    model: str | None = None
+    samples: int | None = None
+    values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    stderr: Mapping[str, Number] = dataclasses.field(default_factory=dict)
+    rmse: Number = None
+    error_percent: Number = None
+    max_error_percent: Number = None
+    quantities: Mapping[str, Number] = dataclasses.field(default_factory=dict)
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @property
+    def usable(self) -> bool:
+        """Whether the fit can be used as it is."""
+        return self.status.usable
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return dataclasses.asdict(self) | {"status": str(self.status), "codes": list(self.codes)}
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Row:
+        """From what `to_dict` gave.
+
+        Raises:
+            KeyError, ValueError, TypeError: it is no such description.
+        """
+        known = {field.name: content[field.name] for field in dataclasses.fields(cls)}
+        return cls(**known | {"status": Status(content["status"]), "codes": tuple(content["codes"])})
+
+
+def row_of(name: str, file: str, record: Record, result: FitResult) -> Row:
+    """The row of a fitted loop.
+
+    Args:
+        name: of the loop.
+        file: that it was read from; "" for a record.
+        record: as it was read, with its notes.
+        result: its fit.
+    """
+    free = [p for p in result.parameters if not p.fixed]
+    converted = [note for note in record.notes if note.code is Code.UNITS]
+    notes = [*result.notes, *converted]
+    quantities, of_quantities = _quantities(result)
+    return Row(
+        name=name,
+        file=file,
+        sha256=record.sha256 or record.digest(),
+        status=result.status,
+        reason="; ".join(note.text for note in notes if note.severity is not Severity.INFO),
+        codes=tuple(dict.fromkeys(str(note.code) for note in notes)),
+        model=result.name,
+        samples=result.train.n,
+        values={p.name: float(p.value) for p in free},
+        stderr={p.name: _finite(p.stderr) for p in free},
+        rmse=_finite(result.train.rmse),
+        error_percent=_finite(result.train.nrmse_percent),
+        max_error_percent=_finite(result.train.max_error_percent),
+        quantities=quantities,
+        units={p.name: p.unit for p in free} | of_quantities,
+    )
+
+
+def _finite(value: Number) -> Number:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _quantities(result: FitResult) -> tuple[dict[str, Number], dict[str, str]]:
+    """Quantities of the fitted model, and their units."""
+    low, high = result.input_range
+    u = steady_cycles(low, high)
+    interval = result.data[0].sampling_interval
+    y = result.model.free_run(u, None if result.model.rate_independent else np.full(u.size, interval or 1.0))
+    loop = loop_quantities(y[None], low, high) if np.isfinite(y).all() and np.ptp(y) > 0 else {}
+    values = {name: _finite(float(value[0])) for name, value in loop.items()}
+    label = {name: unit for name, unit in units(result.data).items() if name in values}
+    derived = result.derived
+    return values | {p.name: _finite(p.value) for p in derived}, label | {p.name: p.unit for p in derived}

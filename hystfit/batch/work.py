@@ -1,0 +1,227 @@
+"""What is done with each loop of a batch, in whichever process: reading, fitting together with others, and its row."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
+
+from hystfit.batch.bucketed import Task, solve_together
+from hystfit.batch.row import Row, row_of
+from hystfit.batch.sources import Source
+from hystfit.config import enable_x64, require_seed
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import HystfitError, ParameterError
+from hystfit.fitting.entry import fit
+from hystfit.fitting.estimate import Estimate
+from hystfit.fitting.fit import Posed, changed_settings, check_settings, judge, pose, solve, starting_vectors
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import SEARCH, make_model
+from hystfit.outcome import Status
+from hystfit.params.space import ParameterSpace
+from hystfit.reading.read import read
+from hystfit.results.result import FitResult
+from hystfit.results.timing import Stopwatch
+
+AUTO = "auto"
+_TOGETHER = "lm"  # the estimator that runs for many records in one program
+_POSED = ("method", "fix", "free", "start", "loss")
+_SAMPLES = 2**19  # read before they are fitted, so that memory is bounded
+_DEFAULTS = {name: inspect.signature(fit).parameters[name].default for name in (*_POSED, "starts", "seed", "noise")}
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """What is done with every loop; other processes receive it.
+
+    Attributes:
+        model: a model or its name.
+        options: of `hystfit.fit`.
+        reading: of `hystfit.read`, for loops that are files.
+        units: to which loops are converted.
+    """
+
+    model: AbstractHysteresis | str
+    options: Mapping[str, Any]
+    reading: Mapping[str, Any]
+    units: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        model: AbstractHysteresis | type[AbstractHysteresis] | str,
+        options: Mapping[str, Any],
+        reading: Mapping[str, Any],
+    ) -> Work:
+        """Settings checked before any work, with the defaults of those that are not given.
+
+        Args:
+            model: a model, its class or its name.
+            options: of `hystfit.fit`.
+            reading: of `hystfit.read`.
+
+        Raises:
+            HystfitError: an unknown model, parameter or setting, with which no loop could be fitted.
+        """
+        if unknown := [name for name in options if name not in _DEFAULTS]:
+            raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(_DEFAULTS)}")
+        if unread := [name for name in reading if name not in inspect.signature(read).parameters]:
+            raise ParameterError(f"reading has no setting {unread[0]!r}; see hystfit.read")
+        chosen = _DEFAULTS | dict(options)
+        check_settings(*(chosen[name] for name in ("method", "starts", "loss", "noise", "start")))
+        require_seed(chosen["seed"])
+        work = cls(make_model(model) if isinstance(model, type) else model, chosen, dict(reading), {})
+        if (
+            work.searches
+            and work.model == AUTO
+            and (changed := changed_settings({k: v for k, v in chosen.items() if k != "seed"}))
+        ):
+            raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
+        if not work.searches:
+            space = ParameterSpace.of(make_model(work.model), fix=chosen["fix"], free=chosen["free"])
+            if not len(space):
+                raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
+        return work
+
+    @property
+    def searches(self) -> bool:
+        """Whether the model itself is chosen for each loop."""
+        return isinstance(self.model, str) and self.model in (AUTO, SEARCH)
+
+    @property
+    def quick(self) -> bool:
+        """Whether a loop is expected to take milliseconds."""
+        if self.searches or self.options["method"] not in ("auto", _TOGETHER):
+            return False
+        return make_model(self.model).estimator is None and self.options["noise"] in ("auto", "iid")
+
+
+@dataclasses.dataclass
+class _Loop:
+    """A loop on its way: what was read, then posed, then solved, or why it has no fit."""
+
+    source: Source
+    name: str
+    record: Record | None = None
+    posed: Posed | None = None
+    estimate: Estimate | None = None
+    row: Row | None = None
+
+    def fails(self, error: Exception) -> None:
+        """End with a reason."""
+        reason = str(error) if isinstance(error, (HystfitError, OSError)) else f"{type(error).__name__}: {error}"
+        sha256 = self.record.sha256 or self.record.digest() if self.record else None
+        self.row = Row(self.name, self.source.file, sha256, Status.FAILED, reason)
+
+
+def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, Any]]]:
+    """Rows of the loops of each source; an error that concerns one loop alone is the reason in its row."""
+    enable_x64()
+    rows: list[list[dict[str, Any]]] = [[] for _ in sources]
+    pending: list[tuple[int, _Loop]] = []
+    for number, source in enumerate(sources):
+        pending += [(number, loop) for loop in _read(work, source)]
+        samples = sum(len(loop.record) for _, loop in pending if loop.record is not None)
+        if samples > _SAMPLES or number == len(sources) - 1:
+            _fit(work, [loop for _, loop in pending])
+            for k, loop in pending:
+                rows[k].append(cast(Row, loop.row).to_dict())
+            pending = []
+    return rows
+
+
+def _fit(work: Work, loops: Sequence[_Loop]) -> None:
+    """Give every loop its row."""
+    if work.searches:
+        for loop in loops:
+            _attempt(loop, lambda loop: _search(work, loop))
+        return
+    for loop in loops:
+        _attempt(loop, lambda loop: _pose(work, loop))
+    _solve(work, [loop for loop in loops if loop.row is None])
+    for loop in loops:
+        _attempt(loop, lambda loop: _judge(work, loop))
+
+
+def _attempt(loop: _Loop, step: Callable[[_Loop], object]) -> None:
+    if loop.row is not None:
+        return
+    try:
+        step(loop)
+    except Exception as error:  # a batch does not end with one of its loops
+        loop.fails(error)
+
+
+def _read(work: Work, source: Source) -> list[_Loop]:
+    try:
+        return [_Loop(source, name, record) for name, record in source.loops(work.reading)]
+    except Exception as error:  # as in `_attempt`
+        loop = _Loop(source, source.name)
+        loop.fails(error)
+        return [loop]
+
+
+def _alike(work: Work, loop: _Loop) -> Record:
+    """The record in the units of the batch."""
+    loop.record = loop.record.in_units(**work.units)  # type: ignore[union-attr]
+    return loop.record
+
+
+def _search(work: Work, loop: _Loop) -> None:
+    record = _alike(work, loop)
+    loop.row = row_of(loop.name, loop.source.file, record, fit(work.model, record, **work.options))
+
+
+def _pose(work: Work, loop: _Loop) -> None:
+    options = {name: work.options[name] for name in _POSED}
+    named = isinstance(work.model, str)
+    loop.posed = pose(make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options)
+
+
+def _solve(work: Work, loops: Sequence[_Loop]) -> None:
+    """Solve together those that can be, a bucket at a time."""
+    buckets: dict[Any, list[tuple[_Loop, Task]]] = defaultdict(list)
+    for loop in loops:
+        if loop.posed is not None and loop.posed.method == _TOGETHER:
+            _attempt(loop, lambda loop: _enter(work, loop, buckets))
+    for tasks in buckets.values():
+        size = tasks[0][1].capacity
+        for part in (tasks[k : k + size] for k in range(0, len(tasks), size)):
+            solved = solve_together([task for _, task in part])
+            for (loop, _), estimate in zip(part, solved, strict=True):
+                loop.estimate = estimate
+
+
+def _enter(work: Work, loop: _Loop, buckets: dict[Any, list[tuple[_Loop, Task]]]) -> None:
+    posed = cast(Posed, loop.posed)
+    starts = starting_vectors(posed.problem, work.options["starts"], work.options["seed"], posed.points)
+    task = Task.of(posed.problem, starts)
+    buckets[task.key].append((loop, task))
+
+
+def _judge(work: Work, loop: _Loop) -> None:
+    watch, posed, record = Stopwatch(), cast(Posed, loop.posed), cast(Record, loop.record)
+    estimate = loop.estimate or solve(
+        posed.problem, posed.method, work.options["starts"], work.options["seed"], posed.points
+    )
+    result = judge(posed, estimate, noise=work.options["noise"], seed=work.options["seed"], watch=watch)
+    loop.row = row_of(loop.name, loop.source.file, record, result)
+    loop.posed = loop.estimate = None  # arrays of the record are not kept
+
+
+def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
+    """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before.
+
+    Args:
+        work: what is done with every loop.
+        source: that holds it.
+        row: of the loop.
+
+    Raises:
+        HystfitError: the loop cannot be read or fitted.
+    """
+    record = dict(source.loops(work.reading))[row.name].in_units(**work.units)
+    model = row.model if work.searches and row.model else work.model
+    return fit(model, record, **work.options)

@@ -1,0 +1,139 @@
+"""`hystfit batch`."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
+from hystfit.cli.write import finish, progress
+from hystfit.errors import DataError, HystfitError, ParameterError
+from hystfit.fitting.registry import ESTIMATORS
+from hystfit.inference.noise.registry import NOISES
+
+if TYPE_CHECKING:
+    from hystfit.batch.fits import Fits
+
+Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
+Format = Literal["parquet", "netcdf"]
+_ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
+_RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
+_FEW = 32  # loops below which further processes take longer to start than to compute
+
+
+@lists(methods=ESTIMATORS, noises=NOISES)
+def batch(
+    *loops: Loops,
+    model: str,
+    method: str = "auto",
+    fix: list[str] | None = None,
+    free: list[str] | None = None,
+    noise: str = "auto",
+    loss: str = "linear",
+    start: Literal["data", "model"] = "data",
+    starts: int = 8,
+    seed: int = 0,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    table: list[Format] | None = None,
+    reports: str = "5",
+    reading: Reading = DEFAULT_READING,
+    output: Output = STDOUT,
+) -> int:
+    """Fit a model to each of many loops and tabulate the parameters.
+
+    Exit status 1: some loop could not be fitted, or its fit is not usable. With --out, the folder holds fits.csv (a row a loop),
+    overview.html (the distribution of each parameter, and the loops that need a look) and reports of some loops. The same command
+    resumes after an interruption, and loops may be added to it.
+
+    Args:
+        model: name (see hystfit models), my_model.py:MyModel, or auto: the winner of hystfit compare on each loop.
+        method: auto (suits the model), {methods}.
+        fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model holds by default; repeatable.
+        noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
+        loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
+        start: starting values estimated from the data, or those of the model.
+        starts: number of starting points.
+        seed: random seed for the starting points.
+        workers: processes on this machine; default: one for each core, for many loops.
+        scheduler: address of a Dask scheduler to use instead.
+        table: form of the table besides CSV: parquet or netcdf; repeatable.
+        reports: how many loops get a report, those that need a look first; or all.
+    """
+    from hystfit.batch.many import fit_many
+    from hystfit.batch.sources import sources_of
+
+    output.check()
+    if not loops:
+        raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
+    count = _count(reports)
+    found = len(sources_of(list(loops)))
+    options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "start": start}
+    options |= {"starts": starts, "seed": seed, "fix": named_values(fix or []), "free": free or []}
+    run = None if output.out is None else output.out / _RUN
+    processes = workers or (1 if found < _FEW else os.cpu_count() or 1)
+    try:
+        with progress(f"fitting {model}") as update, interrupts_alone():
+            fits = fit_many(
+                model,
+                list(loops),
+                folder=run,
+                workers=processes,
+                scheduler=scheduler,
+                reading=dataclasses.asdict(reading),
+                progress=update,
+                **options,
+            )
+    except KeyboardInterrupt:
+        if run is None:
+            raise
+        print(f"hystfit: interrupted; the same command resumes from {run}", file=sys.stderr)
+        return INTERRUPTED
+
+    def save(folder: Path) -> None:
+        from hystfit.batch.overview import overview
+
+        for ending in (".csv", *(_ENDINGS[form] for form in table or [])):
+            fits.save(folder / f"fits{ending}")
+        addresses = _write_reports(fits, len(fits) if count is None else count, folder)
+        (folder / "overview.html").write_text(overview(fits, addresses), encoding="utf-8")
+
+    return finish(str(fits), fits.to_dict(), output, save, status=fits.status)
+
+
+def _count(reports: str) -> int | None:
+    """Number of reports; None for all."""
+    if reports == "all":
+        return None
+    if not reports.isdigit():
+        raise ParameterError(f"--reports is a number of loops, or all; got {reports!r}")
+    return int(reports)
+
+
+def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
+    """Reports of the loops that need a look and have a fit: address by name of the loop."""
+    from hystfit.results.report import write_into
+
+    addresses: dict[str, str] = {}
+    chosen = [row for row in fits.worst(len(fits)) if row.values][:count]
+    with progress("writing reports") as update:
+        for number, row in enumerate(chosen):
+            update(row.name, number / len(chosen))
+            try:
+                result = fits.result(row.name)
+            except HystfitError as error:  # the file has gone since
+                raise DataError(f"report of {row.name!r}: {error}") from error
+            name = re.sub(r"[^\w.-]+", "_", Path(row.name).name)[:80]
+            place = folder / "reports" / f"{name}-{(row.sha256 or '')[:8]}"
+            place.mkdir(parents=True, exist_ok=True)
+            write_into(result, place)
+            addresses[row.name] = f"reports/{place.name}/report.html"
+    return addresses

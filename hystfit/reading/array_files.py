@@ -1,0 +1,170 @@
+"""Arrays in numpy, MATLAB and HDF5 files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from hystfit.errors import DataError, MissingExtraError
+from hystfit.reading.file_bytes import allowed
+from hystfit.reading.mat_structure import check_structure
+
+_CHUNK = 2**20
+_DOUBLE = 8  # bytes that every number takes in the end
+
+
+def arrays_in(raw: bytes, suffix: str) -> dict[str, np.ndarray]:
+    """The arrays in a file, by name.
+
+    Args:
+        raw: the file.
+        suffix: its kind, one of `KINDS`.
+
+    Raises:
+        DataError: the arrays are too large for the file, or lie outside it.
+        Exception: of the libraries, for damaged files.
+    """
+    return KINDS[suffix](raw)
+
+
+def imported(package: str, purpose: str) -> Any:
+    """A package of the extra "files".
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    import importlib
+
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(package, "files", purpose) from error
+
+
+def check_size(size: int, raw: bytes) -> None:
+    """Refuse numbers that would take many times the size of their file.
+
+    Args:
+        size: of all numbers [bytes].
+        raw: the file.
+
+    Raises:
+        DataError: they would.
+    """
+    if size > allowed(len(raw)):
+        raise DataError(
+            f"its contents would take {size / 2**20:.0f} MiB, and the file has {len(raw) / 2**20:.3g} MiB: it is damaged or "
+            "no measurement. If it is one, save fewer or shorter columns"
+        )
+
+
+def check_members(archive: zipfile.ZipFile, raw: bytes) -> None:
+    """Refuse an archive that unpacks to many times its size; members longer than they state are cut off by zipfile."""
+    check_size(sum(member.file_size for member in archive.infolist()), raw)
+
+
+def _numpy(raw: bytes) -> dict[str, np.ndarray]:
+    if raw.startswith(b"PK"):
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            check_members(archive, raw)
+            sizes = []
+            for member in archive.infolist():
+                with archive.open(member) as stream:
+                    sizes.append(_npy_size(stream.read(_CHUNK), member.file_size))
+            check_size(sum(sizes), raw)
+    else:
+        check_size(_npy_size(raw, len(raw)), raw)
+    found = np.load(io.BytesIO(raw), allow_pickle=False)
+    if isinstance(found, np.ndarray):
+        return {"": found} if found.dtype.names is None else {name: found[name] for name in found.dtype.names}
+    arrays = {name: found[name] for name in found.files}
+    return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
+
+
+def _npy_size(start: bytes, size: int) -> int:
+    """Bytes of an array as doubles, from the first bytes of its file of `size` bytes.
+
+    Raises:
+        DataError: the file is shorter than its header states.
+    """
+    if not start.startswith(b"\x93NUMPY"):
+        return size
+    stream = io.BytesIO(start)
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(stream)
+    count = math.prod(shape)
+    if dtype.hasobject:
+        raise DataError(
+            "it holds Python objects, which are not loaded because they could run code: save arrays of numbers"
+        )
+    if count * dtype.itemsize > size - stream.tell():
+        raise DataError(
+            f"an array of shape {shape} is announced, and its numbers are not there: it is damaged, save it again"
+        )
+    return count * max(_DOUBLE, dtype.itemsize)
+
+
+def _matlab(raw: bytes) -> dict[str, np.ndarray]:
+    from scipy.io import loadmat, whosmat
+
+    if raw[:128].startswith(b"MATLAB 7.3") or raw[:4] == b"\x89HDF" or raw[512:516] == b"\x89HDF":
+        return {name: array.T for name, array in _hdf5(raw).items()}  # MATLAB stores columns first
+    check_structure(raw)
+    shapes = [shape for _, shape, _ in whosmat(io.BytesIO(raw))]
+    check_size(sum(_DOUBLE * math.prod(map(int, shape)) for shape in shapes), raw)
+    found = loadmat(io.BytesIO(raw), simplify_cells=True)
+    return _flatten({name: value for name, value in found.items() if not name.startswith("__")})
+
+
+def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            arrays.update(_flatten(value, f"{prefix}{name}."))
+        elif isinstance(value, np.ndarray):
+            arrays[f"{prefix}{name}"] = value
+    return arrays
+
+
+def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
+    h5py = imported("h5py", "reading HDF5 (and MATLAB 7.3) files")
+    found: list[tuple[str, Any]] = []
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#refs#"):
+            found.append((name, item))
+
+    with h5py.File(io.BytesIO(raw), "r") as file:
+        file.visititems(visit)
+        for name, item in found:
+            settings = item.id.get_create_plist()
+            if settings.get_external_count() or settings.get_layout() == h5py.h5d.VIRTUAL:
+                raise DataError(f"{name!r} lies in another file, which is not read: store the numbers themselves")
+        check_size(sum(math.prod(item.shape or ()) * max(_DOUBLE, item.dtype.itemsize) for _, item in found), raw)
+        arrays: dict[str, np.ndarray] = {}
+        for name, item in found:
+            values = item[()]
+            if isinstance(values, np.ndarray) and values.dtype.names is not None:
+                arrays.update({f"{name}/{field}": values[field] for field in values.dtype.names})
+            elif isinstance(values, np.ndarray):
+                arrays[name] = _text(values) if values.dtype.kind in "SO" else values
+    return arrays
+
+
+def _text(values: np.ndarray) -> np.ndarray:
+    return np.array([v.decode(errors="replace") if isinstance(v, bytes) else str(v) for v in values.ravel()])
+
+
+KINDS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
+    ".npz": _numpy,
+    ".npy": _numpy,
+    ".mat": _matlab,
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
+}

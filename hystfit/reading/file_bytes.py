@@ -1,0 +1,124 @@
+"""The bytes of a file: regular files of a sensible size only, unpacked where they are compressed."""
+
+from __future__ import annotations
+
+import bz2
+import dataclasses
+import hashlib
+import lzma
+import os
+import stat
+import zlib
+from pathlib import Path
+from typing import Any
+
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+
+_LARGEST = 4 * 2**30  # bytes of a file
+_PACKED = {b"\x1f\x8b": "gzip", b"\xfd7zXZ\x00": "xz", b"BZh": "bzip2"}
+_PACKED_SUFFIXES = frozenset({".gz", ".xz", ".bz2", ".lzma"})
+_LZMA_ALONE = b"\x5d\x00\x00"
+_CHUNK = 2**20
+
+
+@dataclasses.dataclass(frozen=True)
+class FileBytes:
+    """Content of a file, unpacked; SHA-256 of the file as it is stored; and what was done with it."""
+
+    raw: bytes
+    sha256: str
+    notes: tuple[Note, ...] = ()
+
+
+def allowed(size: int) -> int:
+    """Number of bytes that the numbers in a file of `size` bytes may take: more is a damaged file, or made to fill the memory."""
+    return 64 * 2**20 + 4 * size
+
+
+def exists(path: str | Path) -> bool:
+    """Whether there is a file or folder of this name; a name that the system does not take is none."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
+def inner_name(path: str | Path) -> Path:
+    """The name without the suffix of a compressed file: loop.csv.xz holds loop.csv."""
+    path = Path(path)
+    return path.with_suffix("") if path.suffix.lower() in _PACKED_SUFFIXES else path
+
+
+def load(path: str | Path) -> FileBytes:
+    """The content of a regular file, unpacked where it is gzip, bzip2 or xz.
+
+    Raises:
+        DataError: it is missing, a folder, a device or pipe, empty, too large or damaged, or may not be read.
+    """
+    path = Path(path)
+    try:
+        status = os.stat(path)
+        if stat.S_ISDIR(status.st_mode):
+            raise DataError(f"{path} is a folder; name one file in it")
+        if not stat.S_ISREG(status.st_mode):
+            raise DataError(f"{path} is a pipe or a device, and only files are read; save its content in a file first")
+        if status.st_size > _LARGEST:
+            raise DataError(
+                f"{path} has {status.st_size / 2**30:.3g} GiB, and {_LARGEST / 2**30:g} GiB is the most; split it"
+            )
+        raw = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file; check the name and the folder that you are in") from error
+    except DataError:
+        raise
+    except (OSError, ValueError) as error:
+        shown = str(path) if len(str(path)) < 200 else f"{str(path)[:60]}..."
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"{shown} cannot be read: {reason}; check the name") from error
+    if not raw:
+        raise DataError(f"{path} is empty (0 bytes); nothing was written to it: record or copy it again")
+    digest = hashlib.sha256(raw).hexdigest()
+    kind = next((kind for magic, kind in _PACKED.items() if raw.startswith(magic)), "")
+    if not kind and path.suffix.lower() == ".lzma" and raw.startswith(_LZMA_ALONE):
+        kind = "lzma"
+    if not kind:
+        return FileBytes(raw, digest)
+    content = _unpacked(raw, kind, str(path))
+    note = Note(Code.FILE_FORMAT, f"unpacked from {kind}: {len(content)} bytes")
+    return FileBytes(content, digest, (note,))
+
+
+def _unpacked(raw: bytes, kind: str, source: str) -> bytes:
+    """Content of a compressed file, of one or several streams, at most `allowed` bytes."""
+    most, parts, total = allowed(len(raw)), [], 0
+    try:
+        while raw:
+            stream = _stream(kind)
+            data: Any = raw
+            while not stream.eof:
+                part = stream.decompress(data, _CHUNK)
+                data = stream.unconsumed_tail if kind == "gzip" else b""
+                if not part and not stream.eof and (not data if kind == "gzip" else stream.needs_input):
+                    raise DataError(f"{source} ends within its {kind} data: copy it again")
+                total += len(part)
+                if total > most:
+                    raise DataError(
+                        f"{source} unpacks to more than {most / 2**20:.0f} MiB, many times its size, and is not read; "
+                        "unpack it yourself if it is a measurement"
+                    )
+                parts.append(part)
+            raw = stream.unused_data.lstrip(b"\x00")
+            if raw and kind != "lzma" and not any(raw.startswith(magic) for magic in _PACKED):
+                raise DataError(f"{source} has {len(raw)} bytes after its {kind} data: it is damaged, copy it again")
+    except (OSError, EOFError, zlib.error, lzma.LZMAError, ValueError, MemoryError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(f"{source} cannot be unpacked as {kind}: {error}; it is damaged, copy it again") from error
+    return b"".join(parts)
+
+
+def _stream(kind: str) -> Any:
+    if kind == "gzip":
+        return zlib.decompressobj(wbits=31)
+    return bz2.BZ2Decompressor() if kind == "bzip2" else lzma.LZMADecompressor(memlimit=256 * 2**20)

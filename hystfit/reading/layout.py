@@ -1,0 +1,190 @@
+"""Layout of the rows of numbers in a text: delimiter, decimal mark and kinds of the columns, from a sample of its lines."""
+
+from __future__ import annotations
+
+import collections
+import csv
+import dataclasses
+import re
+from collections.abc import Sequence
+
+from hystfit.errors import DataError
+from hystfit.reading import cells
+
+_LONGEST = 100_000  # characters of a line
+_MOST = 300_000  # characters of the sample
+_SAMPLE = 900
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """How the rows of numbers are written: delimiter (None is any white space), decimal mark, kinds of the columns."""
+
+    delimiter: str | None
+    decimal: str
+    kinds: str
+    score: float
+    rows: int
+
+    @property
+    def width(self) -> int:
+        """Number of columns, empty ones included."""
+        return len(self.kinds)
+
+    def words(self) -> str:
+        """Delimiter and decimal mark, for messages."""
+        name = {None: "white space", "\t": "tab", ",": "comma", ";": "semicolon", "|": "bar"}
+        return f"delimiter {name.get(self.delimiter, repr(self.delimiter))}, decimal mark {self.decimal!r}"
+
+
+_TOUCHING = re.compile(r"(\.\d+(?:[eE][+-]?\d+)?)(?=-\d*\.\d)", re.ASCII)
+
+
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Cells of one line; a delimiter within double quotes does not count."""
+    if '"' in line and delimiter is not None and len(delimiter) == 1:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return line.split(delimiter)
+
+
+def apart(lines: Sequence[str]) -> list[str]:
+    """Lines in which a minus sign touches the column before it ("1.2345-2.3456"), with a blank between."""
+    return [_TOUCHING.sub(r"\1 ", line) if "-" in line else line for line in lines]
+
+
+def check_lengths(lines: Sequence[str], source: str) -> None:
+    """Refuse lines that no table of numbers has.
+
+    Raises:
+        DataError: a line is too long.
+    """
+    longest = max(map(len, lines), default=0)
+    if longest > _LONGEST:
+        where = next(k for k, line in enumerate(lines, start=1) if len(line) == longest)
+        raise DataError(
+            f"{source}, line {where} has {longest} characters, and {_LONGEST} are the most: write one sample in a line"
+        )
+
+
+def _quality(pattern: str) -> float:
+    stamps = len(re.findall(f"{cells.STAMP}+", pattern))  # a date and the time beside it are one stamp
+    numbers = pattern.count(cells.NUMBER) + stamps
+    text = pattern.count(cells.TEXT)
+    return numbers * (numbers / (numbers + text)) ** 2 if cells.NUMBER in pattern else 0.0
+
+
+def layout_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: str) -> Layout:
+    """The most frequent pattern of cells among some rows; score 0 where no row holds a number."""
+    counts = collections.Counter("".join([cells.kind(cell, decimal) for cell in row]) for row in rows if row)
+    top = max(counts, key=lambda pattern: (counts[pattern] * _quality(pattern), pattern), default="")
+    missing, text = cells.MISSING, cells.TEXT
+    fits = [
+        pattern
+        for pattern in counts
+        if len(pattern) == len(top)
+        and all(a == b or missing in (a, b) or b == text for a, b in zip(pattern, top, strict=True))
+    ]
+    kinds = ""
+    for position in range(len(top)):
+        votes = collections.Counter()
+        for pattern in fits:
+            votes[pattern[position]] += counts[pattern]
+        votes.pop(missing, None)
+        kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
+    total = sum(counts[pattern] for pattern in fits)
+    return Layout(delimiter, decimal, kinds, total * _quality(kinds), total)
+
+
+def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str | None) -> Layout:
+    """Delimiter, decimal mark and kinds of the columns.
+
+    Args:
+        lines: of the text.
+        source: its path, for messages.
+        delimiter, decimal: chosen by the user; detected where None.
+
+    Raises:
+        DataError: no line holds numbers under any of them, or the comma could be both.
+    """
+    filled = _sample(lines)
+    if delimiter is not None:
+        delimiter = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";"}.get(delimiter, delimiter)
+        marks: list[str | None] = [None if delimiter in (" ", "space", "whitespace", "") else delimiter]
+    else:
+        marks = [mark for mark in (",", ";", "\t", "|") if any(mark in line for line in filled)] + [None]
+    if decimal not in (None, ".", ","):
+        raise DataError(f"the decimal mark must be '.' or ',', got {decimal!r}")
+    best, text_of_best = Layout(None, ".", "", 0.0, 0), 0
+    for mark in marks:
+        rows = [split(line, mark) for line in filled]
+        for point in (".", ",") if decimal is None else (decimal,):
+            layout = layout_of(rows, mark, point)
+            text = _text_size(rows, layout)
+            tie = layout.score > best.score * (1 - 1e-9) and text < text_of_best  # words, not pieces of rows
+            if layout.score > best.score * (1 + 1e-9) or tie:
+                best, text_of_best = layout, text
+            if point == "." and mark is not None and _is_plain(layout, filled):
+                break
+        if mark is not None and _is_plain(best, filled) and best.delimiter == mark:
+            break
+    if best.score == 0.0:
+        raise DataError(
+            f"{source}: no row of numbers found in {len(lines)} lines; it begins {filled[0].strip()[:60]!r}. "
+            "Give delimiter= and decimal= if there are numbers in it"
+            if filled
+            else f"{source} holds {len(lines)} blank lines and nothing else"
+        )
+    if best.delimiter == "," and best.decimal == "." and delimiter is None and decimal is None:
+        _check_comma(filled, best, source)
+    return best
+
+
+def _text_size(rows: Sequence[Sequence[str]], layout: Layout) -> int:
+    """Number of characters in the columns of text."""
+    positions = [k for k, kind in enumerate(layout.kinds) if kind == cells.TEXT]
+    return sum(len(row[k].strip()) for row in rows if len(row) == layout.width for k in positions) if positions else 0
+
+
+def _is_plain(layout: Layout, filled: Sequence[str]) -> bool:
+    """Whether nearly all lines are plain numbers between one mark, so that no other mark can find more of them."""
+    if layout.delimiter is None or set(layout.kinds) != {cells.NUMBER} or layout.rows < len(filled) - 3:
+        return False
+    others = {",", ";", "\t", "|", " "} - {layout.delimiter}
+    return not any(mark in line for line in filled[3:] for mark in others)
+
+
+def _sample(lines: Sequence[str]) -> list[str]:
+    """Some lines that are not blank: the first ones and others from all over the text."""
+    if len(lines) > 20 * _SAMPLE:  # enough of them are not blank
+        lines = [*lines[:_SAMPLE], *lines[_SAMPLE :: len(lines) // (10 * _SAMPLE)]]
+    filled = list(filter(str.strip, lines))
+    if len(filled) > _SAMPLE:
+        step = len(filled) / (_SAMPLE - 300)
+        filled = filled[:300] + [filled[int(step * k)] for k in range(_SAMPLE - 300)]
+    size = sum(map(len, filled))
+    if size > _MOST:  # long lines: every n-th
+        filled = filled[:3] + filled[3 :: -(-size // _MOST)]
+    return filled
+
+
+def _check_comma(filled: Sequence[str], layout: Layout, source: str) -> None:
+    """Refuse rows such as 0,10,1,20 under the two names "t,y": each comma could be a delimiter or a decimal mark."""
+    if layout.width % 2:
+        return
+    rows = [split(line, ",") for line in filled]
+    rows = [row for row in rows if len(row) == layout.width and all(cells.kind(c, ".") == cells.NUMBER for c in row)]
+    if not rows or any(re.search(r"[.eE]", cell) for row in rows for cell in row):
+        return
+    tails = [cell.strip() for row in rows for cell in row[1::2]]
+    digits = all(tail.isdigit() for tail in tails)
+    zeros = any(len(tail) > 1 and tail[0] == "0" for tail in tails)
+    half = layout.width // 2
+    spaced = half > 1 and all(len(re.split(r",\s+", line.strip())) == half for line in filled if line[:1].isdigit())
+    named = half > 1 and any(
+        len(re.split(r"[,;\t]", line.strip())) == half and not re.search(r"\d", line) for line in filled[:8]
+    )
+    if digits and (zeros or spaced or named):
+        raise DataError(
+            f"{source}: ambiguous: in {','.join(rows[-1])!r} the comma could be the delimiter or the decimal mark. "
+            "Give delimiter=',' if it separates columns, or write the file again with ';' between columns"
+        )

@@ -1,0 +1,80 @@
+"""Numbers that instruments and programs write for a missing or invalid measurement: infinity, 9.91e37, -9999 and others."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.reading.raw_table import Table
+
+_TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
+_CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 999999.0, -999999.0)
+_SHARE = 0.5  # of the values that may be a code
+_FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
+_JUMP = 3.0  # distance of a code from the values before and after it, as a multiple of the largest step of the others
+
+
+def without_infinite(table: Table) -> tuple[Table, dict[int, tuple[int, int, float]]]:
+    """The table with NaN in place of infinite and too large numbers, and for each column with such numbers what was replaced.
+
+    That is the number of infinite values, of too large ones, and the first of these.
+    """
+    columns, replaced = [], {}
+    for position, values in enumerate(table.columns):
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(values) > _TOO_LARGE
+        if beyond.any():
+            large = values[beyond & np.isfinite(values)]
+            replaced[position] = int(beyond.sum()) - large.size, large.size, float(large[0]) if large.size else np.inf
+            values = np.where(beyond, np.nan, values)
+        columns.append(values)
+    return (dataclasses.replace(table, columns=tuple(columns)) if replaced else table), replaced
+
+
+def replaced_notes(replaced: tuple[int, int, float], role: str) -> list[Note]:
+    """Notes on what `without_infinite` replaced in a column.
+
+    Args:
+        replaced: its number of infinite values, of too large ones, and the first of these.
+        role: "time", "input" or "output".
+    """
+    infinite, large, first = replaced
+    notes = []
+    if infinite:
+        notes.append(Note(Code.MISSING_VALUES, f"infinite values of the {role} are treated as missing: {infinite}"))
+    if large:
+        text = f"values of the {role} such as {first:g} are treated as missing: {large}"
+        notes.append(warn(Code.MISSING_VALUES, text))
+    return notes
+
+
+def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]]:
+    """A column with NaN in place of codes such as -9999 that lie far from all other values, and a note that counts them.
+
+    Args:
+        values: shape (rows,), none infinite.
+        role: "input" or "output".
+    """
+    coded = np.isin(values, _CODES)
+    others = values[~coded & np.isfinite(values)]
+    if not coded.any() or others.size < 2 or coded.sum() > _SHARE * values.size:
+        return values, []
+    low, high = others.min(), others.max()
+    outside = coded & ((values < low) | (values > high))
+    if not outside.any():
+        return values, []
+    far = np.maximum((values - high) / _FAR[0], (low - values) / _FAR[1]) > high - low
+    rows = np.arange(values.size)
+    between = np.interp(rows, rows[~coded & np.isfinite(values)], others)
+    missing = outside & (far | (np.abs(values - between) > _JUMP * np.abs(np.diff(others)).max()))
+    missing = outside & np.isin(values, values[missing])
+    first = f"values of the {role} such as {values[outside][0]:g}"
+    if not missing.any():
+        text = f"{first} may stand for missing values: {int(outside.sum())}; they are read as measurements"
+        return values, [warn(Code.MISSING_VALUES, text)]
+    text = f"{first}, far from all others, are treated as missing: {int(missing.sum())}"
+    note = warn(Code.MISSING_VALUES, f"{text}; if they are measurements, scale the column")
+    return np.where(missing, np.nan, values), [note]

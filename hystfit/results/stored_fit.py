@@ -1,0 +1,213 @@
+"""A fit from its stored files: every value is read with its type, and the files must belong together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from hystfit.data.record import Dataset
+from hystfit.errors import DataError, HystfitError
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.problem import LOSSES, Problem
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.storage import files_named, from_json
+from hystfit.outcome import Note, Status
+from hystfit.quality.baselines import Baselines
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
+from hystfit.results.stored_values import Stored, is_number
+from hystfit.results.user_code import allow, noise_file
+
+_CLOSE = 1e-9  # relative, of a parameter in result.json to that of the model
+
+
+def result_of(stored: Stored, described: Stored, data: Dataset, *, trust: bool) -> FitResult:
+    """The result that its files describe, with every value of its type and all of them consistent.
+
+    Args:
+        stored: result.json.
+        described: model.json.
+        data: the records.
+        trust: run files of the user's.
+
+    Raises:
+        HystfitError: see `hystfit.results.saved.load_fit`.
+    """
+    if (schema := stored.text("schema")) != SCHEMA:
+        raise DataError(f"{stored.place}: schema {schema!r}, expected {SCHEMA!r}")
+    block, names = stored.part("problem"), stored.texts("free_names")
+    noise = _noise_of(block.part("noise"))
+    models, notes = _models_of(described, noise, trust)
+    problem = _problem_of(block, names, models[0], data)
+    space = problem.space
+    if len(models) not in (1, len(data)):
+        raise DataError(f"{described.place}: {len(models)} models for {len(data)} records")
+    x = space.vector(models if len(models) > 1 else models[0])
+    docs = {name: info.doc for name, _, info in space.fixed()}
+    docs |= {name: info.doc for name, info in zip(space.names, space.infos, strict=True)}
+    parameters = tuple(_parameter(name, part, docs.get(name, "")) for name, part in stored.part("parameters").parts())
+    values = dict(zip(space.names, x, strict=True)) | {name: value for name, value, _ in space.fixed()}
+    _refuse_mixture(stored, parameters, values)
+    metrics, residuals, rank = (stored.part(key) for key in ("metrics", "residuals", "identifiability"))
+    method, timing, verdict = (stored.part(key) for key in ("method", "timing", "verdict"))
+    train, baselines = _metrics(metrics.optional_part("train")), _baselines(verdict.optional_part("train"))
+    if train is None or baselines is None:
+        raise DataError(
+            f"{stored.place}: the metrics of the fitted samples are missing; restore the file, or fit again"
+        )
+    if noise.refines:
+        _try(f"{stored.place}: noise", lambda: NOISES.find(noise.name)(**noise.parameters))
+    return FitResult(
+        problem=problem,
+        x=x,
+        status=stored.member("status", Status),
+        notes=(*stored.notes("notes"), *notes),
+        parameters=parameters,
+        covariance=_covariance(stored, len(space)),
+        train=train,
+        test=_metrics(metrics.optional_part("test")),
+        sigma=residuals.number("sigma"),
+        correlation_time=residuals.number("correlation_time_samples"),
+        error_ratio=residuals.number("error_ratio_to_iid"),
+        rank=rank.optional_whole("rank"),
+        condition=rank.optional_number("condition"),
+        method=method.text("name"),
+        starts=method.whole("starts"),
+        in_best_basin=method.whole("in_best_basin"),
+        compile_s=timing.optional_number("compile_s"),
+        run_s=timing.optional_number("run_s"),
+        noise=noise,
+        baselines=baselines,
+        test_baselines=_baselines(verdict.optional_part("test")),
+        left_out=verdict.optional_number("left_out"),
+        provenance=_provenance(stored.part("provenance")),
+    )
+
+
+def _noise_of(stored: Stored) -> NoiseEstimate:
+    name = stored.text("name")
+    if name not in ("auto", *NOISES) and noise_file(name) is None:
+        raise DataError(f"{stored.place}: no noise model {name!r}; restore the file, or fit again")
+    return NoiseEstimate(name, stored.numbers("parameters"))
+
+
+def _models_of(described: Stored, noise: NoiseEstimate, trust: bool) -> tuple[list[AbstractHysteresis], list[Note]]:
+    """The models, and notes on files of the user's that have changed."""
+    listed = described.listed("models")
+    if not listed:
+        raise DataError(f"{described.place} holds no model: restore the file, or fit again")
+    code = described.part("code")
+    files = files_named(listed) | ({noise_file(noise.name)} - {None})
+    allowed, notes = allow(files, {name: code.optional_text(name) for name in code.content}, trust)  # type: ignore[arg-type]
+    models = [_try(described.place, lambda one=one: from_json(one, allowed)) for one in listed]
+    for model in models:
+        _try(described.place, lambda model=model: _traced(model))
+    return models, notes
+
+
+def _traced(model: AbstractHysteresis) -> None:
+    """Trace one step of a model, which fails where its fields do not belong together."""
+    number = jax.ShapeDtypeStruct((), float)
+    step = lambda u0, u1, dt: model.step(model.init(u0), u0, u1, dt)
+    jax.eval_shape(step, number, number, number)
+
+
+def _try(place: str, make: Any) -> Any:
+    """What `make` returns; any error, also one of the user's own class, as a DataError."""
+    try:
+        return make()
+    except HystfitError:
+        raise
+    except Exception as error:
+        raise DataError(f"{place} is damaged ({type(error).__name__}: {error}): restore it, or fit again") from error
+
+
+def _problem_of(block: Stored, names: tuple[str, ...], model: AbstractHysteresis, data: Dataset) -> Problem:
+    free = list(dict.fromkeys(name.partition("@")[0] for name in names))
+    loss = block.text("loss")
+    if loss not in LOSSES:
+        raise DataError(f"{block.place}: no loss {loss!r}; restore the file, or fit again")
+    fixed = block.texts("fixed")
+    problem = _try(block.place, lambda: Problem(model, data, fix=fixed, free=free, loss=loss))  # type: ignore[arg-type]
+    if problem.space.names != names:
+        raise DataError(
+            f"{block.place}: the free parameters {list(names)} are not those of the model {problem.space.names}"
+        )
+    return problem
+
+
+def _parameter(name: str, stored: Stored, doc: str) -> ParameterEstimate:
+    at_bound = stored.optional_text("at_bound")
+    if at_bound not in (None, "lower", "upper"):
+        raise DataError(f"{stored.place}: 'at_bound' is {at_bound!r} instead of lower, upper or null")
+    return ParameterEstimate(
+        name=name,
+        value=stored.number("value"),
+        stderr=stored.optional_number("stderr"),
+        unit=stored.text("unit"),
+        lower=stored.optional_number("lower"),
+        upper=stored.optional_number("upper"),
+        fixed=stored.flag("fixed"),
+        at_bound=at_bound,
+        identifiable=stored.optional_flag("identifiable"),
+        doc=doc,
+    )
+
+
+def _refuse_mixture(stored: Stored, parameters: tuple[ParameterEstimate, ...], values: dict[str, Any]) -> None:
+    """Refuse parameters that are not those of the model beside them."""
+    if set(values) != {p.name for p in parameters}:
+        raise DataError(f"{stored.place}: the parameters are not those of the model; restore the folder, or fit again")
+    for p in parameters:
+        if not np.isclose(p.value, values[p.name], rtol=_CLOSE, atol=0.0):
+            raise DataError(
+                f"{stored.place}: {p.name} is {p.value!r}, and {float(values[p.name])!r} in the model: the files belong to different "
+                "fits; restore the folder, or fit again"
+            )
+
+
+def _covariance(stored: Stored, p: int) -> np.ndarray:
+    rows = stored.listed("covariance")
+    fits = lambda row: isinstance(row, list) and len(row) == p and all(v is None or is_number(v) for v in row)
+    if len(rows) != p or not all(map(fits, rows)):
+        raise DataError(
+            f"{stored.place}: 'covariance' is no table of {p} by {p} numbers; restore the file, or fit again"
+        )
+    return np.array(rows, dtype=float).reshape(p, p)
+
+
+def _metrics(stored: Stored | None) -> Metrics | None:
+    if stored is None:
+        return None
+    names = ("nrmse_percent", "max_error_percent", "r2")
+    known = {name: stored.optional_number(name) for name in names}
+    sizes = {name: _or_nan(stored.optional_number(name)) for name in ("rmse", "max_error")}
+    return Metrics(n=stored.whole("n"), **sizes, **known)
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _baselines(verdict: Stored | None) -> Baselines | None:
+    if verdict is None:
+        return None
+    stored = verdict.part("baselines")
+    known = {name: stored.number(name) for name in ("span", "line", "curve")}
+    return Baselines(**known, noise=stored.optional_number("noise"), plays=stored.optional_number("plays"))
+
+
+def _provenance(stored: Stored) -> dict[str, Any]:
+    """Kept for people as it is, once the report's own lines are found to have their types."""
+    for key in ("date", "python"):
+        stored.text(key)
+    stored.words("versions")
+    stored.optional_whole("seed")
+    for k, record in enumerate(stored.listed("records")):
+        part = Stored(record, f"{stored.place}: records {k}")
+        for key in ("name", "source", "data_sha256"):
+            part.text(key)
+        part.optional_text("file_sha256")
+    return stored.content

@@ -1,0 +1,142 @@
+"""Independent tasks of a long run, computed here, in processes or on Dask workers."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from hystfit.errors import DataError, HystfitError, MissingExtraError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+Task = Callable[[Any], Any]
+Outcome = tuple[int, Any]
+# Seconds to wait for a scheduler and for a running worker; a killed worker is restarted sooner.
+_PATIENCE = 30.0
+_PAUSE = 0.2  # seconds between two looks at tasks on their way
+_GO_ON = "the same call resumes from its folder, where it was given one"
+
+
+def computed(task: Task, items: Sequence[Any], workers: int = 1, scheduler: str | None = None) -> Iterator[Outcome]:
+    """Number and outcome of each item as they end: what `task(item)` returned, or the exception that ended it.
+
+    Args:
+        task: a function that other processes can load.
+        items: its arguments.
+        workers: processes on this machine; 1 computes in this one.
+        scheduler: address of a Dask scheduler to use instead.
+
+    Raises:
+        MissingExtraError: dask.distributed is not installed.
+        DataError: the scheduler does not answer, or was lost.
+        HystfitError: a task raised it: an error that the user has to correct.
+    """
+    if scheduler is not None:
+        yield from _by_dask(task, items, scheduler)
+    elif workers > 1 and len(items) > 1:
+        yield from _by_processes(task, items, workers)
+    else:
+        for k, item in enumerate(items):
+            yield k, _outcome(partial(task, item))
+
+
+def _by_processes(task: Task, items: Sequence[Any], workers: int) -> Iterator[Outcome]:
+    context = multiprocessing.get_context("spawn")  # a process forked after JAX has started can hang
+    pool = concurrent.futures.ProcessPoolExecutor(min(workers, len(items)), context, _follow_parent)
+    try:
+        tasks = {pool.submit(task, item): k for k, item in enumerate(items)}
+        for ended in concurrent.futures.as_completed(tasks):
+            yield tasks[ended], _outcome(ended.result)
+    except BaseException:  # an interrupt does not wait for the tasks that are left
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _follow_parent() -> None:
+    """Leave interrupts to the parent of this process, and end when it is killed: tasks would be awaited forever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _by_dask(task: Task, items: Sequence[Any], scheduler: str) -> Iterator[Outcome]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise MissingExtraError("distributed", "batch", "scheduler=") from error
+    try:
+        _knock(scheduler)
+        client = Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
+    with client:
+        tasks = {client.submit(task, item, pure=False): k for k, item in enumerate(items)}
+        for ended in _finished(client, set(tasks), scheduler):
+            yield tasks[ended], _outcome(partial(ended.result, _PATIENCE))  # its worker may have left with it
+
+
+def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Future]:
+    """Tasks as they end. A scheduler keeps what no worker takes for ever: where none runs for long, that is an error."""
+    alone = time.monotonic()
+    while waiting:
+        time.sleep(_PAUSE)
+        running = client.status == "running" and _running(client)
+        if any(task.cancelled() for task in waiting):  # a client's tasks go with its connection
+            raise DataError(f"the Dask scheduler at {address!r} was lost; {_GO_ON}")
+        ended = {task for task in waiting if task.done()}
+        yield from ended
+        waiting = waiting - ended
+        if running or ended:
+            alone = time.monotonic()
+        elif time.monotonic() - alone > _PATIENCE:
+            raise DataError(
+                f"the Dask scheduler at {address!r} has no workers that run: start some (dask worker ADDRESS); {_GO_ON}"
+            )
+
+
+def _running(client: Client) -> bool:
+    """Whether any worker takes tasks; false while a scheduler that shuts down does not answer."""
+    try:
+        workers = client.scheduler_info(n_workers=-1).get("workers", {})
+    except OSError:
+        return False
+    return any(worker["status"] == "running" for worker in workers.values())
+
+
+def _knock(scheduler: str) -> None:
+    """A client that finds nobody tries for half a minute, and again when it is thrown away: see whether anybody listens first."""
+    from distributed.comm.addressing import get_address_host_port, parse_address
+    from distributed.comm.registry import get_backend
+
+    scheme, _ = parse_address(scheduler)
+    get_backend(scheme)  # raises ValueError for an unknown scheme
+    if scheme in ("tcp", "tls"):
+        socket.create_connection(get_address_host_port(scheduler), timeout=_PATIENCE).close()
+
+
+def _outcome(result: Callable[[], Any]) -> Any:
+    """What a task returned, or the exception that ended it; an error that the user has to correct is raised."""
+    try:
+        return result()
+    except HystfitError:
+        raise
+    except Exception as error:  # a worker that was killed, out of memory: recorded, and the other tasks go on
+        return error

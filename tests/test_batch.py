@@ -1,0 +1,553 @@
+"""Many loops at once: the fits of `hystfit.fit`, a table with a row a loop, and runs that resume."""
+
+import contextlib
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import distributed
+import numpy as np
+import pytest
+import scipy.optimize
+
+import hystfit as hf
+from hystfit import cli
+from hystfit.batch import bucketed, many, work
+from hystfit.batch.journal import Journal
+from hystfit.batch.overview import overview
+from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.outcome import Code, Status
+
+MAIN = [sys.executable, "-c", "from hystfit.cli import main; main()"]
+QUICK = {"starts": 2}
+
+
+def hysteresis(u, c, mu, tau, rho, offset):
+    """The semi-implicit Bouc-Wen step written out on numbers: an oracle that shares no code with the model."""
+    h, y, highest = 0.0, [], mu * c / (tau * (1 + rho))
+    for before, after in zip([u[0], *u[:-1]], u, strict=True):
+        dv = after - before
+        x, sign = abs(dv), -1.0 if dv < 0 else 1.0
+        below = min(max(-sign * h, 0.0), x * mu * c) / (mu * c) if mu * c > 0 else 0.0
+        half = 0.5 * (tau * (1 + rho) * (x - below) + tau * (1 - rho) * below)
+        h = min(max(((1 - half) * h + mu * c * dv) / (1 + half), -highest), highest)
+        y.append(offset + c * after - h)
+    return np.array(y)
+
+
+def measured(number: int, samples: int, noise: float = 0.05) -> hf.Record:
+    """A loop of some Bouc-Wen element, with measurement noise."""
+    rng = np.random.default_rng(number)
+    t = np.arange(samples) / samples
+    u = 40 * np.sin(8 * np.pi * t + 0.05 * number) * np.linspace(0.4, 1.0, samples)
+    c, tau = 1.0 + 0.1 * rng.uniform(-1, 1), 0.06 * np.exp(0.3 * rng.uniform(-1, 1))
+    model = hf.BoucWen(c=c, mu=0.45, tau=tau, rho=0.4, offset=3.0 + rng.uniform())
+    y = np.asarray(hf.simulate(model, u)[0]) + noise * rng.standard_normal(samples)
+    return hf.Record(u=u, y=y, t=t, u_unit="V", y_unit="um", name=f"loop {number}")
+
+
+def write(record: hf.Record, path: Path, head: str = "t_s,u_V,y_um") -> Path:
+    table = np.column_stack([record.t, record.u, record.y])
+    np.savetxt(path, table, delimiter=",", header=head, comments="", fmt="%.9g")
+    return path
+
+
+@pytest.fixture(scope="module")
+def records() -> list[hf.Record]:
+    """Two short loops, two of the same bucket, and two that are thinned for their starts."""
+    return [measured(number, samples) for number, samples in enumerate((300, 340, 1500, 1400, 380, 1450))]
+
+
+@pytest.fixture(scope="module")
+def fits(records) -> hf.Fits:
+    return hf.fit_many("bouc-wen", records, **QUICK)
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """Eight files of short loops."""
+    place = tmp_path / "loops"
+    place.mkdir()
+    for number in range(8):
+        write(measured(number, 150), place / f"loop{number}.csv")
+    return place
+
+
+# -- the fits ------------------------------------------------------------------------------------------------------------------
+
+
+def test_estimates_errors_and_verdicts_are_those_of_fit(fits, records):
+    assert fits.status is Status.OK
+    for row, record in zip(fits, records, strict=True):
+        alone = hf.fit("bouc-wen", record, **QUICK)
+        free = [p for p in alone.parameters if not p.fixed]
+        np.testing.assert_allclose(list(row.values.values()), [p.value for p in free], rtol=1e-6)
+        np.testing.assert_allclose(list(row.stderr.values()), [p.stderr for p in free], rtol=1e-4)
+        assert list(row.values) == [p.name for p in free]
+        assert (row.status, row.samples, row.model) == (alone.status, alone.train.n, "bouc-wen")
+        assert row.codes == tuple(dict.fromkeys(str(note.code) for note in alone.notes))
+        assert row.error_percent == pytest.approx(alone.train.nrmse_percent, rel=1e-9)
+        assert {name: row.units[name] for name in row.values} == {p.name: p.unit for p in free}
+
+
+def test_estimates_are_those_of_scipy_on_a_plain_loop(fits, records):
+    for row, record in list(zip(fits, records, strict=True))[:2]:
+        names = list(row.values)
+        size = np.array([row.stderr[name] for name in names])
+        miss = lambda v, record=record, names=names, size=size: (
+            hysteresis(record.u, **dict(zip(names, v * size, strict=True))) - record.y
+        )
+        start = np.array([row.values[name] for name in names]) / size + 2.0
+        found = scipy.optimize.least_squares(miss, start, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        np.testing.assert_allclose(found.x * size, list(row.values.values()), atol=0.01 * size.min(), rtol=1e-5)
+        rmse = np.sqrt(np.mean(miss(found.x) ** 2))
+        assert row.rmse == pytest.approx(rmse, rel=1e-6)
+
+
+def test_records_of_one_bucket_share_a_compiled_program(records, monkeypatch):
+    traced = []
+    normal = bucketed._normal
+    monkeypatch.setattr(bucketed, "_normal", lambda objective: traced.append(1) or normal(objective))
+    tasks = [_task(measured(number, samples)) for number, samples in ((1, 900), (2, 950), (3, 1000))]
+    assert len({task.key for task in tasks}) == 1
+    assert _task(records[0]).key != tasks[0].key
+    bucketed.solve_together(tasks[:2])
+    first = len(traced)
+    assert first > 0
+    bucketed.solve_together(tasks[1:])
+    bucketed.solve_together(tasks[:1])
+    assert len(traced) == first
+
+
+def _task(record: hf.Record) -> bucketed.Task:
+    from hystfit.fitting.fit import pose, starting_vectors
+
+    posed = pose(hf.BoucWen(), hf.Dataset((record,)))
+    return bucketed.Task.of(posed.problem, starting_vectors(posed.problem, 2, 0, posed.points))
+
+
+def test_loops_are_read_a_part_at_a_time(records, monkeypatch):
+    together = []
+    fit = work._fit
+    monkeypatch.setattr(work, "_fit", lambda task, loops: together.append(len(loops)) or fit(task, loops))
+    monkeypatch.setattr(work, "_SAMPLES", 500)
+    hf.fit_many("bouc-wen", records, **QUICK)
+    assert together == [2, 1, 1, 2]
+
+
+def test_memory_is_bounded_by_few_long_records_in_a_call():
+    assert _task(measured(0, 300)).capacity == 64
+    problem = _task(measured(0, 300))
+    long = problem._replace(problem=hf.Problem(hf.BoucWen(), measured(0, 200_000)))
+    assert long.capacity * 200_000 < 2**20
+
+
+def test_a_fit_that_ends_on_a_bound_is_that_of_fit():
+    t = np.arange(300) / 300
+    u = 40 * np.sin(8 * np.pi * t) * np.linspace(0.4, 1.0, 300)
+    y = hysteresis(u, 1.0, 0.45, 0.06, 0.999, 1.0) + 0.02 * np.random.default_rng(8).standard_normal(300)
+    record = hf.Record(u=u, y=y, t=t)
+    alone = hf.fit("bouc-wen", record, **QUICK)
+    assert Code.AT_BOUND in {note.code for note in alone.notes}
+    assert bucketed.solve_together([_task(record)]) == [None]
+    row = hf.fit_many("bouc-wen", [record], **QUICK)[record.name]
+    assert row.status == alone.status
+    assert Code.AT_BOUND in row.codes
+    np.testing.assert_allclose(list(row.values.values()), alone.x, rtol=1e-12)
+    assert None in row.stderr.values()
+
+
+@pytest.mark.parametrize("model", ["prandtl-ishlinskii:plays=4", hf.Preisach.of(n=6)], ids=["convex", "preisach"])
+def test_models_with_another_estimator_are_fitted_one_by_one(model):
+    record = measured(1, 200)
+    row = hf.fit_many(model, [record])[record.name]
+    alone = hf.fit(model, record)
+    np.testing.assert_allclose(list(row.values.values()), alone.x, rtol=1e-9)
+    assert row.status == alone.status
+
+
+def test_settings_reach_the_fit():
+    record = measured(2, 200)
+    fits = hf.fit_many(hf.BoucWen, [record], fix={"rho": 0.3}, free=["h0"], noise="iid", loss="huber", **QUICK)
+    alone = hf.fit(hf.BoucWen(), record, fix={"rho": 0.3}, free=["h0"], noise="iid", loss="huber", **QUICK)
+    assert list(fits.names) == list(alone.free_names)
+    np.testing.assert_allclose([fits.values(name, usable=False)[0] for name in fits.names], alone.x, rtol=1e-6)
+
+
+def test_auto_compares_models_on_each_loop(monkeypatch):
+    seen = []
+    monkeypatch.setattr(work, "fit", lambda model, record, **options: seen.append(model) or _bouc_wen(record))
+    fits = hf.fit_many("auto", [measured(1, 200)])
+    assert seen == ["auto"]
+    assert fits.rows[0].model == "bouc-wen"
+    fits.result("loop 1")
+    assert seen == ["auto", "bouc-wen"]  # the winner is not searched for again
+
+
+def _bouc_wen(record: hf.Record) -> hf.FitResult:
+    return hf.fit("bouc-wen", record, **QUICK)
+
+
+def test_quantities_follow_from_the_fitted_loop(fits):
+    row = fits.rows[0]
+    low, high = fits.result(row.name).input_range
+    u = np.concatenate([np.linspace(low, high, 2001), np.linspace(high, low, 2001)[1:]])
+    y = hysteresis(np.concatenate([u, u[1:], u[1:]]), **row.values)[-4000:]
+    rising, falling = y[:2000], y[2000:][::-1]
+    area = np.trapezoid(falling - rising, np.linspace(low, high, 2000))
+    assert row.quantities["loop_area"] == pytest.approx(abs(area), rel=5e-3)
+    assert row.quantities["remanence"] == pytest.approx(0.5 * abs(falling - rising)[1000], rel=5e-3)
+    assert row.units["loop_area"] == "um V"
+    assert row.units["coercive_input"] == "V"
+
+
+# -- loops that cannot be fitted ---------------------------------------------------------------------------------------------------
+
+
+def test_a_loop_without_a_fit_is_a_row_with_its_reason(folder):
+    (folder / "empty.csv").write_text("")
+    (folder / "words.csv").write_text("one,two\nred,blue\n")
+    write(measured(1, 150).take(slice(0, 4)), folder / "short.csv")
+    write(measured(1, 150), folder / "columns.csv", "t_s,v_V,x_V")
+    fits = hf.fit_many("bouc-wen", f"{folder}/*.csv", reading={"input": "u_V", "output": "y_um"}, **QUICK)
+    assert fits.status is Status.PARTIAL
+    assert len(fits) == 12
+    for name in ("empty", "words", "short", "columns"):
+        row = fits[f"{folder}/{name}.csv"]
+        assert row.status is Status.FAILED
+        assert row.reason
+        assert (row.values, row.error_percent, row.samples) == ({}, None, None)
+    assert "u_V" in fits[f"{folder}/columns.csv"].reason
+    assert [row.status for row in fits.worst(4)] == [Status.FAILED] * 4
+    assert fits.counts == {"ok": 8, "failed": 4}
+    table = {name: column[-1] for name, column in fits.columns().items()}
+    assert table["status"] == "failed"
+    assert np.isnan([table[name] for name in ("c", "c_stderr", "rmse", "samples")]).all()
+
+
+def test_a_loop_that_breaks_the_numerics_does_not_end_the_batch(monkeypatch, records):
+    judge = work.judge
+
+    def breaks(posed, estimate, **more):
+        if posed.problem.data[0].name == "loop 1":
+            raise np.linalg.LinAlgError("SVD did not converge")
+        return judge(posed, estimate, **more)
+
+    monkeypatch.setattr(work, "judge", breaks)
+    fits = hf.fit_many("bouc-wen", records[:2], **QUICK)
+    assert [row.status for row in fits] == [Status.OK, Status.FAILED]
+    assert "SVD did not converge" in fits["loop 1"].reason
+
+
+def test_loops_are_converted_to_the_units_of_the_first():
+    first = measured(1, 200)
+    milli = first.replace(u=1e3 * first.u, u_unit="mV", name="in mV")
+    force = first.replace(u_unit="N", name="force")
+    fits = hf.fit_many("bouc-wen", [first, milli, force], **QUICK)
+    assert fits.units["u"] == "V"
+    assert fits["in mV"].values["tau"] == pytest.approx(fits["loop 1"].values["tau"], rel=1e-6)
+    assert Code.UNITS in fits["in mV"].codes
+    assert fits["force"].status is Status.FAILED
+    assert "N" in fits["force"].reason
+
+
+def test_every_curve_of_a_file_is_a_loop(tmp_path):
+    curves = [measured(number, 150) for number in (1, 2)]
+    rows = [np.column_stack([np.full(150, k), r.u, r.y]) for k, r in enumerate(curves)]
+    np.savetxt(tmp_path / "two.csv", np.concatenate(rows), delimiter=",", header="curve,u_V,y_um", comments="")
+    fits = hf.fit_many("bouc-wen", [tmp_path / "two.csv"], reading={"by": "curve"}, **QUICK)
+    assert len(fits) == 2
+    alone = [hf.fit("bouc-wen", record, **QUICK).values["c"] for record in curves]
+    np.testing.assert_allclose(fits.values("c"), alone, rtol=1e-6)
+
+
+# -- bad input -------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("as_users_run")
+@pytest.mark.parametrize(
+    ("loops", "options", "error", "message"),
+    [
+        ([], {}, DataError, "no loops"),
+        (["none/*.csv"], {}, DataError, "no file matches"),
+        (["none.csv"], {}, DataError, r"no file 'none\.csv'"),
+        ([measured(1, 100), measured(1, 100)], {}, DataError, "2 times"),
+        (measured(1, 100), {}, DataError, "a list of loops"),
+        ([1.0], {}, DataError, "a file or a Record"),
+        ([measured(1, 100)], {"fix": ["nu"]}, ParameterError, "no parameter 'nu'"),
+        ([measured(1, 100)], {"fix": ["c", "mu", "tau", "rho", "offset"]}, ParameterError, "every parameter is fixed"),
+        ([measured(1, 100)], {"magic": 1}, ParameterError, "no setting 'magic'"),
+        ([measured(1, 100)], {"method": "rls"}, ParameterError, "method"),
+        ([measured(1, 100)], {"noise": "magic"}, ParameterError, "noise"),
+        ([measured(1, 100)], {"starts": 0}, ParameterError, "start"),
+        ([measured(1, 100)], {"seed": -1}, ParameterError, "seed"),
+        ([measured(1, 100)], {"workers": 0}, ParameterError, "workers"),
+        ([measured(1, 100)], {"reading": {"magic": 1}}, ParameterError, "magic"),
+    ],
+)
+def test_what_no_loop_could_be_fitted_with_is_an_error(loops, options, error, message):
+    with pytest.raises(error, match=message):
+        hf.fit_many("bouc-wen", loops, **options)
+
+
+def test_auto_refuses_settings_of_a_chosen_model():
+    with pytest.raises(ParameterError, match="chosen model"):
+        hf.fit_many("auto", [measured(1, 100)], fix={"rho": 0.1})
+
+
+def test_a_column_that_no_file_has_is_an_error(folder):
+    with pytest.raises(DataError, match=r"none of 8 loops can be read.*v_V"):
+        hf.fit_many("bouc-wen", f"{folder}/*.csv", reading={"input": "v_V"})
+
+
+def test_a_folder_is_no_loop(folder):
+    with pytest.raises(DataError, match="is a folder"):
+        hf.fit_many("bouc-wen", [folder])
+
+
+# -- runs that resume ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_batch_resumes_and_takes_further_loops(folder, tmp_path, monkeypatch):
+    run, computed = tmp_path / "run", []
+    fit_sources = many.fit_sources
+    counting = lambda task, sources: computed.extend(s.name for s in sources) or fit_sources(task, sources)
+    monkeypatch.setattr(many, "fit_sources", counting)
+    some = [str(folder / f"loop{number}.csv") for number in range(3)]
+    first = hf.fit_many("bouc-wen", some, folder=run, **QUICK)
+    every = hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=run, **QUICK)
+    assert sorted(computed) == sorted(str(file) for file in folder.iterdir())
+    assert every.rows[:3] == first.rows
+    write(measured(50, 150), folder / "loop1.csv")  # other data under the same name
+    changed = hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=run, **QUICK)
+    assert computed[8:] == [str(folder / "loop1.csv")]
+    assert changed.rows[1] != every.rows[1]
+    with pytest.raises(DataError, match="another batch"):
+        hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=run, starts=3)
+
+
+def test_a_line_that_was_cut_short_is_ignored(folder, tmp_path):
+    run = tmp_path / "run"
+    whole = hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=run, **QUICK)
+    file = run / "rows.jsonl"
+    lines = file.read_bytes().splitlines(keepends=True)
+    assert len(lines) == 8
+    file.write_bytes(b"".join(lines[:3]) + b"not json\n" + lines[4] + lines[5][:40])
+    journal = Journal(file)
+    assert len(journal.rows) == 4
+    assert file.read_bytes() == b"".join([*lines[:3], lines[4]])  # what is appended next starts a line of its own
+    again = hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=run, **QUICK)
+    assert again.rows == whole.rows
+
+
+def test_a_killed_command_resumes_and_writes_the_same_table(tmp_path):
+    for number in range(48):
+        write(measured(number, 150), tmp_path / f"loop{number}.csv")
+    command = [*MAIN, "batch", "loop*.csv", "--model", "bouc-wen", "--starts", "2", "--workers", "1", "--reports", "0"]
+    options = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": _plain(tmp_path)}
+    running = subprocess.Popen([*command, "--out", "killed"], **options)
+    rows = tmp_path / "killed" / "run" / "rows.jsonl"
+    until = time.monotonic() + 200
+    while not (rows.exists() and rows.read_bytes()):
+        assert running.poll() is None, running.stderr.read().decode()
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    running.send_signal(signal.SIGKILL)
+    running.communicate()
+    done = len(rows.read_bytes().splitlines())
+    assert 0 < done < 48
+    for out in ("killed", "whole"):
+        ended = subprocess.run([*command, "--out", out], timeout=300, check=False, **options)
+        assert (ended.returncode, ended.stderr) == (0, b"")
+    assert (tmp_path / "killed" / "fits.csv").read_bytes() == (tmp_path / "whole" / "fits.csv").read_bytes()
+    assert len(rows.read_bytes().splitlines()) == 48
+
+
+def test_an_interrupt_ends_a_batch_of_several_processes(tmp_path):
+    for number in range(64):
+        write(measured(number, 150), tmp_path / f"loop{number}.csv")
+    command = [*MAIN, "batch", "loop*.csv", "--model", "bouc-wen", "--starts", "2", "--workers", "2", "--out", "out"]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        running = subprocess.Popen(
+            command, cwd=tmp_path, stderr=subprocess.PIPE, env=_plain(tmp_path), start_new_session=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    time.sleep(6.0)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal sends it
+    error = running.communicate(timeout=60)[1].decode()
+    assert running.returncode == 130
+    assert "Traceback" not in error
+    assert "the same command resumes" in error
+
+
+def _plain(home: Path) -> dict[str, str]:
+    """The environment without settings of this session, with its cache of compiled programs."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_ENABLE", "XLA_", "HYSTFIT_"))}
+    return kept | {"HOME": str(home), "MPLCONFIGDIR": str(home)}
+
+
+def test_processes_and_dask_workers_make_the_same_rows(folder):
+    alone = hf.fit_many("bouc-wen", f"{folder}/*.csv", **QUICK)
+    assert hf.fit_many("bouc-wen", f"{folder}/*.csv", workers=2, **QUICK).rows == alone.rows
+    with _cluster() as address:
+        assert hf.fit_many("bouc-wen", f"{folder}/*.csv", scheduler=address, **QUICK).rows == alone.rows
+
+
+@contextlib.contextmanager
+def _cluster():
+    settings = {"threads_per_worker": 1, "protocol": "tcp://", "dashboard_address": ":0"}
+    with distributed.LocalCluster(n_workers=1, processes=True, **settings) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_a_task_that_ends_its_process_is_tried_again(folder, tmp_path, monkeypatch):
+    fit_sources = many.fit_sources
+
+    def ends(task, sources):
+        raise MemoryError("out of memory")
+
+    monkeypatch.setattr(many, "fit_sources", ends)
+    broken = hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=tmp_path / "run", **QUICK)
+    assert broken.status is Status.FAILED
+    assert "out of memory" in broken.rows[0].reason
+    monkeypatch.setattr(many, "fit_sources", fit_sources)
+    assert hf.fit_many("bouc-wen", f"{folder}/*.csv", folder=tmp_path / "run", **QUICK).status is Status.OK
+
+
+def test_progress_counts_the_loops(records):
+    seen = []
+    hf.fit_many("bouc-wen", records[:2], progress=lambda text, fraction: seen.append((text, fraction)), **QUICK)
+    assert seen[-1] == ("2 of 2 loops", 1.0)
+
+
+# -- the table -------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_table_as_a_frame_as_csv_and_as_netcdf(fits, tmp_path):
+    import xarray
+
+    frame = fits.to_dataframe()
+    assert list(frame["loop"]) == [row.name for row in fits]
+    assert frame.attrs["units"]["tau"] == "1/V"
+    np.testing.assert_array_equal(frame["tau"], fits.values("tau"))
+    with fits.save(tmp_path / "fits.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    np.testing.assert_allclose([float(row["tau [1/V]"]) for row in rows], fits.values("tau"), rtol=1e-14)
+    assert all(len(row["sha256"]) == 64 for row in rows)
+    with xarray.open_dataset(fits.save(tmp_path / "fits.nc"), engine="h5netcdf") as data:
+        np.testing.assert_array_equal(data["tau"], fits.values("tau"))
+        assert data["tau_stderr"].attrs["units"] == "1/V"
+    with pytest.raises(DataError, match="written as"):
+        fits.save(tmp_path / "fits.ods")
+
+
+def test_parquet(fits, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    again = pandas.read_parquet(fits.save(tmp_path / "fits.parquet"))
+    np.testing.assert_array_equal(again["tau"], fits.values("tau"))
+
+
+@pytest.mark.parametrize(
+    ("package", "ending", "extra"),
+    [
+        ("pandas", ".parquet", "frames"),
+        ("pyarrow", ".parquet", "frames"),
+        ("xarray", ".nc", "frames"),
+        ("h5netcdf", ".nc", "frames"),
+    ],
+)
+def test_a_missing_package_is_named_with_its_extra(package, ending, extra, fits, tmp_path, monkeypatch):
+    if package == "pandas":
+        monkeypatch.setitem(sys.modules, "pyarrow", sys)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=rf"{package}.*hystfit\[{extra}\]"):
+        fits.save(tmp_path / f"fits{ending}")
+
+
+def test_the_summary_is_that_of_the_usable_fits(fits):
+    rows = {row["parameter"]: row for row in fits.summary().to_list()}
+    tau = np.array([row.values["tau"] for row in fits])
+    assert rows["tau"]["median"] == pytest.approx(np.median(tau))
+    assert rows["tau"]["standard deviation"] == pytest.approx(np.std(tau, ddof=1))
+    assert rows["tau"]["loops"] == 6
+    with pytest.raises(ParameterError, match="did you mean 'tau'"):
+        fits.values("taus")
+
+
+# -- the page and the command ------------------------------------------------------------------------------------------------------
+
+
+def test_the_overview_is_one_page_that_needs_nothing_else(fits):
+    page = overview(fits, {"loop 1": "reports/loop-1/report.html"})
+    assert not re.search(r"https?://|<script|<link|url\(", page)
+    assert re.findall(r'(?:src|href)="([^"]*)"', page) == ["reports/loop-1/report.html"]
+    assert 'name="viewport"' in page
+    assert "prefers-color-scheme: dark" in page
+    assert page.count("<svg") == len(fits.names) + len(fits.quantities)
+    counted = sum(int(count) for count in re.findall(r"<title>[^<]*: (\d+)</title>", page))
+    assert counted == 6 * page.count("<svg")
+
+
+def test_names_of_loops_cannot_break_the_page():
+    named = measured(1, 200).replace(name="<b>&", y_unit="<i>")
+    page = overview(hf.fit_many("bouc-wen", [named], **QUICK))
+    assert "<b>&" not in page
+    assert "<i>" not in page
+
+
+def test_the_command_writes_table_page_and_reports(folder, tmp_path, capsys):
+    (folder / "bad.csv").write_text("one,two\nred,blue\n")
+    out = tmp_path / "out"
+    arguments = [
+        "batch",
+        f"{folder}/*.csv",
+        "--model",
+        "bouc-wen",
+        "--starts",
+        "2",
+        "--reports",
+        "1",
+        "--units",
+        "V,nm",
+    ]
+    assert cli.run([*arguments, "--table", "netcdf", "--out", str(out), "--json"]) == 1
+    content = json.loads(capsys.readouterr().out)
+    assert content == json.loads((out / "result.json").read_text())
+    assert (content["schema"], content["status"]) == ("hystfit.batch/1", "partial")
+    assert content["counts"] == {"ok": 8, "failed": 1}
+    assert content["units"]["y"] == "nm"
+    assert {path.name for path in out.iterdir()} == {
+        "result.json", "fits.csv", "fits.nc", "overview.html", "reports", "run"
+    }  # fmt: skip
+    reports = list((out / "reports").glob("*/report.html"))
+    assert len(reports) == 1
+    assert f'href="{reports[0].relative_to(out)}"' in (out / "overview.html").read_text()
+    assert cli.run([*arguments, "--out", str(out)]) == 1  # resumes
+    assert cli.run([*arguments, "--seed", "1", "--out", str(out)]) == 2
+    assert "another batch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none*.csv"], "no file matches"),
+        ([], "LOOP is missing"),
+        (["{folder}/loop1.csv", "{folder}/*.csv"], "is given 2 times"),
+        (["{folder}/*.csv", "--reports", "some"], "--reports"),
+        (["{folder}/*.csv", "--fix", "nu"], "no parameter 'nu'"),
+        (["{folder}"], "is a folder"),
+    ],
+)
+def test_bad_arguments_are_status_2(arguments, message, folder, capsys):
+    filled = [argument.format(folder=folder) for argument in arguments]
+    assert cli.run(["batch", *filled, "--model", "bouc-wen"]) == 2
+    assert message in capsys.readouterr().err

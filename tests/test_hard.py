@@ -1,0 +1,54 @@
+"""The quick form of the hard tests (`make hard` runs the full one), and proof that they find what they search for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit.data import Record
+
+from .hard import reading
+from .hard.dialects import case_of
+
+FILES, MUTATIONS = range(300), range(210)
+
+
+def test_generated_files_are_read_right_or_not_in_silence() -> None:
+    counts, bad = reading.run("files", FILES)
+    assert bad == []
+    assert sum(counts.values()) == len(FILES)
+    assert counts["right"] > 0.9 * len(FILES)
+
+
+def test_damaged_files_are_refused_or_read() -> None:
+    counts, bad = reading.run("mutations", MUTATIONS)
+    assert bad == []
+    assert counts["read"] > 0.1 * len(MUTATIONS)
+    assert counts["refused"] > 0.1 * len(MUTATIONS)
+
+
+def test_runs_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, seeds = tmp_path / "out.json", []
+    monkeypatch.setitem(reading.RUNS, "files", lambda seed, folder: (seeds.append(seed), ("right", ""))[1])
+    assert reading.run("files", range(5), out)[0]["right"] == 5
+    assert reading.run("files", range(5), out)[0]["right"] == 5
+    assert seeds == [0, 1, 2, 3, 4]
+
+
+def test_wrong_reads_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that swaps columns, loses a sample or the time, or fails, does not pass."""
+    seed = next(seed for seed in range(99) if case_of(seed).t is not None and np.isfinite(case_of(seed).y).all())
+    case = case_of(seed)
+    readers = {
+        "right": lambda *_, **__: Record(case.u, case.y, case.t),
+        "wrong": lambda *_, **__: Record(case.y, case.u, case.t),
+        "crashed": lambda *_, **__: 1 / 0,
+    }
+    for outcome, reader in readers.items():
+        monkeypatch.setattr(reading, "read", reader)
+        assert reading.outcome_of_file(seed, tmp_path)[0] == outcome
+    for record in (Record(case.u, case.y), Record(case.u[1:], case.y[1:], case.t[1:])):  # type: ignore[index]
+        monkeypatch.setattr(reading, "read", lambda *_, record=record, **__: record)
+        assert reading.outcome_of_file(seed, tmp_path)[0] == "wrong"
