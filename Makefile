@@ -11,7 +11,7 @@ export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks package records versions clean
+.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks smoke package records versions clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -27,7 +27,7 @@ setup: $(VENV)/.installed  ## create .venv with hystfit and all test dependencie
 fit: setup  ## fit a bundled record and print the report
 	$(BIN)/hystfit fit stage-sweep --out fit
 
-test: lint types tests package notebooks experiments  ## all checks, in the quick form
+test: lint types tests package notebooks experiments smoke  ## all checks, in the quick form
 
 lint: setup
 	$(BIN)/ruff check .
@@ -55,8 +55,11 @@ hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, 
 	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
 	$(BIN)/python -m tests.hard.fits
 
-benchmarks: setup  ## speed, as ratios within one run
-	@for run in benchmarks/*.py; do echo "== $$run"; $(BIN)/python $$run || exit 1; done
+benchmarks: setup  ## speed beside other programs: one table of ratios, which fails below the recorded floors
+	$(BIN)/python benchmarks/run.py
+
+smoke: setup  ## every benchmark on little work, unjudged
+	$(BIN)/python benchmarks/run.py --quick
 
 package: setup  ## build the wheel and check that its data are found without the checkout
 	rm -rf build/wheel && mkdir -p build/wheel/site

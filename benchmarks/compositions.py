@@ -1,17 +1,22 @@
 """Speed of one scan per part of a composition against one scan over all parts."""
 
-import time
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rows import Row, beside
+from timing import alternate
 
 import hystfit as hf
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model
 
-SAMPLES, REPEATS = 4000, 9
 MODELS = ("lag+bouc-wen", "bouc-wen+log-creep", "lag+prandtl-ishlinskii+creep", "lag+bouc-wen-asymmetric+log-creep")
 
 
@@ -25,35 +30,32 @@ def apart(model: AbstractHysteresis, u: jax.Array, dt: jax.Array) -> jax.Array:
     return model.sweep(model.init(u[0]), u[0], u, dt)[1]
 
 
-def milliseconds(run, x: jax.Array) -> float:
-    jax.block_until_ready(run(x))
-    times = []
-    for _ in range(REPEATS):
-        started = time.perf_counter()
-        jax.block_until_ready(run(x))
-        times.append(time.perf_counter() - started)
-    return 1e3 * min(times)
-
-
-def main() -> None:
-    hf.enable_x64()
-    t = 0.01 * np.arange(SAMPLES)
+def measure(quick: bool) -> list[Row]:
+    """Rows of the suite: output, and output with its Jacobian, one scan per part as "hystfit"."""
+    samples, repeats = (200, 1) if quick else (4_000, 15)
+    t = 0.01 * np.arange(samples)
     u = 20 + 20 * np.exp(-t / 60) * np.sin(2 * np.pi * t / 10)
-    record = hf.Record(t=t, u=u, y=u + np.random.default_rng(0).normal(size=SAMPLES))
-    print(f"{SAMPLES} samples\n{'model':<36} {'p':>3} {'run ms':>8} {'gain':>6} {'Jacobian ms':>12} {'gain':>6}")
-    for name in MODELS:
+    record = hf.Record(t=t, u=u, y=u + np.random.default_rng(0).normal(size=samples))
+    rows = []
+    for name in MODELS[:1] if quick else MODELS:
         problem = Problem(make_model(name).start([record]), record)
-        coordinates, x = problem.objective.coordinates, jnp.asarray(problem.space.vector([problem.model]))
-        u, dt = problem.objective.batch.u[0], problem.objective.batch.dt[0]
-        cost = []
-        for way in (together, apart):
-            predict = lambda x, way=way, u=u, dt=dt, c=coordinates: way(c.assemble(x, 0), u, dt)
-            cost.append([milliseconds(jax.jit(f), x) for f in (predict, jax.jacfwd(predict))])
-        (run_together, slope_together), (run, slope) = cost
-        print(
-            f"{name:<36} {len(x):>3} {run:>8.3f} {run_together / run:>6.1f} {slope:>12.3f} {slope_together / slope:>6.1f}"
-        )
+        x = jnp.asarray(problem.space.vector([problem.model]))
+        for kind, change in (("output", lambda f: f), ("Jacobian", jax.jacfwd)):
+            calls = {words: partial(_compiled(way, change, problem), x) for words, way in WAYS.items()}
+            rows += beside(alternate(calls, repeats), f"{name}, {kind}")
+    return rows
+
+
+WAYS = {"hystfit": apart, "one scan over all parts": together}
+
+
+def _compiled(way: Callable[..., jax.Array], change: Callable[..., Any], problem: Problem) -> Callable[..., Any]:
+    objective = problem.objective
+    u, dt = objective.batch.u[0], objective.batch.dt[0]
+    return jax.jit(change(lambda x: way(objective.coordinates.assemble(x, 0), u, dt)))
 
 
 if __name__ == "__main__":
-    main()
+    from run import alone
+
+    alone("compositions")

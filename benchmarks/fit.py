@@ -1,65 +1,137 @@
-"""Time of a fit: a second fit of 10 000 samples against one simulation, and the programs compiled for the first."""
+"""A whole fit of Bouc-Wen (5 parameters) beside least squares of scipy, lmfit and jaxopt on the same samples.
 
-import time
+The peers solve from one start and report nothing; `hystfit.fit` searches from 8 starts (or 1) and also gives errors, the noise and a
+verdict. All end at the same cost, which is checked before anything is timed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from typing import Any
 
 import jax
-import jax.monitoring
+import jax.numpy as jnp
 import numpy as np
+import scipy.optimize
+from loops import bouc_wen
+from rows import Row, beside
+from steps import BOUC_WEN, signal
+from timing import alternate
 
 import hystfit as hf
 
-SAMPLES, REPEATS = 10_000, 7
-COMPILED: list[float] = []
+START = np.array([1.2, 0.3, 1.0, 0.2, 0.0])
+LOWER, UPPER = np.array([1e-6, 1e-6, 1e-6, -0.999, -np.inf]), np.array([np.inf, 0.999, np.inf, 0.999, np.inf])
+NAMES = ("c", "mu", "tau", "rho", "offset")
 
 
-def listen(event: str, seconds: float, **_: object) -> None:
-    if event == "/jax/core/compile/backend_compile_duration":
-        COMPILED.append(seconds)
+def record(samples: int, seed: int = 0) -> hf.Record:
+    """A record of known parameters with white noise."""
+    u = signal(samples)
+    y = np.asarray(hf.simulate(hf.BoucWen(**BOUC_WEN), u)[0])
+    noise = np.random.default_rng(seed).normal(0, 0.003, samples)
+    return hf.Record(u=u, y=y + noise, t=np.linspace(0, 20, samples), name=f"record {seed}")
 
 
-def made(model, seed: int) -> hf.Record:
-    t = np.linspace(0, 20, SAMPLES)
-    u = (0.2 + 0.8 * np.sin(np.pi * t / 20) ** 2) * np.sin(2 * np.pi * t + 0.1 * seed)
-    y = np.asarray(hf.simulate(model, u)[0])
-    return hf.Record(u=u, y=y + np.random.default_rng(seed).normal(0, 0.003, SAMPLES), t=t)
+def residual(data: hf.Record) -> Callable[[np.ndarray], np.ndarray]:
+    """Simulated minus measured output by a numba loop."""
+    u, y, zero = np.array(data.u), np.array(data.y), np.zeros(len(data))
+    return lambda x: bouc_wen(u, zero, x[0], x[1], x[2], x[3], 0.0, x[4]) - y
 
 
-def best(run: object, repeats: int = REPEATS) -> float:
-    times = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        run()  # type: ignore[operator]
-        times.append(time.perf_counter() - started)
-    return float(np.median(times))
+def by_scipy(data: hf.Record) -> Callable[[], float]:
+    """Trust-region least squares with differences; returns the cost."""
+    run = residual(data)
+    return lambda: float(scipy.optimize.least_squares(run, START, bounds=(LOWER, UPPER), x_scale="jac").cost)
 
 
-def main() -> None:
-    hf.enable_x64()
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    cases = {
-        "Bouc-Wen": hf.BoucWen(c=1.0, mu=0.45, tau=1.5, rho=0.5, offset=0.3),
-        "Bouc-Wen, exact": hf.BoucWen(c=1.0, mu=0.45, tau=1.5, rho=0.5, offset=0.3, scheme="exact"),
-        "Duhem": hf.Duhem(alpha=2.0, f=[0.1, 1.0, 0.1, -0.05], g=[0.5, 0.05, 0.02], w0=0.1),
-        "force": hf.BoucWenForce(kappa_x=0.4, kappa_w=1.0, rho=4.0, sigma=0.9, n=2.0, offset=0.1),
+def by_lmfit(data: hf.Record) -> Callable[[], float]:
+    import lmfit
+
+    run = residual(data)
+    parameters = lmfit.Parameters()
+    for name, value, low, high in zip(NAMES, START, LOWER, UPPER, strict=True):
+        parameters.add(name, value=value, min=low, max=high)
+    return lambda: 0.5 * float(lmfit.minimize(lambda p: run(np.array([p[n].value for n in NAMES])), parameters).chisqr)
+
+
+def by_jaxopt(data: hf.Record) -> Callable[[], float]:
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import jaxopt
+
+    u, y = jnp.asarray(data.u), jnp.asarray(data.y)
+
+    def misfit(x: Any, u: jax.Array, y: jax.Array) -> jax.Array:
+        return hf.simulate(hf.BoucWen(**dict(zip(NAMES, x, strict=True))), u)[0] - y
+
+    solver = jaxopt.LevenbergMarquardt(misfit, materialize_jac=True, maxiter=50, tol=1e-8)
+    run = jax.jit(lambda x, u, y: solver.run(x, u, y).params)
+    return lambda: 0.5 * float(jnp.sum(misfit(run(jnp.asarray(START), u, y), u, y) ** 2))
+
+
+PEERS = {"scipy trf + numba": by_scipy, "lmfit + numba": by_lmfit, "jaxopt LM": by_jaxopt}
+NEEDS = {"lmfit + numba": "lmfit", "jaxopt LM": "jaxopt"}
+
+
+def one(samples: int, repeats: int, peers: tuple[str, ...]) -> list[Row]:
+    """The default fit, and one from a single start, beside peers.
+
+    Args:
+        samples: of the record.
+        repeats: of each.
+        peers: their names.
+    """
+    data = record(samples)
+    absent = [name for name in peers if name in NEEDS and importlib.util.find_spec(NEEDS[name]) is None]
+    calls: dict[str, Callable[[], Any]] = {name: PEERS[name](data) for name in peers if name not in absent}
+    fitted = hf.fit(hf.BoucWen(), data)
+    cost = 0.5 * float(np.nansum(fitted.residuals**2))
+    for name, call in calls.items():
+        np.testing.assert_allclose(call(), cost, rtol=1e-3, err_msg=name)
+    calls |= {
+        "hystfit": lambda: hf.fit(hf.BoucWen(), data),
+        "one start": lambda: hf.fit(hf.BoucWen(), data, starts=1),
     }
-    print(
-        f"{'model':<18} {'programs':>9} {'first s':>8} {'second ms':>10} {'programs':>9} {'simulation ms':>14} {'ratio':>7}"
-    )
-    for name, truth in cases.items():
-        first, second = made(truth, 1), made(truth, 2)
-        model = type(truth)() if name != "Bouc-Wen, exact" else hf.BoucWen(scheme="exact")
-        COMPILED.clear()
-        started = time.perf_counter()
-        hf.fit(model, first, starts=1)
-        cold, programs = time.perf_counter() - started, len(COMPILED)
-        COMPILED.clear()
-        warm = best(lambda model=model, second=second: hf.fit(model, second, starts=1))
-        again = len(COMPILED)
-        forward = best(lambda truth=truth, second=second: jax.block_until_ready(hf.simulate(truth, second.u)[0]))
-        print(
-            f"{name:<18} {programs:>9} {cold:>8.2f} {1e3 * warm:>10.1f} {again:>9} {1e3 * forward:>14.3f} {warm / forward:>7.0f}"
-        )
+    times = alternate(calls, repeats)
+    single = times.pop("one start")
+    rows = beside(times, f"fit of {samples} samples")
+    rows += [
+        Row(f"fit of {samples} samples, starts=1 / {row.name.partition(' / ')[2]}", single, row.peer_s) for row in rows
+    ]
+    return rows + [
+        Row(f"fit of {samples} samples / {name}", times["hystfit"], None, "not installed") for name in absent
+    ]
+
+
+def many(records: int, samples: int, repeats: int) -> list[Row]:
+    """Several records one after another, each with parameters of its own; a batch entry point would be one more call here.
+
+    Args:
+        records: how many.
+        samples: of each.
+        repeats: of each.
+    """
+    data = [record(samples, seed) for seed in range(records)]
+    solves = [by_scipy(each) for each in data]
+    calls = {
+        "hystfit": lambda: [hf.fit(hf.BoucWen(), each, starts=1).x for each in data],
+        "scipy trf + numba": lambda: [solve() for solve in solves],
+    }
+    return beside(alternate(calls, repeats), f"{records} fits of {samples} samples, starts=1")
+
+
+def measure(quick: bool) -> list[Row]:
+    """Rows of the suite."""
+    if quick:
+        return one(500, 1, tuple(PEERS)) + many(2, 500, 1)
+    return one(10_000, 5, tuple(PEERS)) + one(1_000_000, 1, ("scipy trf + numba",)) + many(10, 10_000, 1)
 
 
 if __name__ == "__main__":
-    main()
+    from run import alone
+
+    alone("fit")

@@ -1,14 +1,10 @@
 """Time of the unscented filter against filterpy on one problem, in one process: n = 8 (two states, six parameters), 1e4 samples.
 
-    python benchmarks/ukf.py [--samples 10000]
-
 Both filters use the same model, sigma points and covariances, and their estimates are compared before they are timed.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import statistics
 import time
@@ -18,8 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rows import Row
 
-import hystfit as hf
 from hystfit import BoucWen, LinearCreep, Sum
 from hystfit.identify import Sample
 from hystfit.identify.base import run_stream
@@ -102,7 +98,7 @@ def peer(ukf: Any, record: Any) -> Any:
     return run
 
 
-def measure(samples: int = 10_000, chunks: int = 10) -> dict[str, float]:
+def compare(samples: int = 10_000, chunks: int = 10) -> dict[str, float]:
     """Median times and their ratio: filterpy goes in chunks, and all of our run stands between each two of them."""
     record, ukf = problem(samples)
     stream, state = Sample.stream([record]), ukf.init()
@@ -140,9 +136,15 @@ def measure(samples: int = 10_000, chunks: int = 10) -> dict[str, float]:
     }
 
 
+def measure(quick: bool) -> list[Row]:
+    """Rows of the suite."""
+    samples = 200 if quick else 10_000
+    row = compare(samples)
+    ours, theirs = (1e-6 * samples * row[name] for name in ("us_per_sample", "us_per_sample_filterpy"))
+    return [Row(f"unscented filter, n = 8, {samples} samples / filterpy", ours, theirs)]
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=10_000)
-    options = parser.parse_args()
-    hf.enable_x64()
-    print(json.dumps(measure(options.samples), indent=2))
+    from run import alone
+
+    alone("ukf")

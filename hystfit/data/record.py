@@ -93,23 +93,27 @@ class Record:
             raise DataError(f"record {self.name!r}: the columns differ in length ({listed})")
         if self.u.size < 2:
             raise DataError(f"record {self.name!r} has {self.u.size} sample(s); a loop needs at least two")
-        bad = ~np.isfinite(self.u)
-        if bad.any():
+        if not np.isfinite(self.u).all():
+            bad = ~np.isfinite(self.u)
             raise DataError(
                 f"record {self.name!r}: the input is not finite at {bad.sum()} samples, first at sample "
                 f"{int(np.argmax(bad))}; a model cannot be driven through a gap: remove those rows or split the record"
             )
-        if np.isinf(self.y).any():
-            raise DataError(f"record {self.name!r}: the output is infinite at {int(np.isinf(self.y).sum())} samples")
-        if not np.isfinite(self.y).any():
-            raise DataError(f"record {self.name!r}: the output has no finite value")
+        measured = np.isfinite(self.y)
+        if not measured.all():
+            if np.isinf(self.y).any():
+                raise DataError(
+                    f"record {self.name!r}: the output is infinite at {int(np.isinf(self.y).sum())} samples"
+                )
+            if not measured.any():
+                raise DataError(f"record {self.name!r}: the output has no finite value")
         if self.t is not None:
             step = np.diff(self.t)
             if not np.isfinite(self.t).all() or (step < 0).any():
                 raise DataError(
                     f"record {self.name!r}: time is not finite or decreases at sample {int(np.argmax(~(step >= 0))) + 1}"
                 )
-        if not np.isfinite(self.weight).all() or (self.weight < 0).any():
+        if not (0 <= self.weight.min() and self.weight.max() < np.inf):
             raise DataError(f"record {self.name!r}: weights must be finite and not negative")
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
             raise DataError(f"record {self.name!r}: sigma must be a positive number, got {self.sigma}")

@@ -467,9 +467,9 @@ def simulate(
         raise ModelError(
             f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
         )
-    u, dt = drive(model, u, dt)
+    u, dt = _driven(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
-    return _simulate(model, u, dt, resume, unroll)
+    return _compiled(model)(model, u, dt, resume, unroll)
 
 
 def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
@@ -484,22 +484,33 @@ def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
         ModelError: no time for a model that needs it, or shapes that do not fit.
         PrecisionError: double precision is off.
     """
+    u, dt = _driven(model, u, dt)
+    return jnp.asarray(u), jnp.asarray(dt)
+
+
+def _driven(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
+    """`drive`, with what was not an array of JAX in NumPy: compiled code takes it over faster than it is converted here."""
     require_x64()
-    u = jnp.asarray(u, dtype=jnp.result_type(float))
+    u = _floating(u)
     if u.ndim != 1 or u.size == 0:
         raise ModelError(f"the input must have shape (T,) with T > 0, got {u.shape}")
-    if dt is None and not model.rate_independent:
-        raise ModelError(f"{type(model).__name__} depends on time: give dt, the time between samples")
-    dt = jnp.asarray(0.0 if dt is None else dt, dtype=u.dtype)
-    dt = jnp.broadcast_to(dt, u.shape) if dt.ndim == 0 else dt
+    if dt is None:
+        if not model.rate_independent:
+            raise ModelError(f"{type(model).__name__} depends on time: give dt, the time between samples")
+        return u, np.zeros(u.shape)
+    dt = _floating(dt)
+    if dt.ndim == 0:
+        dt = jnp.broadcast_to(dt, u.shape) if isinstance(dt, jax.Array) else np.full(u.shape, dt)
     if dt.shape != u.shape:
         raise ModelError(f"dt must have the shape of the input {u.shape}, got {dt.shape}")
     return u, dt
 
 
-@eqx.filter_jit
-def _simulate(model: Any, u: Array, dt: Array, resume: Resume | None, unroll: int) -> tuple[Array, Resume]:
-    return run(model, u, dt, resume, unroll)
+def _floating(values: Any) -> Any:
+    """Values in double precision: as an array of JAX where they are one, else in NumPy."""
+    if isinstance(values, jax.Array):
+        return values if values.dtype == np.float64 else values.astype(np.float64)
+    return np.asarray(values, dtype=np.float64)
 
 
 def run(
@@ -518,3 +529,13 @@ def run(
         resume = Resume(model.init(u[0]), u[0])
     state, y = model.sweep(resume.state, resume.u, u, dt, unroll)
     return y, Resume(state, u[-1])
+
+
+_run_arrays = jax.jit(run, static_argnums=4)
+_run_any = eqx.filter_jit(run)
+
+
+def _compiled(model: AbstractHysteresis) -> Callable[..., tuple[Array, Resume]]:
+    """`run`, compiled; models whose leaves are all arrays, as those of hystfit, need no sorting of leaves at every call."""
+    arrays = all(isinstance(leaf, (jax.Array, np.ndarray)) for leaf in jax.tree_util.tree_leaves(model))
+    return _run_arrays if arrays else _run_any

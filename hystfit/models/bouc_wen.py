@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
-from hystfit.models.bouc_wen_steps import begun, bound, exact_step, passed_rates, trapezoid
+from hystfit.models.bouc_wen_steps import begun, bound, exact_step, passed_rates, phi, trapezoid
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
@@ -84,11 +84,39 @@ class BoucWen(AbstractHysteresis):
         dv = u1 - u0
         m, up, down = self.mu * self.c, self.tau * (1 + self.rho), self.tau * (1 - self.rho)
         if self.scheme == "exact":
-            s = jnp.where(dv < 0, -1.0, 1.0)
-            h = s * exact_step(s * state[0], jnp.abs(dv), m, up, down)
+            s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
+            h = s * exact_step(s * state[0], x, m, up, down, (phi(up, x), phi(down, x)))
         else:
             h = trapezoid(state[0], dv, m, up, down)
         return h[None], self.offset + self.c * u1 - h
+
+    @property
+    def one_scan(self) -> bool:
+        """The exact step has exponentials that need no state."""
+        return self.scheme != "exact"
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """The exponentials of all exact steps first, then one scan."""
+        if self.scheme != "exact":
+            return super().sweep(state, u0, u, dt, unroll)
+        dv = jnp.diff(u, prepend=u0)
+        m, up, down = self.mu * self.c, self.tau * (1 + self.rho), self.tau * (1 - self.rho)
+        s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
+
+        def once(h: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
+            s, x, *phis = row
+            h = s * exact_step(s * h, x, m, up, down, (phis[0], phis[1]))
+            return h, h
+
+        last, h = jax.lax.scan(once, state[0], (s, x, phi(up, x), phi(down, x)), unroll=unroll)
+        return last[None], self.offset + self.c * u - h
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the cheap step."""

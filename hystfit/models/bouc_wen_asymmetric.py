@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -76,35 +77,55 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: h, shape (1,)."""
-        m, total = self.mu * self.c, self.tau * (1 + self.rho)
-        lowest, highest = (side * bound(m, total, (1 + side * self.skew) ** (-1 / self.n)) for side in (-1.0, 1.0))
-        return begun(self.h0, lowest, highest)[None] + 0.0 * u0
+        falling, rising = self._bounds()
+        return begun(self.h0, -falling, rising)[None] + 0.0 * u0
 
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """One sample."""
-        dv = u1 - u0
+        h = self._moved(state[0], u1 - u0, self._bounds())
+        return h[None], self.offset + self.c * u1 + self._backbone(u1) - h
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """h alone is in the scan."""
+        bounds = self._bounds()
+        once = lambda h, dv: (new := self._moved(h, dv, bounds), new)
+        last, h = jax.lax.scan(once, state[0], jnp.diff(u, prepend=u0), unroll=unroll)
+        return last[None], self.offset + self.c * u + self._backbone(u) - h
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Where h stops falling and rising, both counted upwards [y]."""
+        m, total = self.mu * self.c, self.tau * (1 + self.rho)
+        falling, rising = (bound(m, total, (1 + side * self.skew) ** (-1 / self.n)) for side in (-1.0, 1.0))
+        return falling, rising
+
+    def _backbone(self, u: Array) -> Array:
+        coefficients = jnp.concatenate([jnp.zeros(2, self.b.dtype), self.b])
+        return legendre_series(coefficients, (u - self.center) / self.half)
+
+    def _moved(self, h: Array, dv: Array, bounds: tuple[Array, Array]) -> Array:
+        """h after the input moved by dv."""
         s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
         m = self.mu * self.c
         total = self.tau * (1 + self.rho)
-        q = s * state[0]
-        highest = bound(m, total, (1 + s * self.skew) ** (-1 / self.n))
-
+        q = s * h
+        highest = jnp.where(dv < 0, *bounds)
         up, down = (self.tau * (1 + sign * self.rho) + s * self.skew * total for sign in (1.0, -1.0))
         power = lambda q: power_of(jnp.abs(q) * total / jnp.where(m > 0, m, 1.0), self.n - 1)
         slope = lambda q: m - jnp.where(q >= 0, up, down) * power(q) * q
         if self.scheme == "exact":
-            q = runge_kutta(slope, q, x, 8, jnp.maximum(q, highest))
-        else:
-            middle = jnp.minimum(q + 0.5 * x * slope(q), jnp.maximum(q, highest))
-            passed = power(middle) * passed_rates(q, x, m, up, down)  # the power there keeps the second order
-            q = semi_implicit(q, x, m, passed, highest)
-        h = s * q
-        backbone = legendre_series(
-            jnp.concatenate([jnp.zeros(2, self.b.dtype), self.b]), (u1 - self.center) / self.half
-        )
-        return h[None], self.offset + self.c * u1 + backbone - h
+            return s * runge_kutta(slope, q, x, 8, jnp.maximum(q, highest))
+        middle = jnp.minimum(q + 0.5 * x * slope(q), jnp.maximum(q, highest))
+        passed = power(middle) * passed_rates(q, x, m, up, down)  # the power there keeps the second order
+        return s * semi_implicit(q, x, m, passed, highest)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the cheap step."""

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.bouc_wen_steps import power_of
 from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -66,13 +67,9 @@ class BoucWenForce(AbstractHysteresis):
         """One sample of the branch that the input is on."""
         s = jnp.where(u1 < u0, -1.0, 1.0)
         half = 0.5 * self.rho * jnp.abs(u1 - u0) / self.substeps
-        log_power = self.n - 1.0
 
         def once(_: Any, q: Array) -> Array:
-            size = jnp.abs(q)
-            safe = jnp.where(size > 0, size, 1.0)
-            power = jnp.where(size > 0, jnp.exp(log_power * jnp.log(safe)), jnp.where(log_power > 0, 0.0, 1.0))
-            kappa = jnp.where(q >= 0, 1.0, 2.0 * self.sigma - 1.0) * power
+            kappa = jnp.where(q >= 0, 1.0, 2.0 * self.sigma - 1.0) * power_of(jnp.abs(q), self.n - 1.0)
             return jnp.minimum(((1.0 - half * kappa) * q + 2.0 * half) / (1.0 + half * kappa), 1.0)
 
         w = s * jax.lax.fori_loop(0, self.substeps, once, s * state[0])

@@ -7,6 +7,7 @@ and `down` rates [1/u], `highest` the bound of q [y].
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -110,20 +111,49 @@ def zero_crossing(kappa: Array, q: Array, m: Array) -> Array:
     return jnp.where(m > 0, jnp.where(small, series, jnp.log1p(safe * part) / safe), jnp.inf)
 
 
-def exact_step(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
-    """Closed form for n = 1: relax towards m / up above zero; below, rise with rate `down` until zero is crossed."""
-    above = q + (m - up * q) * phi(up, x)
-    below = jnp.where(q < 0, q, -1.0)
-    crossing = zero_crossing(down, below, m)
-    short = below + (m - down * below) * phi(down, x)
-    long = m * phi(up, jnp.where(x > crossing, x - crossing, 0.0))
-    return jnp.where(q >= 0, above, jnp.where(x > crossing, long, short))
+def exact_step(q: Array, x: Array, m: Array, up: Array, down: Array, phis: tuple[Array, Array]) -> Array:
+    """Closed form for n = 1: relax towards m / up above zero; below, rise with rate `down` until zero is crossed.
+
+    Args:
+        q, x, m, up, down: see the module.
+        phis: `phi(up, x)` and `phi(down, x)`, which depend on no state: a simulation computes them for all steps at once.
+    """
+    below = q < 0
+    moved = q + (m - jnp.where(below, down, up) * q) * jnp.where(below, phis[1], phis[0])
+
+    def crossed() -> Array:
+        crossing = zero_crossing(down, jnp.where(below, q, -1.0), m)
+        return m * phi(up, jnp.where(x > crossing, x - crossing, 0.0))
+
+    # Few steps cross zero: a branch, not a selection, spares the others the logarithm and the exponential.
+    return jax.lax.cond(below & (moved > 0), crossed, lambda: moved)
 
 
 def power_of(base: Array, exponent: Array) -> Array:
-    """base ** exponent with finite derivatives at base = 0 (a double where: craft of differentiable code, not physics)."""
+    """base ** exponent with finite derivatives at base = 0, and without exponential and logarithm where the exponent is 0."""
+    return jax.lax.cond(exponent == 0.0, _zeroth_power, _any_power, base, exponent)
+
+
+def _any_power(base: Array, exponent: Array) -> Array:
     safe = jnp.where(base > 0, base, 1.0)
     return jnp.where(base > 0, jnp.exp(exponent * jnp.log(safe)), jnp.where(exponent > 0, 0.0, 1.0))
+
+
+@jax.custom_jvp
+def _zeroth_power(base: Array, exponent: Array) -> Array:
+    """base ** 0; the logarithm is in the derivative by the exponent alone."""
+    return jnp.ones_like(base)
+
+
+def _zeroth_power_slope(values: tuple[Array, Array], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
+    base, _ = values
+    by_exponent = tangents[1]
+    if isinstance(by_exponent, jax.custom_derivatives.SymbolicZero):
+        return jnp.ones_like(base), jnp.zeros_like(base)
+    return jnp.ones_like(base), jnp.where(base > 0, jnp.log(jnp.where(base > 0, base, 1.0)), 0.0) * by_exponent
+
+
+_zeroth_power.defjvp(_zeroth_power_slope, symbolic_zeros=True)
 
 
 def runge_kutta(slope: Callable[[Array], Array], q: Array, x: Array, substeps: int, highest: Array) -> Array:

@@ -18,6 +18,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_rest
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
+from hystfit.models.even_steps import relaxed
 from hystfit.models.starting import fitted_input_range, input_range
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -109,7 +110,7 @@ class LogCreep(AbstractHysteresis):
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
         """The relaxations alone are in the scan."""
         gamma = self._rate(u)
-        state, total = _relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt, unroll)
+        state, total = relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt, unroll)
         return state, (1 - gamma * self.base) * u + total
 
     def start(self, records: Sequence[Record]) -> LogCreep:
@@ -227,7 +228,7 @@ class LinearCreep(AbstractHysteresis):
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
         """The relaxations alone are in the scan."""
         x = (u - self.low) / (self.high - self.low)
-        return _relaxed(state, self.tau, 1.0, self.a, x, dt, unroll)
+        return relaxed(state, self.tau, 1.0, self.a, x, dt, unroll)
 
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
@@ -257,17 +258,3 @@ class LinearCreep(AbstractHysteresis):
         }
         arrays = {"a": np.broadcast_to(np.asarray(self.a), (modes,)), "tau": self.tau}
         return CPart(template("linear_creep.c"), modes, numbers, arrays)
-
-
-def _relaxed(
-    state: Array, tau: Array, gain: Array | float, weight: Array | float, x: Array, dt: Array, unroll: int
-) -> tuple[Array, Float[Array, " T"]]:
-    """Relaxations towards gain x, exact for steps of x: the last state, and their weighted sum at each sample."""
-    part = -jnp.expm1(-dt[:, None] / tau)
-
-    def body(state: Array, sample: tuple[Array, Array]) -> tuple[Array, Array]:
-        part, x = sample
-        state = state + part * (gain * x - state)
-        return state, jnp.sum(weight * state)
-
-    return jax.lax.scan(body, state, (part, x), unroll=unroll)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,6 +16,7 @@ from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, LinearStep, check_rest
 from hystfit.models.c_code import CPart, template
+from hystfit.models.even_steps import scan_in_time
 from hystfit.params.param import param
 
 
@@ -26,6 +28,7 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
 
@@ -48,6 +51,26 @@ class Delay(AbstractHysteresis):
         lag = jnp.minimum(self.lag, float(self.longest))
         weight = jnp.maximum(0.0, 1.0 - jnp.abs(lag - jnp.arange(self.longest + 1)))
         return state, jnp.sum(weight * state)
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """The three shifted inputs around the delay, without a scan: all others have weight 0, and so have their derivatives."""
+        count = self.longest + 1
+        line = jnp.concatenate([state[:-1][::-1], u])
+        lag = jnp.minimum(self.lag, float(self.longest))
+        near = min(3, count)
+        first = jnp.clip(jnp.round(jax.lax.stop_gradient(lag)).astype(int) - 1, 0, count - near)
+        y = jnp.zeros_like(u)
+        for k in range(near):
+            weight = jnp.maximum(0.0, 1.0 - jnp.abs(lag - (first + k)))
+            y = y + weight * jax.lax.dynamic_slice_in_dim(line, self.longest - first - k, u.shape[0])
+        return line[-count:][::-1], y
 
     def start(self, records: Sequence[Record]) -> Delay:
         """One sample."""
@@ -87,11 +110,26 @@ class Lag(AbstractHysteresis):
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """One sample through both lags."""
+        first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
+        return jnp.stack([first, second]), second
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """Without the exponential where the sampling is even."""
+        body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
+        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt, unroll)
+        return jnp.stack(state), y
+
+    def _factors(self, dt: Array) -> tuple[Array, Array]:
+        """How much of a deviation is left after the time dt, in each lag and from the first in the second."""
         passed = 2.0 * dt / self.tau
-        decay = jnp.exp(-passed)
-        first, second = state[0] - u1, state[1] - u1
-        moved = u1 + decay * jnp.stack([first, second + passed * first])
-        return moved, moved[1]
+        return jnp.exp(-passed), passed
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
@@ -111,6 +149,13 @@ class Lag(AbstractHysteresis):
         return CPart(template("lag.c"), 2, {"TAU": self.tau, "LEVEL": self.level, "FIRST": int(self.rest == "first")})
 
 
+def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Outputs of two lags in a row after a step to u."""
+    decay, passed = factors
+    first, second = state[0] - u, state[1] - u
+    return u + decay * first, u + decay * (second + passed * first)
+
+
 class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
@@ -128,17 +173,41 @@ class SecondOrder(AbstractHysteresis):
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """The deviation from the ramp response decays freely over the sample."""
-        slope = (u1 - u0) / jnp.where(dt > 0, dt, 1.0)
-        lag = 2.0 * self.zeta * slope / self.omega
-        e, v = state[0] - u0 + lag, state[1] - slope
+        position, speed = self._moved((state[0], state[1]), u0, u1, self._factors(dt))
+        return jnp.stack([position, speed]), position
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """Without exponential, sine and cosine where the sampling is even."""
+        before = jnp.concatenate([u0[None], u[:-1]])
+        body = lambda state, row, factors: (new := self._moved(state, *row, factors), new[0])
+        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt, unroll)
+        return jnp.stack(state), y
+
+    def _factors(self, dt: Array) -> tuple[Array, ...]:
+        """1 / dt, 0 where there is no time, and the free decay over dt: position and speed after a position and a speed of 1."""
+        per_time = jnp.where(dt > 0, 1.0 / jnp.where(dt > 0, dt, 1.0), 0.0)
         damped = self.omega * jnp.sqrt(jnp.maximum(1.0 - self.zeta**2, 1e-12))  # a derivative at critical damping too
         decay = jnp.exp(-self.zeta * self.omega * dt)
-        cosine, sine = jnp.cos(damped * dt), dt * jnp.sinc(damped * dt / jnp.pi)  # sine / damped
-        e1 = decay * (e * cosine + (v + self.zeta * self.omega * e) * sine)
-        v1 = decay * (v * cosine - (self.omega**2 * e + self.zeta * self.omega * v) * sine)
-        moved = jnp.stack([e1 + u1 - lag, v1 + slope])
-        state = jnp.where(dt > 0, moved, state)
-        return state, state[0]
+        cosine, sine = decay * jnp.cos(damped * dt), decay * dt * jnp.sinc(damped * dt / jnp.pi)  # sine / damped
+        along = self.zeta * self.omega * sine
+        return per_time, cosine + along, sine, -(self.omega**2) * sine, cosine - along
+
+    def _moved(
+        self, state: tuple[Array, Array], u0: Array, u1: Array, factors: tuple[Array, ...]
+    ) -> tuple[Array, Array]:
+        per_time, e_by_e, e_by_v, v_by_e, v_by_v = factors
+        slope = (u1 - u0) * per_time
+        lag = 2.0 * self.zeta / self.omega * slope
+        e, v = state[0] - u0 + lag, state[1] - slope
+        moved = u1 - lag + e_by_e * e + e_by_v * v, slope + v_by_e * e + v_by_v * v
+        return jnp.where(per_time > 0, moved[0], state[0]), jnp.where(per_time > 0, moved[1], state[1])
 
     def start(self, records: Sequence[Record]) -> SecondOrder:
         """A resonance at a tenth of the sampling rate."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -201,15 +202,44 @@ class PrandtlIshlinskii(AbstractHysteresis):
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
         """Drag the plays along."""
-        plays = self._move(state[: self.w.size].reshape(self.w.shape), u1)
-        elements = self._envelopes(u1) - plays if self.operator == "stop" else plays
+        plays, total, fading = self._dragged(state[: self.w.size].reshape(self.w.shape), u1)
         x = self._position(u1)
-        y = self.offset + jnp.sum(self.w * elements) + self._single(x)
+        y = self.offset + total + self._single(x)
         if not self.hardening.size:
             return plays.reshape(-1), y
         path = state[-1] + jnp.abs(x - self._position(u0))
-        y = y + jnp.exp(-path / self.s0) * jnp.dot(self.hardening, elements[0])
-        return jnp.append(plays.reshape(-1), path), y
+        return jnp.append(plays.reshape(-1), path), y + jnp.exp(-path / self.s0) * fading
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """With hardening, plays and path alone are in the scan."""
+        if not self.hardening.size:
+            return super().sweep(state, u0, u, dt, unroll)
+
+        def once(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
+            (plays, path), (u1, way) = carry, row
+            plays, total, fading = self._dragged(plays, u1)
+            return (plays, path + way), (total, fading, path + way)
+
+        x = self._position(u)
+        ways = jnp.abs(jnp.diff(x, prepend=self._position(u0)))
+        begin = state[: self.w.size].reshape(self.w.shape), state[-1]
+        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways), unroll=unroll)
+        y = self.offset + total + self._single(x) + jnp.exp(-path / self.s0) * fading
+        return jnp.append(plays.reshape(-1), last), y
+
+    def _dragged(self, plays: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Plays at the input u, the weighted sum of all elements, and that of those which fade."""
+        plays = self._move(plays, u)
+        elements = self._envelopes(u) - plays if self.operator == "stop" else plays
+        fading = jnp.dot(self.hardening, elements[0]) if self.hardening.size else jnp.zeros_like(u)
+        return plays, jnp.sum(self.w * elements), fading
 
     def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
         """Ranges from the samples that count; the weights follow from a linear solve."""

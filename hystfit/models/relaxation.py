@@ -14,6 +14,7 @@ from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep
 from hystfit.models.c_code import CPart, template
+from hystfit.models.even_steps import relaxed
 from hystfit.params.param import param
 
 
@@ -28,6 +29,7 @@ class Relaxation(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     linear_in_input: ClassVar[bool] = True
 
@@ -48,6 +50,18 @@ class Relaxation(AbstractHysteresis):
         """Follow the new displacement for the time dt, exactly."""
         state = state - jnp.expm1(-dt / self.tau) * (u1 - state)
         return state, u1 - jnp.sum(self.a * (u1 - state))
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """The followers alone are in the scan."""
+        state, total = relaxed(state, self.tau, 1.0, self.a, u, dt, unroll)
+        return state, (1.0 - jnp.sum(self.a)) * u + total
 
     def start(self, records: Sequence[Record]) -> Relaxation:
         """Time constants from ten sampling intervals to the length of the records, small equal weights."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from collections.abc import Sequence
@@ -56,17 +57,19 @@ def as_array(value: Any) -> Any:
         ParameterError: text, complex numbers, ragged lists.
     """
     # Python numbers in a module are static for jit: one compilation for each value, and no gradient (nor for integer arrays).
+    if type(value) is float:
+        return _number(value, math.copysign(1.0, value), _float_type())
     whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
     try:
         if whole or (isinstance(value, (list, tuple)) and _holds_traced(value)):
             if jnp.iscomplexobj(value):
                 raise TypeError("complex")
-            return jnp.asarray(value, dtype=jnp.result_type(float))
+            return jnp.asarray(value, dtype=_float_type())
         if isinstance(value, (int, float, complex, str, list, tuple, np.ndarray, np.generic)):
             array = np.asarray(value)
             if array.dtype.kind not in "biuf":
                 raise TypeError("no real number")
-            return to_device(array, jnp.result_type(float))
+            return to_device(array, _float_type())
     except (TypeError, ValueError) as error:
         raise ParameterError(f"a parameter must be a real number or an array of them, got {value!r}") from error
     return value
@@ -74,6 +77,23 @@ def as_array(value: Any) -> Any:
 
 def _holds_traced(values: Any) -> bool:
     return any(isinstance(value, jax.core.Tracer) for value in jax.tree_util.tree_leaves(values))
+
+
+def _float_type() -> Any:
+    return np.float64 if jax.config.jax_enable_x64 else np.float32  # type: ignore[attr-defined]
+
+
+@functools.lru_cache(maxsize=1024)
+def _number(value: float, sign: float, dtype: Any) -> jax.Array:
+    """A number as an array. Arrays cannot be changed, so that models share them: making one takes longer than a model may.
+
+    Args:
+        value: of the number.
+        sign: tells 0.0 from -0.0, which are the same key otherwise.
+        dtype: of the array.
+    """
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(np.asarray(value, dtype=dtype))
 
 
 def _as_vector(value: Any) -> Any:

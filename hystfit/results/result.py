@@ -291,7 +291,8 @@ class FitResult:
             y = self._simulated[fitted]
         else:
             model = self.models[self.record_number(record)]
-            y = model.free_run(record.u, None if record.t is None else record.dt)
+            # Equinox makes a module for a bound method, which takes longer than a short run.
+            y = type(model).free_run(model, record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")

@@ -1,0 +1,69 @@
+"""Sweeps that use even sampling against a scan of `step`, which does not."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.even_steps import even_step
+
+MODELS = {
+    "log creep": hf.LogCreep(gamma=(0.02, 0.01)),
+    "linear creep": hf.LinearCreep(a=0.1, level=0.3),
+    "relaxation": hf.Relaxation(),
+    "lag": hf.Lag(tau=0.01, level=0.2),
+    "resonance": hf.SecondOrder(omega=300.0, zeta=0.2),
+    "delay": hf.Delay(lag=2.3),
+    "delay of whole samples": hf.Delay(lag=3.0),
+    "no delay": hf.Delay(lag=0.0, longest=1),
+    "exact Bouc-Wen": hf.BoucWen(tau=3.0, mu=0.6, h0=0.3, scheme="exact"),
+    "asymmetric": hf.AsymmetricBoucWen(tau=3.0, skew=0.2, b=(0.1, 0.05), h0=0.3),
+    "hardening stops": hf.PrandtlIshlinskii(
+        w=[[0.2, 0.1, 0.4]], r=(0.05, 0.17, 0.33), operator="stop", hardening=(0.1, -0.2, 0.3), s0=2.0
+    ),
+    "asymmetric, n = 1.6": hf.AsymmetricBoucWen(tau=3.0, skew=0.2, b=(0.1, 0.05), n=1.6),
+}
+SAMPLES = 77  # no whole number of blocks
+EVEN = np.full(SAMPLES, 0.001)
+CLOCKS = {
+    "even": EVEN,
+    "even but for the rounding of time stamps": np.diff(0.001 * np.arange(SAMPLES + 1)),
+    "padded": np.where((np.arange(SAMPLES) > 0) & (np.arange(SAMPLES) < 70), EVEN, 0.0),
+    "uneven": EVEN * (1 + 0.3 * np.sin(np.arange(SAMPLES))),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("name", MODELS)
+def test_a_sweep_equals_a_scan_of_steps(name: str, clock: str) -> None:
+    model, dt = MODELS[name], jnp.asarray(CLOCKS[clock])
+    u = jnp.asarray(np.sin(np.arange(SAMPLES) / 5) + 0.3 * np.sin(np.arange(SAMPLES) / 1.3))
+
+    def outputs(sweep: Any) -> Any:
+        run = lambda model: sweep(model, model.init(u[0]), u[0], u, dt)
+        return jax.jit(lambda model: jax.jvp(run, (model,), (jax.tree_util.tree_map(jnp.ones_like, model),)))(model)
+
+    found, expected = outputs(type(model).sweep), outputs(AbstractHysteresis.sweep)
+    for a, b in zip(jax.tree_util.tree_leaves(found), jax.tree_util.tree_leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11)
+
+
+def test_log_creep_of_an_even_clock_is_the_same_to_the_last_bit() -> None:
+    """The decay factors of an even clock are the same numbers, whether they are computed once or for each sample."""
+    model, u, dt = MODELS["log creep"], jnp.asarray(np.sin(np.arange(SAMPLES) / 5)), jnp.asarray(EVEN)
+    sweep = lambda kind, dt: kind.sweep(model, model.init(u[0]), u[0], u, dt)[1]
+    uneven = dt.at[-1].multiply(1.1)  # all samples but the last are the same
+    even, varying = sweep(hf.LogCreep, dt), sweep(hf.LogCreep, uneven)
+    np.testing.assert_allclose(even[:-1], varying[:-1], rtol=1e-15, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("dt", "even"),
+    [([0.0, 1.0, 1.0, 0.0], True), ([1.0, 1.0, 1.0 + 1e-9], False), ([0.1, 0.1 + 2e-17, 0.1], True), ([0.0], True)],
+)
+def test_an_even_clock_has_one_step_and_steps_of_zero(dt: list[float], even: bool) -> None:
+    assert bool(even_step(jnp.asarray(dt))[0]) is even
