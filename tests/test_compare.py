@@ -1,5 +1,6 @@
 """The comparison of models: what is tried, what is left out and why, sizes that follow the data, names that make the winner again."""
 
+import threading
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,12 +14,13 @@ from jaxtyping import Array, Float
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.compare import _Judge
+from hystfit.fitting.compare import _Judge, _Shown
 from hystfit.fitting.comparison import Row
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, build, most_plays, search_structure
 from hystfit.fitting.thinning import thinned
+from hystfit.fitting.workers import Stopped, Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
@@ -189,8 +191,53 @@ def test_only_a_model_that_serves_the_purpose_stops_others():
     for purpose in ("inverse", "prediction"):
         judge = _Judge(stepped_loops(), "blocks", purpose, 0, {})
         judge.rows.append(rival)
-        judge.add("duhem", lambda _: None)
+        judge.run(["duhem"], _Shown(lambda *_: None, ["duhem"]), Workers(1))
         assert (judge.rows[1].score_percent is None) == (purpose == "prediction")
+
+
+def _numbers(comparison):
+    rows = [(r.name, r.asked, r.score_percent, r.in_sample_percent, r.parameters, r.status) for r in comparison.rows]
+    return rows, {name: result.x.tolist() for name, result in comparison.fits.items()}
+
+
+def test_a_comparison_is_the_same_with_any_number_of_workers():
+    data = stepped_loops()
+    assert _numbers(hf.compare(data, workers=1)) == _numbers(hf.compare(data, workers=2))
+
+
+def test_only_losers_are_stopped():
+    """Every model that a default comparison stops errs more than the winner when it is validated as well."""
+    data = stepped_loops()
+    default = hf.compare(data)
+    stopped = [row.asked for row in default.rows if row.status is Status.UNTESTED]
+    assert stopped
+    full = hf.compare(data, [row.asked for row in default.rows])
+    assert full.rows[0].name == default.rows[0].name
+    assert full.rows[0].score_percent == default.rows[0].score_percent
+    assert all(row.score_percent > full.rows[0].score_percent for row in full.rows if row.asked in stopped)
+
+
+def test_workers_return_results_in_the_order_of_the_tasks_and_raise_the_first_error():
+    both = threading.Barrier(2, timeout=30)  # passes only where two tasks run at once
+    assert Workers(2).run([lambda k=k: (both.wait(), k)[1] for k in range(4)]) == [0, 1, 2, 3]
+    caller = threading.get_ident()
+    assert Workers(1).run([threading.get_ident] * 2) == [caller, caller]
+
+    def fail():
+        raise ModelError("broken")
+
+    workers, ended = Workers(2), threading.Event()
+
+    def endless():
+        try:
+            while True:
+                workers.check()
+        except Stopped:
+            ended.set()
+
+    with pytest.raises(ModelError, match="broken"):
+        workers.run([endless, fail])
+    assert ended.wait(30)
 
 
 def test_thinned_records_keep_their_branches():
@@ -263,7 +310,7 @@ def test_progress_is_called_with_what_will_be_tried():
     assert {"duhem", "bouc-wen"} <= set(lines[0][0].replace(",", "").split())
     fractions = [done for _, done in lines]
     assert fractions == sorted(fractions)
-    assert (fractions[0], fractions[-1]) == (0.0, 0.5)
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
 
 
 def test_progress_in_a_notebook_rewrites_one_line(monkeypatch, capsys):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Dataset, Record
+from hystfit.params.host_arrays import to_device
 
 _SMALLEST, _LONG = 64, 4096
 
@@ -45,7 +45,7 @@ class Batch(eqx.Module):
         records = list(Dataset.of(data))
         length = bucket(max(len(record) for record in records))
         rows = [_pad(record, length) for record in records]
-        return cls(*(jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True)))
+        return cls(*(to_device(np.stack(column)) for column in zip(*rows, strict=True)))
 
     @property
     def count(self) -> int:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -15,11 +17,12 @@ from hystfit.data.record import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.fit import fit
+from hystfit.fitting.fit import choose_method, fit, solve, started_problem
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
-from hystfit.fitting.sizes import choose_size
+from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import with_left_out
+from hystfit.fitting.workers import Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Status
@@ -30,7 +33,9 @@ from hystfit.results.result import FitResult
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
-_HOPELESS = 2.0  # a model whose quick fit errs this much more than the best on left-out data is not validated
+_HOPELESS = 2.0  # a model whose first fit errs this much more than the best on left-out data is not validated
+_HOPELESS_SIZE = 3.0  # the same of models with elements, whose other sizes may err less than the default one
+_FIRST_STARTS = 2  # starting points of that fit
 
 
 def compare(
@@ -41,6 +46,7 @@ def compare(
     purpose: Purpose = "prediction",
     seed: int = 0,
     progress: Callable[..., object] | None = None,
+    workers: int | None = None,
 ) -> Comparison:
     """Fit several models and rank them by their error on left-out data.
 
@@ -52,13 +58,17 @@ def compare(
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") compares the models that suit what `check` finds, and stops those whose first fit errs more than twice
-            as much as the best model on left-out data.
+            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit errs
+            more than twice as much as the best model on left-out data. A first fit starts from two points and is judged on the
+            samples fitted; that of a model with elements has its default size, is judged on left-out data, and may err three
+            times as much.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
         seed: of the starting points.
         progress: called with a line of text and the fraction done for each model; None shows them on a terminal or in a notebook.
+        workers: number of models that are fitted side by side, in threads; default: one for each core, at most four. The result
+            does not depend on it.
 
     Raises:
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
@@ -75,12 +85,7 @@ def compare(
     chosen = Candidates(tuple(named), "") if named else candidates(data)
     judge = _Judge(data, left_out, purpose, seed, named)
     with _shown(progress) as update:
-        count = len(chosen.names)
-        update(f"{count} to try: {', '.join(chosen.names)}", 0.0)
-        for number, name in enumerate(chosen.names):
-            line = f"{name} ({number + 1} of {count})"
-            update(line, number / count)
-            judge.add(name, lambda step, line=line, done=number / count: update(f"{line}: {step}", done))
+        judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
     rows = sorted(judge.rows, key=lambda row: _rank(row, purpose))
     if not judge.fits:
         raise judge.refusal(rows)
@@ -122,6 +127,30 @@ def _shown(progress: Callable[..., object] | None) -> Iterator[Callable[..., obj
         yield update
 
 
+class _Shown:
+    """Progress of models that are fitted side by side: each line names a model, its step, and how many are done.
+
+    Args:
+        update: called with a line of text and the fraction done.
+        names: of the models.
+    """
+
+    def __init__(self, update: Callable[..., object], names: Sequence[str]):
+        self._update, self._count, self._done, self._lock = update, len(names), 0, threading.Lock()
+        update(f"{self._count} to try: {', '.join(names)}", 0.0)
+
+    def step(self, name: str, text: str) -> None:
+        """A model reached a step."""
+        with self._lock:
+            self._update(f"{name}: {text}", self._done / self._count)
+
+    def done(self, name: str) -> None:
+        """A model is done."""
+        with self._lock:
+            self._done += 1
+            self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
+
+
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
     """Fitted models first, then those that serve the purpose, then the smallest error on left-out data."""
     return (
@@ -133,8 +162,54 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
     )
 
 
+class _First(NamedTuple):
+    """The first fit of a model: its rms error [y], how many times the best error it may be, and its number of parameters."""
+
+    error: float
+    limit: float
+    parameters: int | None = None
+
+
+def _leading(firsts: dict[str, _First], alone: bool) -> list[str]:
+    """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
+
+    Args:
+        firsts: first fits by name.
+        alone: no model has been validated yet, so that the others wait for the ones whose first fit is near the best.
+    """
+    sized = {name: first for name, first in firsts.items() if first.limit == _HOPELESS_SIZE}
+    if not sized and not alone:
+        return list(firsts)
+    least = min((first.error for first in (sized or firsts).values()), default=0.0)
+    return [name for name, first in (sized or firsts).items() if first.error <= first.limit * least]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Outcome:
+    """What work on one candidate gave.
+
+    Attributes:
+        row, result: of the comparison, where the candidate was validated.
+        first: the first fit, where there was one.
+        failure: why there is no result.
+        seconds: what it took.
+    """
+
+    row: Row | None = None
+    result: FitResult | None = None
+    first: _First | None = None
+    failure: Exception | None = None
+    seconds: float = 0.0
+
+    def after(self, earlier: _Outcome | None) -> _Outcome:
+        """This work as the second on the same candidate."""
+        if earlier is None:
+            return self
+        return dataclasses.replace(self, first=earlier.first, seconds=earlier.seconds + self.seconds)
+
+
 class _Judge:
-    """Fits candidates one after the other and keeps their rows.
+    """Fits candidates and keeps their rows.
 
     Args:
         data: records.
@@ -149,18 +224,63 @@ class _Judge:
         self.fits: dict[str, FitResult] = {}
         self.errors: list[Exception] = []
 
-    def add(self, name: str, progress: Callable[[str], object]) -> None:
-        """Fit and validate one candidate; an error leaves it out."""
+    def run(self, names: Sequence[str], shown: _Shown, workers: Workers) -> None:
+        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out.
+
+        Args:
+            names: of the candidates.
+            shown: progress.
+            workers: threads.
+        """
+        outcomes: dict[str, _Outcome] = {}
+
+        def each(work: Callable[[str, Callable[[str], object]], Any], chosen: Sequence[str]) -> None:
+            tasks = [functools.partial(self._timed, work, name, shown, workers) for name in chosen]
+            for name, outcome in zip(chosen, workers.run(tasks), strict=True):
+                outcomes[name] = outcome.after(outcomes.get(name))
+
+        each(self._begun, names)
+        waiting = [name for name in names if outcomes[name].row is None]
+        self._keep([name for name in names if name not in waiting], outcomes, shown)
+        while waiting:
+            stopped = {name: row for name in waiting if (row := self._stopped(name, outcomes[name])) is not None}
+            for name, row in stopped.items():
+                outcomes[name] = dataclasses.replace(outcomes[name], row=row)
+            going = {name: first for name in waiting if name not in stopped and (first := outcomes[name].first)}
+            leading = _leading(going, self._best() is None)
+            each(self._judged, leading)
+            self._keep([*stopped, *leading], outcomes, shown)
+            waiting = [name for name in going if name not in leading]
+        self.rows.sort(key=lambda row: names.index(row.asked) if row.asked in names else -1)
+
+    def _timed(
+        self, work: Callable[[str, Callable[[str], object]], _Outcome], name: str, shown: _Shown, workers: Workers
+    ) -> _Outcome:
+        """What one piece of work on a candidate gives, with its time; an error becomes the candidate's row."""
+
+        def say(text: str) -> None:
+            workers.check()
+            shown.step(name, text)
+
         started = time.perf_counter()
         try:
-            row, result = self._judged(name, progress)
+            outcome = work(name, say)
         except _SOLVER_ERRORS as error:
-            self.errors.append(error)
-            row, result = Row(name, name, None, None, None, None, 0.0, Status.FAILED, f"left out: {error}"), None
-        row = dataclasses.replace(row, seconds=time.perf_counter() - started)
-        self.rows.append(row)
-        if result is not None:
-            self.fits[name] = result
+            row = Row(name, name, None, None, None, None, 0.0, Status.FAILED, f"left out: {error}")
+            outcome = _Outcome(row=row, failure=error)
+        return dataclasses.replace(outcome, seconds=time.perf_counter() - started)
+
+    def _keep(self, names: Sequence[str], outcomes: dict[str, _Outcome], shown: _Shown) -> None:
+        """Add the rows of candidates that are done."""
+        for name in names:
+            outcome = outcomes[name]
+            assert outcome.row is not None
+            self.rows.append(dataclasses.replace(outcome.row, seconds=outcome.seconds))
+            if outcome.failure is not None:
+                self.errors.append(outcome.failure)
+            if outcome.result is not None:
+                self.fits[name] = outcome.result
+            shown.done(name)
 
     def refusal(self, rows: Sequence[Row]) -> HystfitError:
         """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
@@ -169,7 +289,8 @@ class _Judge:
             return first
         return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
 
-    def _judged(self, name: str, progress: Callable[[str], object]) -> tuple[Row, FitResult | None]:
+    def _judged(self, name: str, progress: Callable[[str], object]) -> _Outcome:
+        progress("fit")
         if name == SEARCH:
             result = fit(SEARCH, self.data, seed=self.seed)
         else:
@@ -179,8 +300,6 @@ class _Judge:
             sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
             if not sized and (choice := choose_size(model, self.data, progress)).notes:
                 result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
-            elif not self.named and model.estimator is None and (row := self._stopped(name)):
-                return row, None
             else:
                 result = fit(given, self.data, seed=self.seed)
         progress("error on left-out data")
@@ -200,25 +319,42 @@ class _Judge:
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=obstacles,
         )
-        return row, result
+        return _Outcome(row=row, result=result)
 
-    def _stopped(self, name: str) -> Row | None:
-        """The row of a model whose quick fit is far from the best error on left-out data; None for a model that may win."""
+    def _begun(self, name: str, progress: Callable[[str], object]) -> _Outcome:
+        """A first fit, which decides whether a model is validated; the models that users chose, and a search, are validated."""
+        if self.named or name == SEARCH:
+            return self._judged(name, progress)
+        model = make_model(name)
+        progress("first fit")
+        if (error := first_error(model, self.data)) is not None:
+            return _Outcome(first=_First(error, _HOPELESS_SIZE))
+        if model.estimator is not None:
+            return self._judged(name, progress)
+        problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
+        estimate = solve(problem, choose_method(problem), _FIRST_STARTS, self.seed, points)
+        weight = np.asarray(problem.objective.batch.weight)
+        rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
+        return _Outcome(first=_First(rms, _HOPELESS, estimate.x.size))
+
+    def _best(self) -> float | None:
+        """The smallest error on left-out data so far, of models that serve the purpose."""
         rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
-        best = min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
-        if best is None:
+        return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
+
+    def _stopped(self, name: str, outcome: _Outcome) -> Row | None:
+        """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
+        best, first = self._best(), outcome.first
+        if best is None or first is None:
             return None
-        data = thinned(self.data) if make_model(name).allows_thinning else self.data
-        quick = fit(name, data, starts=2, seed=self.seed, noise="iid")
-        error = quick.train.nrmse_percent
-        if error is None or error <= _HOPELESS * best:
+        error = 100 * first.error / self._span
+        if not np.isfinite(error) or error <= first.limit * best:
             return None
         note = (
             f"stopped after a first fit with an error of {error:.2g} %, because another model has {best:.2g} % on left-out data "
             f"(hystfit compare --models {name} validates it)"
         )
-        largest, count = quick.train.max_error_percent, len(quick.free_names)
-        return Row(name, name, None, error, largest, count, 0.0, quick.status, note)
+        return Row(name, name, None, error, None, first.parameters, 0.0, Status.UNTESTED, note)
 
     @property
     def _span(self) -> float:

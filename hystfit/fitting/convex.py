@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array
 
 from hystfit.errors import ModelError
@@ -18,6 +18,7 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
+from hystfit.params.host_arrays import to_device
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 0))
 _BLOCKS = 5
@@ -69,7 +70,7 @@ class LinearSystem:
         if np.isfinite(upper).any() or (np.isfinite(lower) & (lower != 0)).any():
             names = [problem.space.names[k] for k in at]
             raise ModelError(f"linear parameters must be free or >= 0 for a convex fit: {names}; use method='trf'")
-        base, columns = (np.asarray(v) for v in _respond(problem.objective, jnp.asarray(x), jnp.asarray(at)))
+        base, columns = (np.asarray(v) for v in _respond(problem.objective, to_device(x), to_device(at)))
         batch = problem.objective.batch
         weight = np.asarray(batch.weight).reshape(-1)
         used = weight > 0

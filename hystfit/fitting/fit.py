@@ -135,9 +135,10 @@ def pose(
     points: tuple[AbstractHysteresis, ...] = (model,)
     if start == "data":
         fix = _held(model, fix) if held else fix
-        points = model.starting_points(list(data.map(model.prepared)))
+        problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
         model = points[0]
-    problem = Problem(model, data, fix=fix, free=free, loss=loss)
+    else:
+        problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
     if name == "convex" and start == "data" and model.has_rest:
         problem, of_rest = _choose_rest(problem, fix, free, loss)
@@ -168,6 +169,21 @@ def judge(
     notes += _mismatches(errors, noise, problem.scales.y)
     label = ESTIMATORS.label(posed.method)
     return conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
+
+
+def started_problem(
+    model: AbstractHysteresis, data: Dataset, **options: Any
+) -> tuple[Problem, tuple[AbstractHysteresis, ...]]:
+    """The problem of a model with starting values from the records, and all models to start from.
+
+    Args:
+        model: any model.
+        data: records.
+        **options: of `Problem`.
+    """
+    check_fittable(model, data)
+    points = model.starting_points(list(data.map(model.prepared)))
+    return Problem(points[0], data, **options), points
 
 
 def changed_settings(given: Mapping[str, Any]) -> list[str]:
@@ -292,12 +308,12 @@ def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[A
 
 def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
-    c = problem.space.coordinates
     per_record = np.array([info.per_record and info.linear for info in problem.space.infos])
     if len(problem.data) > 1 and per_record.any():
         system = LinearSystem.of(problem, x, per_record)
         x = x.copy()
         x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
+    c = problem.space.coordinates
     return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
 
 
@@ -350,7 +366,7 @@ def conclude(
     predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
     train = Metrics.of(measured, predicted)
     rows = [y - m for y, m in zip(predicted, measured, strict=True)]
-    model = problem.space.coordinates.assemble(np.asarray(x), 0)
+    model = problem.space.assembled(x)
     baselines = Baselines.of(data)
     fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
     status, reasons = verdict_of(fitted)

@@ -1,29 +1,30 @@
-"""Least squares in unconstrained coordinates by optimistix: the default estimator."""
+"""Least squares in unconstrained coordinates: the default estimator."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.levenberg_marquardt import Descents, descend
 from hystfit.fitting.polish import polish
 from hystfit.fitting.thinning import thin
 from hystfit.fitting.trust_region import TrustRegion
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
+from hystfit.params.host_arrays import to_device
 
 _ROUGH = 1e-4  # relative tolerance on z of starts on the short form of the records
 _ON_BOUND = 1e-6  # relative distance below which the bounded solver decides whether a parameter is on its bound
 
 
 class LeastSquares(AbstractEstimator):
-    """Levenberg-Marquardt or dogleg with forward-mode Jacobians, from several starts.
+    """Levenberg-Marquardt, or Powell's dogleg by optimistix, with forward-mode Jacobians, from several starts.
 
     Every start gets a few steps, in which most reach their basin; the best continues for some rounds of as many. Where the records
     are long, all this happens on a short form of them (`hystfit.fitting.thinning`), and the best start is polished on all samples.
@@ -47,16 +48,16 @@ class LeastSquares(AbstractEstimator):
         """See `AbstractEstimator.estimate`."""
         short = thin(problem)
         objective, settings = (problem.objective, self) if short is None else (short, _rough(self))
-        runs = [settings._run(objective, z0) for z0 in starts]  # one compilation serves any number of starts
-        costs = np.array([cost for _, cost, _, _ in runs])
+        ended = settings._run(objective, starts)
+        costs, steps = ended.cost, int(ended.evaluations.sum())
         number = int(np.argmin(costs))
-        z, cost, success, _ = runs[number]
-        steps = sum(run[3] for run in runs)
+        z, cost, success = ended.z[number], float(costs[number]), bool(ended.converged[number])
         for _ in range(self.rounds):
             if success or not np.isfinite(cost):
                 break
-            z, cost, success, more = settings._run(objective, z)
-            steps += more
+            again = settings._run(objective, z[None])
+            z, cost, success = again.z[0], float(again.cost[0]), bool(again.converged[0])
+            steps += int(again.evaluations[0])
         costs[number] = min(cost, costs[number])
         if short is not None and np.isfinite(z).all():
             z, cost, success, more = polish(problem, z)
@@ -69,9 +70,11 @@ class LeastSquares(AbstractEstimator):
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
 
-    def _run(self, objective: Objective, z0: np.ndarray) -> tuple[np.ndarray, float, bool, int]:
-        z, cost, success, steps = _solve(self, objective, jnp.asarray(z0))
-        return np.asarray(z), float(cost), bool(success), int(steps)
+    def _run(self, objective: Objective, starts: np.ndarray) -> Descents:
+        if self.method == "lm":
+            return descend(objective, starts, rtol=self.rtol, atol=self.atol, steps=self.max_steps)
+        runs = [_dogleg(self, objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
+        return Descents(*(np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True)))
 
 
 def _rough(settings: LeastSquares) -> LeastSquares:
@@ -85,11 +88,12 @@ def dogleg() -> LeastSquares:
 
 
 @eqx.filter_jit
-def _solve(settings: LeastSquares, objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array]:
-    solver: Any = (optx.LevenbergMarquardt if settings.method == "lm" else optx.Dogleg)(settings.rtol, settings.atol)
+def _dogleg(settings: LeastSquares, objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array]:
+    import optimistix as optx  # its import takes 0.2 s, which no other fit needs
+
     solution = optx.least_squares(
         lambda z, objective: objective.misfit_at(z),
-        solver,
+        optx.Dogleg(settings.rtol, settings.atol),
         z0,
         args=objective,
         options={"jac": "fwd"},

@@ -37,6 +37,8 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
     problem, x = result.problem, result.x
     if scheme == "future":
         return _refitted(result.method, problem, x, _futures(problem))
+    if result.left_out is not None and len(linear_positions(problem)):
+        return result.left_out  # by which the fit chose its regularization
     if result.method == "preisach":
         return left_out_score(problem, x)
     if result.method == "convex" and len(linear_positions(problem)):

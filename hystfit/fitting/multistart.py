@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import qmc
 
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import BOTH
+from hystfit.params.hypercube import latin_hypercube
 
 _SPREAD = 1.5  # in z: a factor of about 4 either way for a positive parameter
 
@@ -26,7 +26,7 @@ def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -
     starts = np.tile(center, (max(count, 1), 1))
     if count <= 1:
         return starts
-    unit = qmc.LatinHypercube(center.size, rng=np.random.default_rng(seed)).random(count - 1)
+    unit = latin_hypercube(center.size, count - 1, seed)
     both = np.array([kind == BOTH for kind in problem.space.coordinates.kinds])
     linear = np.array([info.linear for info in problem.space.infos])
     inside = 0.05 + 0.9 * unit

@@ -68,6 +68,15 @@ def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[st
     return Sized(best, (Note(Code.CHOICE, text),))
 
 
+def first_error(model: AbstractHysteresis, data: Dataset) -> float | None:
+    """Root mean square error on left-out data of the size where `choose_size` starts, output units; None without a choice of size.
+
+    Infinite for a model that cannot be solved for.
+    """
+    found = model.sizes(list(data))
+    return _left_out(next(iter(found.values())), data) if found else None
+
+
 def _left_out(model: AbstractHysteresis, data: Dataset) -> float:
     """Root mean square error on left-out data, output units; infinite for a model that cannot be solved for."""
     try:

@@ -71,7 +71,7 @@ class SmoothWeights(AbstractEstimator):
             )
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2
-        left_out = float(fit.left_out.min()) * now.system.size if fit.left_out.size else None
+        left_out = None if fit.error is None else fit.error * now.system.size
         return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, notes, left_out)
 
     def _search(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.batch import Batch, bucket
 from hystfit.data.record import Dataset
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
+from hystfit.params.host_arrays import to_device
 from hystfit.quality.loops import reversals
 
 _SAMPLES = 1024  # of all records together
@@ -36,7 +36,7 @@ def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
         _row(batch, number, kept_samples(len(record), turn, length), length)
         for number, (record, turn) in enumerate(zip(problem.data, turns, strict=True))
     ]
-    thinned = Batch(*(jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True)))
+    thinned = Batch(*(to_device(np.stack(column)) for column in zip(*rows, strict=True)))
     return eqx.tree_at(lambda o: o.batch, problem.objective, thinned)
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
-import scipy.optimize
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
 from hystfit.inference.problem import Problem

@@ -7,11 +7,13 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.models.base import run
 from hystfit.params.coordinates import Coordinates
+from hystfit.params.host_arrays import to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
@@ -82,6 +84,40 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
         outer = jnp.maximum(square, 1.0)
         ratio = jnp.where(square > 1.0, (2.0 * jnp.sqrt(outer) - 1.0) / outer, 1.0)
     return r * jnp.sqrt(ratio)
+
+
+@eqx.filter_jit
+def _linearize(objective: Objective, x: Array) -> tuple[Array, Array]:
+    return objective.linearize(x)
+
+
+def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
+    """`Objective.linearize` on the host, by one compiled program for all uses.
+
+    Args:
+        objective: what is fitted.
+        x: physical parameters, shape (p,).
+    """
+    residual, jacobian = _linearize(objective, to_device(x))
+    return np.asarray(residual), np.asarray(jacobian)
+
+
+def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:
+    """`Objective.misfit` on the host from residuals, shape (n,), and its derivatives, shape (n, p), where these are given.
+
+    Args:
+        objective: gives weights, size and loss.
+        residual: shape (R, T).
+        jacobian: derivatives of the residuals, shape (R, T, p); None for the misfit alone.
+    """
+    root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
+    misfit, slope = (root * residual).reshape(-1), None
+    if objective.loss != "linear":
+        misfit, slope = (np.asarray(v) for v in bend_slope(to_device(misfit), objective.bend, objective.loss))
+    if jacobian is None:
+        return misfit
+    rows = (root[..., None] * jacobian).reshape(-1, jacobian.shape[-1])
+    return misfit, rows if slope is None else slope[:, None] * rows
 
 
 @eqx.filter_jit

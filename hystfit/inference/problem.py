@@ -20,13 +20,14 @@ from hystfit.errors import DataError, ModelError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.objective import Loss, Objective, bend_slope
+from hystfit.inference.objective import BROKEN, Loss, Objective, linearized, misfit_of
 from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import BOTH
+from hystfit.params.host_arrays import to_device
 from hystfit.params.space import ParameterSpace
 
 LOSSES: tuple[str, ...] = get_args(Loss)
@@ -88,8 +89,8 @@ class Problem:
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="
             )
-        bend = jnp.asarray(0.02)  # a robust loss bends at 1 % of the range
-        self.objective = Objective(self.space.coordinates, batch, jnp.asarray(self.scales.y), bend, loss)
+        bend = to_device(0.02)  # a robust loss bends at 1 % of the range
+        self.objective = Objective(self.space.coordinates, batch, to_device(self.scales.y), bend, loss)
         self.noise: AbstractNoise | None = None
         self.noise_space: ParameterSpace | None = None
         self.priors: tuple[AbstractPrior, ...] = ()
@@ -187,14 +188,20 @@ class Problem:
     def predict(self, x: Any) -> list[np.ndarray]:
         """Free-run output of every record at physical x, shapes (T_r,)."""
         if self.model.short_cut:
-            models = [self.space.coordinates.assemble(jnp.asarray(x), k) for k in range(len(self.data))]
+            models = [self.space.assembled(x, k) for k in range(len(self.data))]
             return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
-        rows = np.asarray(_run(self.objective, "predict", jnp.asarray(x)))
+        rows = np.asarray(_run(self.objective, "predict", to_device(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 
     def residuals(self, x: Any) -> Float[np.ndarray, "R T"]:
         """Prediction less measurement at physical x, output units, 0 where a sample does not count."""
-        return np.asarray(_run(self.objective, "residual", jnp.asarray(x)))
+        batch = self.objective.batch
+        y, weight = np.asarray(batch.y), np.asarray(batch.weight)
+        residual = np.zeros(y.shape)
+        for row, measured, predicted in zip(residual, y, self.predict(x), strict=True):
+            end = min(predicted.size, row.size)  # a trimmed batch may be shorter than its records
+            row[:end] = predicted[:end] - measured[:end]
+        return np.where(weight > 0, np.where(np.isfinite(residual), residual, BROKEN * self.scales.y), 0.0)
 
     def linearize(self, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
         """`residuals` and their derivatives with respect to physical x, by one compiled program for all uses.
@@ -205,22 +212,15 @@ class Problem:
             length = self.objective.batch.u.shape[1]
             jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
             return self.residuals(x), jacobian * self.used[..., None]
-        residual, jacobian = _run(self.objective, "linearize", jnp.asarray(x))
-        return np.asarray(residual), np.asarray(jacobian)
+        return linearized(self.objective, x)
 
     def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
         """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""
-        return np.asarray(_run(self.objective, "misfit", jnp.asarray(x)))
+        return misfit_of(self.objective, self.residuals(x))
 
     def linearize_misfit(self, x: Any) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n p"]]:
         """`misfit` and its derivatives with respect to physical x."""
-        residual, jacobian = self.linearize(x)
-        root = np.sqrt(np.asarray(self.objective.batch.weight)) / self.scales.y
-        plain, rows = (root * residual).reshape(-1), (root[..., None] * jacobian).reshape(-1, jacobian.shape[-1])
-        if self.objective.loss == "linear":
-            return plain, rows
-        bent, slope = (np.asarray(v) for v in bend_slope(jnp.asarray(plain), self.objective.bend, self.objective.loss))
-        return bent, slope[:, None] * rows
+        return misfit_of(self.objective, *self.linearize(x))
 
     # -- likelihoods ---------------------------------------------------------------------------------------------------
 
@@ -253,7 +253,7 @@ class Problem:
 
     def log_likelihood(self, z: Any) -> float:
         """Log density of the data at unconstrained z."""
-        return float(_run(self.density, "log_likelihood", jnp.asarray(z)))
+        return float(_run(self.density, "log_likelihood", to_device(z)))
 
     def log_prior(self, z: Any) -> float:
         """Log prior density over z."""
@@ -261,7 +261,7 @@ class Problem:
 
     def log_posterior(self, z: Any) -> float:
         """Log posterior density over z, up to a constant."""
-        return float(_run(self.density, "log_density", jnp.asarray(z)))
+        return float(_run(self.density, "log_density", to_device(z)))
 
 
 @eqx.filter_jit

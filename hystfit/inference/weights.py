@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -56,7 +55,7 @@ class Split:
             offsets: see `SmoothSystem.of`.
         """
         c = space.coordinates
-        models = [c.assemble(jnp.asarray(x), k) for k in range(len(records))]
+        models = [space.assembled(x, k) for k in range(len(records))]
         designs = [model.design_matrix(r.u, r.dt) for model, r in zip(models, records, strict=True)]
         system = SmoothSystem.of(designs, records, left_out=left_out, offsets=offsets)
         first = {block.leaf: start for block, start in zip(system.blocks, system.starts, strict=False)}

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record, median_interval

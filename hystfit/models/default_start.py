@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from hystfit.data.record import Dataset, Record
 from hystfit.models.starting import scales_of, thinned
 from hystfit.params.coordinates import BOTH
+from hystfit.params.hypercube import latin_hypercube
 from hystfit.params.space import ParameterSpace
 
 _POINTS = 128
@@ -60,7 +60,7 @@ def _points(space: ParameterSpace, model: Any, moved: np.ndarray) -> np.ndarray:
     own = space.unconstrained(space.vector(model))
     if not moved.size:
         return own[None]
-    unit = qmc.LatinHypercube(own.size, rng=np.random.default_rng(0)).random(_POINTS)
+    unit = latin_hypercube(own.size, _POINTS, 0)
     inside = 0.05 + 0.9 * unit
     over_range = np.log(inside) - np.log1p(-inside)
     both = np.array([kind == BOTH for kind in space.coordinates.kinds])

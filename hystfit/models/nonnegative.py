@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from threadpoolctl import ThreadpoolController
 
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one

@@ -10,8 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its subpackages when they are first used
 from jaxtyping import Array
-from scipy.optimize import nnls
 
 from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
@@ -89,7 +89,7 @@ def _linear(records: Sequence[Record]) -> tuple[float, float, float]:
     A, b = np.concatenate(rows), np.concatenate(right)
     size = np.linalg.norm(A, axis=0)
     size[size == 0] = 1.0
-    m, c, K = nnls(A / size, b)[0] / size
+    m, c, K = scipy.optimize.nnls(A / size, b)[0] / size
     # What the data leave at zero: a resonance outside the excited band, and little damping.
     m, K = (m or K / (3 * highest) ** 2), (K or m * (lowest / 3) ** 2)
     if not m > 0:

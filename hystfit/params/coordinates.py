@@ -18,25 +18,28 @@ from jaxtyping import Array, Float
 REAL, LOWER, UPPER, BOTH = range(4)
 
 
-@functools.partial(jax.jit, static_argnums=4, inline=True)  # jitted because it is called outside traced code too
-def _physical(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[int, ...]) -> Array:
-    kind = jnp.asarray(kinds, dtype=int)
+def _physical(z: Any, lower: Any, upper: Any, scale: Any, kinds: tuple[int, ...], xp: Any = jnp) -> Any:
+    kind = xp.asarray(kinds, dtype=int)
     # One exponential for all maps; for two bounds it is exp(-|z|), measured from the nearer bound, so that the slope is
     # accurate next to either. Without a bound its argument is 0: a branch that is not selected must not overflow in the gradient.
-    away = jnp.where(kind == BOTH, jnp.where(z < 0, z, -z), z)
-    grown = jnp.exp(jnp.where(kind == REAL, 0.0, away))
-    low = jnp.where(jnp.isfinite(lower), lower, 0.0)
-    high = jnp.where(jnp.isfinite(upper), upper, 0.0)
-    x = jnp.where(kind == REAL, scale * z, low + scale * grown)
-    x = jnp.where(kind == UPPER, high - scale * grown, x)
+    away = xp.where(kind == BOTH, xp.where(z < 0, z, -z), z)
+    grown = xp.exp(xp.where(kind == REAL, 0.0, away))
+    low = xp.where(xp.isfinite(lower), lower, 0.0)
+    high = xp.where(xp.isfinite(upper), upper, 0.0)
+    x = xp.where(kind == REAL, scale * z, low + scale * grown)
+    x = xp.where(kind == UPPER, high - scale * grown, x)
     part = (high - low) * grown / (1.0 + grown)
-    both = jnp.where(z < 0, low + part, high - part)
-    return jnp.where(kind == BOTH, both, x)
+    both = xp.where(z < 0, low + part, high - part)
+    return xp.where(kind == BOTH, both, x)
+
+
+# Jitted because samplers call them outside traced code too.
+_physical_traced = functools.partial(jax.jit, static_argnums=4, inline=True)(_physical)
 
 
 @functools.partial(jax.jit, static_argnums=4, inline=True)
 def _slope(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[int, ...]) -> Array:
-    return jax.jvp(lambda z: _physical(z, lower, upper, scale, kinds), (z,), (jnp.ones_like(z),))[1]
+    return jax.jvp(lambda z: _physical_traced(z, lower, upper, scale, kinds), (z,), (jnp.ones_like(z),))[1]
 
 
 class Coordinates(eqx.Module):
@@ -58,9 +61,13 @@ class Coordinates(eqx.Module):
     treedef: Any = eqx.field(static=True)
     n_records: int = eqx.field(static=True)
 
-    def physical(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
-        """x from z."""
-        return _physical(z, self.lower, self.upper, self.scale, self.kinds)
+    def physical(self, z: Any, xp: Any = jnp) -> Any:
+        """x from z, shape (p,); `xp` is the module of the arrays, as in `unconstrained`."""
+        if xp is jnp:
+            return _physical_traced(z, self.lower, self.upper, self.scale, self.kinds)
+        lower, upper, scale = (np.asarray(v) for v in (self.lower, self.upper, self.scale))
+        with np.errstate(all="ignore"):
+            return _physical(np.asarray(z, float), lower, upper, scale, self.kinds, np)
 
     def unconstrained(self, x: Any, inside: float = 1e-9, xp: Any = jnp) -> Any:
         """z from x; values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
@@ -80,9 +87,16 @@ class Coordinates(eqx.Module):
         z = xp.where(kind == UPPER, xp.log(below / scale), z)
         return xp.where(kind == BOTH, xp.log(above) - xp.log(below), z)
 
-    def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
-        """dx/dz, element by element (the maps do not mix parameters)."""
-        return _slope(z, self.lower, self.upper, self.scale, self.kinds)
+    def slope(self, z: Any, xp: Any = jnp) -> Any:
+        """dx/dz, element by element (the maps do not mix parameters), shape (p,); `xp` as in `physical`."""
+        if xp is jnp:
+            return _slope(z, self.lower, self.upper, self.scale, self.kinds)
+        z, kind = np.asarray(z, float), np.asarray(self.kinds, dtype=int)
+        lower, upper, scale = (np.asarray(v) for v in (self.lower, self.upper, self.scale))
+        with np.errstate(all="ignore"):
+            grown = np.exp(np.where(kind == BOTH, -np.abs(z), np.where(kind == REAL, 0.0, z)))
+            one = scale * np.where(kind == UPPER, -grown, grown)
+            return np.where(kind == BOTH, (upper - lower) * grown / (1.0 + grown) ** 2, one)
 
     def log_jacobian(self, z: Float[Array, " p"]) -> Float[Array, ""]:
         """log |det dx/dz|."""

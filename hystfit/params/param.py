@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.errors import ParameterError
+from hystfit.params.host_arrays import to_device
 from hystfit.params.units import exponents
 
 
@@ -59,16 +60,23 @@ def as_array(value: Any) -> Any:
     if type(value) is float:
         return _number(value, math.copysign(1.0, value), _float_type())
     whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
-    if whole or isinstance(value, (int, float, complex, str, list, tuple, np.ndarray, np.generic)):
-        try:
+    try:
+        if whole or (isinstance(value, (list, tuple)) and _holds_traced(value)):
             if jnp.iscomplexobj(value):
                 raise TypeError("complex")
-            if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-                value = value.astype(_float_type())  # faster than in JAX
             return jnp.asarray(value, dtype=_float_type())
-        except (TypeError, ValueError) as error:
-            raise ParameterError(f"a parameter must be a real number or an array of them, got {value!r}") from error
+        if isinstance(value, (int, float, complex, str, list, tuple, np.ndarray, np.generic)):
+            array = np.asarray(value)
+            if array.dtype.kind not in "biuf":
+                raise TypeError("no real number")
+            return to_device(array, _float_type())
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"a parameter must be a real number or an array of them, got {value!r}") from error
     return value
+
+
+def _holds_traced(values: Any) -> bool:
+    return any(isinstance(value, jax.core.Tracer) for value in jax.tree_util.tree_leaves(values))
 
 
 def _float_type() -> Any:
@@ -90,7 +98,7 @@ def _number(value: float, sign: float, dtype: Any) -> jax.Array:
 
 def _as_vector(value: Any) -> Any:
     array = as_array(value)
-    return jnp.atleast_1d(array) if isinstance(array, jax.Array) else array
+    return jnp.atleast_1d(array) if isinstance(array, jax.Array) and not array.ndim else array
 
 
 def param(

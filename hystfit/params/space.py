@@ -16,6 +16,7 @@ import numpy as np
 
 from hystfit.errors import ParameterError
 from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import ParamInfo, leaves_of, short_names
 from hystfit.params.units import Scales
 from hystfit.registry import near
@@ -30,7 +31,7 @@ def _strong(leaf: Any) -> Any:
     if not isinstance(leaf, jax.Array) or isinstance(leaf, jax.core.Tracer):
         return leaf
     kind = jnp.result_type(float) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
-    return jnp.asarray(np.asarray(leaf), kind) if leaf.weak_type or leaf.dtype != kind else leaf
+    return to_device(leaf, kind) if leaf.weak_type or leaf.dtype != kind else leaf
 
 
 class ParameterSpace:
@@ -130,7 +131,7 @@ class ParameterSpace:
                 raise ParameterError(f"parameter {name!r} has {len(positions)} elements, got {value!r}") from error
             if not np.isfinite(array).all():
                 raise ParameterError(f"parameter {name!r} must be finite, got {value!r}")
-            flat[leaf.index] = jnp.asarray(array, dtype=jnp.result_type(float))
+            flat[leaf.index] = to_device(array, jnp.result_type(float))
         return jax.tree_util.tree_unflatten(treedef, [_strong(leaf) for leaf in flat])
 
     def _masks(self, fix: Mapping[str, Any], free: Sequence[str]) -> list[np.ndarray]:
@@ -170,9 +171,9 @@ class ParameterSpace:
         dtype = jnp.result_type(float)
         self.coordinates = Coordinates(
             leaves=tuple(flat),
-            lower=jnp.asarray(bounds[:, 0], dtype),
-            upper=jnp.asarray(bounds[:, 1], dtype),
-            scale=jnp.asarray(scale, dtype),
+            lower=to_device(bounds[:, 0], dtype),
+            upper=to_device(bounds[:, 1], dtype),
+            scale=to_device(scale, dtype),
             kinds=tuple(int(k) for k in kinds),
             layout=tuple(layout),
             treedef=treedef,
@@ -219,15 +220,28 @@ class ParameterSpace:
 
     def physical(self, z: Any) -> np.ndarray:
         """x from z."""
-        return np.asarray(self.coordinates.physical(jnp.asarray(z)))
+        return self.coordinates.physical(z, np)
 
     def slope(self, z: Any) -> np.ndarray:
         """dx/dz, element by element."""
-        return np.asarray(self.coordinates.slope(jnp.asarray(z)))
+        return self.coordinates.slope(z, np)
 
     def tree(self, z: Any, record: int = 0) -> Any:
         """The tree at z, with the parameters of record number `record`."""
-        return self.coordinates.tree(jnp.asarray(z), record)
+        return self.assembled(self.physical(z), record)
+
+    def assembled(self, x: Sequence[float] | np.ndarray, record: int = 0) -> Any:
+        """The tree at x, with the parameters of record number `record`; `Coordinates.assemble` is the same in traced code."""
+        x, c, start = np.asarray(x, float), self.coordinates, 0
+        leaves = list(c.leaves)
+        for index, positions, per_record in c.layout:
+            count = len(positions)
+            first = start + record * count if per_record else start
+            start += count * (c.n_records if per_record else 1)
+            values = np.array(leaves[index])
+            values.reshape(-1)[list(positions)] = x[first : first + count]
+            leaves[index] = to_device(values)
+        return jax.tree_util.tree_unflatten(c.treedef, leaves)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:
         """Covariance of x from that of z, to first order."""

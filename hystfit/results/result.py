@@ -142,13 +142,17 @@ class FitResult:
     @functools.cached_property
     def models(self) -> tuple[AbstractHysteresis, ...]:
         """The fitted model of each record; they share all but per-record parameters."""
-        coordinates = self.problem.space.coordinates
-        return tuple(coordinates.assemble(np.asarray(self.x), k) for k in range(len(self.data)))
+        return tuple(self.problem.space.assembled(self.x, k) for k in range(len(self.data)))
 
     @property
     def model(self) -> AbstractHysteresis:
         """The fitted model, of the type that went in; with several records, that of the first."""
         return self.models[0]
+
+    @functools.cached_property
+    def _simulated(self) -> list[np.ndarray]:
+        """Output of the model on every record fitted, by the program that the fit has compiled."""
+        return self.problem.predict(self.x)
 
     @functools.cached_property
     def derived(self) -> tuple[ParameterEstimate, ...]:
@@ -282,9 +286,13 @@ class FitResult:
         record = self.in_own_units(given)
         if record.t is None and not self.model.rate_independent:
             raise ModelError(f"{self.name} depends on time: give t, the time of each sample")
-        model = self.models[self.record_number(record)]
-        # Equinox makes a module for a bound method, which takes longer than a short run.
-        y = type(model).free_run(model, record.u, None if record.t is None else record.dt)
+        fitted = next((k for k, own in enumerate(self.data) if own is record), None)
+        if fitted is not None:
+            y = self._simulated[fitted]
+        else:
+            model = self.models[self.record_number(record)]
+            # Equinox makes a module for a bound method, which takes longer than a short run.
+            y = type(model).free_run(model, record.u, None if record.t is None else record.dt)
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
@@ -350,7 +358,7 @@ class FitResult:
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
             "free_names": list(self.free_names),
-            "covariance": [[float(v) if np.isfinite(v) else None for v in row] for row in self.covariance],
+            "covariance": _matrix(self.covariance),
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},
             "verdict": {
                 "train": verdict_dict(self.train, self.baselines),
@@ -418,6 +426,11 @@ class FitResult:
             refit_offset: as in `predict`.
         """
         return _view("plots:fit")(self, kind, ax=ax, data=data, refit_offset=refit_offset)
+
+
+def _matrix(values: np.ndarray) -> list[list[float | None]]:
+    """A matrix for JSON, which has no number that is not finite."""
+    return np.where(np.isfinite(values), values, np.array(None)).tolist()
 
 
 def _view(name: str) -> Any:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.data.record import median_interval
+from hystfit.params.host_arrays import to_device
 
 _UNEVEN = 0.02  # deviation from even sampling, relative, below which the filters take one interval for all samples
 
@@ -44,12 +44,12 @@ class Setting(eqx.Module):
         even = bool(np.all(np.abs(inside - 1.0) < _UNEVEN))
         turning = np.sign(np.diff(u, axis=1, prepend=u[:, :1]))
         return cls(
-            gap=jnp.asarray(1.0 if even else gap),
-            weight=jnp.asarray(weight),
-            place=jnp.asarray((u - low) / (high - low)),
-            rising=jnp.asarray(np.stack([_held(row) for row in turning]) > 0),
-            count=jnp.asarray(float(np.count_nonzero(weight))),
-            log_weight=jnp.asarray(float(np.sum(np.log(weight[weight > 0])))),
+            gap=to_device(1.0 if even else gap),
+            weight=to_device(weight),
+            place=to_device((u - low) / (high - low)),
+            rising=to_device(np.stack([_held(row) for row in turning]) > 0),
+            count=to_device(float(np.count_nonzero(weight))),
+            log_weight=to_device(float(np.sum(np.log(weight[weight > 0])))),
         )
 
 

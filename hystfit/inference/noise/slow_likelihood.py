@@ -11,7 +11,7 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
-import scipy.optimize
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Float
 from scipy.linalg.lapack import dpttrf, dpttrs
 

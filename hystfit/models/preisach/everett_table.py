@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import isotonic_regression
+import scipy  # loads its subpackages when they are first used
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
@@ -182,9 +182,9 @@ def _monotone(X: np.ndarray, rounds: int = 5000) -> np.ndarray:
             Y = np.zeros_like(X)
             for line in range(1, n):
                 if k == 0:
-                    Y[line, :line] = isotonic_regression(trial[line, :line], increasing=False).x
+                    Y[line, :line] = scipy.optimize.isotonic_regression(trial[line, :line], increasing=False).x
                 else:
-                    Y[line:, line - 1] = isotonic_regression(trial[line:, line - 1]).x
+                    Y[line:, line - 1] = scipy.optimize.isotonic_regression(trial[line:, line - 1]).x
             Y = np.maximum(Y, 0.0)
             kept[k] = trial - Y
         if np.abs(Y - before).max() <= 1e-12 * np.abs(X).max(initial=1e-300):

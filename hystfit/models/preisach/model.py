@@ -10,7 +10,7 @@ from typing import Any, ClassVar, get_args
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
+import scipy  # loads its subpackages when they are first used
 from jax.core import Tracer
 from jaxtyping import Array, Float
 

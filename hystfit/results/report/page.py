@@ -107,9 +107,20 @@ def _width(png: bytes) -> int:
 
 
 def _png(figure: Figure) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
+    figure.dpi = _DPI
+    FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws everything twice
     return buffer.getvalue()
+
+
+def _svg(figure: Figure, path: Path) -> None:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    figure.set_layout_engine("none")  # as laid out for the PNG
+    with path.open("w", encoding="utf-8") as file:
+        FigureCanvasSVG(figure).print_svg(file)
 
 
 def write(result: FitResult, folder: str | Path, *, test: Data | None = None, refit_offset: bool = False) -> Path:
@@ -139,5 +150,4 @@ def write_into(result: FitResult, folder: Path, *, test: Data | None = None, ref
     (folder / "report.txt").write_text(text_report(result), encoding="utf-8")
     for name, figure in figures.items():
         (folder / f"{name}.png").write_bytes(images[name])
-        figure.set_layout_engine("none")  # as laid out for the PNG
-        figure.savefig(folder / f"{name}.svg", dpi=_DPI)
+        _svg(figure, folder / f"{name}.svg")

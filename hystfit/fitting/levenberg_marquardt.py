@@ -1,0 +1,131 @@
+"""Levenberg-Marquardt driven from the host, from several starts in step: one compiled program, residuals and Jacobian, serves all.
+
+The steps are those of optimistix' `LevenbergMarquardt`, whose compiled solver takes several times as long to compile as this program.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.inference.objective import Objective
+from hystfit.params.host_arrays import to_device
+
+# A step is accepted where the cost falls by more than _LEAST of what the linear model predicts, and the next one is longer where it
+# falls by more than _GOOD of it: "Sensitivity of trust-region algorithms to their parameters" (Gould et al. 2005).
+_LEAST, _GOOD = 0.01, 0.99
+_SHORTER, _LONGER, _LONGEST = 0.25, 3.5, 1e30
+_LANES = 8  # starts for which a program has room; fewer cost no more than their share
+_BYTES = 2**26  # of their Jacobians, beyond which a program has room for fewer
+
+
+class Descents(NamedTuple):
+    """Where descents ended: unconstrained z (S, p), half the squared misfits, which converged, and their linearizations, each (S,)."""
+
+    z: Float[np.ndarray, "S p"]
+    cost: Float[np.ndarray, " S"]
+    converged: np.ndarray
+    evaluations: np.ndarray
+
+
+def descend(objective: Objective, starts: np.ndarray, *, rtol: float, atol: float, steps: int) -> Descents:
+    """Minimize half the sum of squared misfits from every start.
+
+    Args:
+        objective: what is fitted.
+        starts: unconstrained, shape (S, p).
+        rtol: change of z and of the misfit, relative to them, below which a descent has converged.
+        atol: the same, absolute.
+        steps: linearizations at most, of each.
+    """
+    samples, p = objective.batch.u.size, starts.shape[1]
+    lanes = int(np.clip(_BYTES // (8 * samples * (p + 1)), 1, _LANES))
+    groups = [starts[k : k + lanes] for k in range(0, len(starts), lanes)]
+    with np.errstate(over="ignore", invalid="ignore"):  # of simulations that are not finite, whose steps are rejected
+        ended = [_together(objective, group, lanes, rtol, atol, steps) for group in groups]
+    return Descents(*(np.concatenate(part) for part in zip(*ended, strict=True)))
+
+
+def _together(objective: Objective, starts: np.ndarray, lanes: int, rtol: float, atol: float, steps: int) -> Descents:
+    count, p = starts.shape
+    z, trial = np.array(starts, float), np.array(starts, float)
+    misfit, triangle = np.zeros((count, objective.batch.u.size)), np.zeros((count, p + 1, p + 1))
+    cost, size = np.full(count, np.inf), np.ones(count)
+    converged, evaluations, active = np.zeros(count, bool), np.zeros(count, int), np.ones(count, bool)
+    for number in range(steps):
+        at = np.flatnonzero(active)
+        if not at.size:
+            break
+        new, jacobian = _linearize(objective, trial[at], lanes)
+        evaluations[at] += 1
+        new_cost = 0.5 * np.sum(new**2, axis=1)
+        predicted = np.zeros(at.size) if number == 0 else _predicted(triangle[at], trial[at] - z[at], cost[at])
+        change = new_cost - cost[at]
+        accepted = change <= _LEAST * predicted if number else np.ones(at.size, bool)
+        good = accepted & (predicted < 0) & (change < _GOOD * predicted)
+        size[at] = np.minimum(size[at] * np.where(good, _LONGER, np.where(accepted, 1.0, _SHORTER)), _LONGEST)
+        taken, new, jacobian = at[accepted], new[accepted], jacobian[accepted]
+        done = _settled(trial[taken] - z[taken], trial[taken], rtol, atol)
+        done &= _settled(new - misfit[taken], new, rtol, atol)
+        z[taken], misfit[taken], cost[taken], converged[taken] = trial[taken], new, new_cost[accepted], done
+        going = ~done & np.isfinite(cost[taken]) & np.isfinite(jacobian).all(axis=(1, 2))
+        active[taken[~going]] = False
+        rows = np.concatenate([jacobian[going], new[going, None]], axis=1).swapaxes(1, 2)
+        triangle[taken[going]] = _factor(rows)
+        left = np.flatnonzero(active)
+        trial[left] = z[left] - _step(triangle[left], size[left])
+    return Descents(z, np.where(np.isfinite(cost), cost, np.inf), converged, evaluations)
+
+
+def _linearize(objective: Objective, z: np.ndarray, lanes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Misfits (k, n) and their derivatives with respect to z, (k, p, n), at k points."""
+    padded = np.zeros((lanes, z.shape[1]))
+    padded[: len(z)] = z
+    misfit, jacobian = _linearize_first(objective, to_device(padded), to_device(len(z)))
+    return np.asarray(misfit)[: len(z)], np.asarray(jacobian)[: len(z)]
+
+
+@eqx.filter_jit
+def _linearize_first(objective: Objective, z: Float[Array, "lanes p"], count: Array) -> tuple[Array, Array]:
+    """Misfit and derivatives at the first `count` points, zero at the others."""
+    eye = jnp.eye(z.shape[1])
+
+    def one(k: Array, rows: tuple[Array, Array]) -> tuple[Array, Array]:
+        push = lambda t: jax.jvp(objective.misfit_at, (z[k],), (t,))
+        misfit, jacobian = jax.vmap(push, out_axes=(None, 0))(eye)
+        return rows[0].at[k].set(misfit), rows[1].at[k].set(jacobian)
+
+    samples = objective.batch.u.size
+    empty = (jnp.zeros((len(z), samples)), jnp.zeros((*z.shape, samples)))
+    return jax.lax.fori_loop(0, count, one, empty)
+
+
+def _settled(change: np.ndarray, value: np.ndarray, rtol: float, atol: float) -> np.ndarray:
+    return np.max(np.abs(change) / (atol + rtol * np.abs(value)), axis=1, initial=0.0) < 1
+
+
+def _factor(rows: np.ndarray) -> np.ndarray:
+    """Factor R of [J, r] = Q R, padded to shape (k, p + 1, p + 1)."""
+    triangle = np.linalg.qr(rows, mode="r")
+    missing = rows.shape[2] - triangle.shape[1]
+    return np.pad(triangle, ((0, 0), (0, missing), (0, 0)))
+
+
+def _predicted(triangle: np.ndarray, step: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Change of the cost that the linear model predicts."""
+    rows = np.einsum("kij,kj->ki", triangle, np.pad(step, ((0, 0), (0, 1)), constant_values=1.0))
+    return 0.5 * np.sum(rows**2, axis=1) - cost
+
+
+def _step(triangle: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Minimum d of |J d - r|^2 + |d|^2 / size."""
+    count, p = len(size), triangle.shape[1] - 1
+    damping = np.eye(p) / np.sqrt(size)[:, None, None]
+    Q, R = np.linalg.qr(np.concatenate([triangle[:, :, :-1], damping], axis=1))
+    target = np.concatenate([triangle[:, :, -1], np.zeros((count, p))], axis=1)
+    return np.linalg.solve(R, np.einsum("kij,ki->kj", Q, target)[..., None])[..., 0]

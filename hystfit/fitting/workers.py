@@ -1,0 +1,57 @@
+"""Independent tasks on several cores, in threads: compilations and linear algebra, most of the time of a fit, run side by side."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+import threading
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+T = TypeVar("T")
+_MOST = 4  # threads: Python itself, which traces models for compilation, runs in one at a time
+
+
+def usable_cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Stopped(BaseException):
+    """Ends a task after an interrupt; not an `Exception`, so that no task takes it for a failed fit."""
+
+
+class Workers:
+    """Runs lists of tasks; results are in the order of the tasks, and the same with any number of threads.
+
+    Args:
+        count: threads; None for one a core, at most four. With one, tasks run in the calling thread.
+    """
+
+    def __init__(self, count: int | None = None):
+        self.count = min(usable_cores(), _MOST) if count is None else count
+        self._interrupted = threading.Event()
+
+    def check(self) -> None:
+        """Called by tasks now and then: ends them after an interrupt."""
+        if self._interrupted.is_set():
+            raise Stopped
+
+    def run(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """What the tasks return; the first error, and an interrupt of the calling thread, end the others at their next `check`."""
+        # Several threads of linear algebra beside each other only wait; and sums depend on their number in the last digit.
+        with threadpool_limits(1, user_api="blas"):
+            if self.count <= 1 or len(tasks) <= 1:
+                return [task() for task in tasks]
+            pool = concurrent.futures.ThreadPoolExecutor(min(self.count, len(tasks)), "hystfit")
+            try:
+                futures = [pool.submit(task) for task in tasks]
+                done, _ = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_EXCEPTION)
+                return [future.result() for future in sorted(done, key=futures.index)]
+            except BaseException:
+                self._interrupted.set()
+                raise
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,85 @@
+"""A first fit in a process: few compiled programs, small imports, the flag of XLA set in time; and the starting points behind it."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+from scipy.stats import qmc
+
+import hystfit as hf
+from hystfit.fitting.levenberg_marquardt import descend
+from hystfit.params.hypercube import latin_hypercube
+
+_PROGRAMS = """
+import sys
+import numpy as np, jax
+jax.config.update("jax_enable_x64", True)
+compiled = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda event, _, **more: compiled.append(more.get("fun_name")) if "backend_compile" in event else None)
+import hystfit as hf
+u = 4 * np.sin(np.linspace(0, 20, 3000)) * np.linspace(0.4, 1, 3000)
+y = 1.2 * u + np.sin(np.linspace(-0.3, 19.7, 3000)) + 0.01 * np.random.default_rng(0).normal(size=3000)
+result = hf.fit("bouc-wen", hf.Record(u, y))
+result.predict(result.data[0])
+print(len(compiled), *{"scipy.stats", "scipy.optimize", "optimistix"} & set(sys.modules), sep=",")
+"""
+_FLAG = """
+import os, jax
+jax.config.update("jax_enable_x64", True)
+import hystfit as hf
+{before}
+hf.BoucWen()
+print("small_while_loop" in os.environ.get("XLA_FLAGS", ""))
+"""
+
+
+def _run(code, **environment):
+    cleared = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
+    finished = subprocess.run([sys.executable, "-c", code], env=cleared | environment, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    return finished.stdout.strip()
+
+
+def test_a_first_fit_compiles_few_programs_and_imports_no_solver_that_it_does_not_use():
+    count, *imported = _run(_PROGRAMS).split(",")
+    assert int(count) <= 8
+    assert "optimistix" not in imported
+    assert "scipy.stats" not in imported
+
+
+def test_scan_loops_are_compiled_whole_however_double_precision_is_switched_on():
+    assert _run(_FLAG.format(before="")) == "True"
+    assert _run(_FLAG.format(before="hf.enable_x64(whole_loops=False)")) == "False"
+    assert _run(_FLAG.format(before=""), XLA_FLAGS="--xla_cpu_enable_fast_math=false") == "False"
+
+
+def test_the_hypercube_is_that_of_scipy():
+    for dimensions, count, seed in ((5, 7, 0), (9, 128, 3)):
+        expected = qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed)).random(count)
+        np.testing.assert_array_equal(latin_hypercube(dimensions, count, seed), expected)
+
+
+def test_descents_side_by_side_end_where_each_ends_alone_and_at_the_minimum_of_scipy():
+    u = 4 * np.sin(np.linspace(0, 20, 400)) * np.linspace(0.4, 1, 400)
+    y = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.4, tau=0.5, rho=0.5), u)[0])
+    y = y + 0.01 * np.random.default_rng(0).normal(size=400)
+    problem = hf.Problem(hf.BoucWen(c=1.1, mu=0.5, tau=0.7, rho=0.3), hf.Record(u, y))
+    z = problem.space.unconstrained(problem.space.vector(problem.model))
+    starts = z + 0.2 * np.random.default_rng(1).normal(size=(10, z.size))  # more than one program has room for
+    together = descend(problem.objective, starts, rtol=1e-8, atol=1e-10, steps=60)
+    alone = descend(problem.objective, starts[3:4], rtol=1e-8, atol=1e-10, steps=60)
+    np.testing.assert_array_equal(together.z[3], alone.z[0])
+    assert together.converged.all()
+    oracle = hf.fit(problem.model, hf.Record(u, y), method="trf", starts=1)
+    best = problem.space.physical(together.z[np.argmin(together.cost)])
+    np.testing.assert_allclose(best, oracle.x, rtol=1e-5, atol=1e-7)
+
+
+def test_a_descent_from_a_simulation_that_is_not_finite_does_not_converge():
+    u = np.sin(np.linspace(0, 20, 100))
+    problem = hf.Problem(hf.BoucWen(), hf.Record(u, u + 0.1 * np.sign(np.cos(np.linspace(0, 20, 100)))))
+    ended = descend(problem.objective, np.full((1, len(problem.space)), 600.0), rtol=1e-8, atol=1e-10, steps=10)
+    assert not ended.converged[0]
+    assert ended.cost[0] > 1
