@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.params.host_arrays import to_device
+
 REAL, LOWER, UPPER, BOTH = range(4)
 
 
@@ -131,7 +133,7 @@ class Coordinates(eqx.Module):
                 flat[list(positions)] = values
             else:
                 flat = flat.at[np.asarray(positions)].set(values)
-            leaves[index] = jnp.asarray(flat.reshape(leaf.shape))
+            leaves[index] = (to_device if host else jnp.asarray)(flat.reshape(leaf.shape))
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:

@@ -231,17 +231,8 @@ class ParameterSpace:
         return self.assembled(self.physical(z), record)
 
     def assembled(self, x: Sequence[float] | np.ndarray, record: int = 0) -> Any:
-        """The tree at x, with the parameters of record number `record`; `Coordinates.assemble` is the same in traced code."""
-        x, c, start = np.asarray(x, float), self.coordinates, 0
-        leaves = list(c.leaves)
-        for index, positions, per_record in c.layout:
-            count = len(positions)
-            first = start + record * count if per_record else start
-            start += count * (c.n_records if per_record else 1)
-            values = np.array(leaves[index])
-            values.reshape(-1)[list(positions)] = x[first : first + count]
-            leaves[index] = to_device(values)
-        return jax.tree_util.tree_unflatten(c.treedef, leaves)
+        """The tree at x, with the parameters of record number `record`."""
+        return self.coordinates.assemble(np.asarray(x, float), record)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:
         """Covariance of x from that of z, to first order."""
