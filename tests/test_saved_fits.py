@@ -195,7 +195,7 @@ def test_a_class_typed_into_an_interpreter_is_found_while_it_is_there(tmp_path, 
 
 
 def test_no_pickle_is_read(saved, tmp_path):
-    from hystfit.sampling.chunks import load
+    from hystfit.runs.chunks import load
 
     class Bomb:
         def __reduce__(self):
@@ -415,3 +415,16 @@ def test_a_clash_of_names_moves_nothing(result, saved):
     with pytest.raises(HystfitError, match=r"records\.npz"):
         fitted(offset=3.0).save(saved, report=False)
     assert {name: (saved / name).read_bytes() for name in before} == before
+
+
+def test_the_covariance_of_many_parameters_is_kept_beside_the_records(tmp_path):
+    """As text it takes a hundred megabytes for two thousand parameters."""
+    u = np.sin(np.linspace(0, 40, 900)) * np.linspace(1.0, 0.1, 900)
+    y = np.asarray(hf.simulate(hf.ParametricPreisach(), u)[0])
+    result = hf.fit("preisach:n=24", hf.Record(u, y + 0.01 * np.random.default_rng(0).normal(size=u.size)))
+    assert len(result.free_names) > 200
+    result.save(tmp_path / "fit", report=False)
+    assert json.loads((tmp_path / "fit" / "result.json").read_text())["covariance"] is None
+    opened = hf.load_fit(tmp_path / "fit")
+    np.testing.assert_allclose(opened.covariance, result.covariance, rtol=1e-8)  # symmetric up to rounding
+    assert opened["offset"].stderr == result["offset"].stderr

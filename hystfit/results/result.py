@@ -29,6 +29,7 @@ from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
 
 SCHEMA = "hystfit.fit/3"
+COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
 _CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
 
 
@@ -348,7 +349,10 @@ class FitResult:
         return warn(Code.EXTRAPOLATION, text)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`; unknown values are null."""
+        """The contents of `result.json`; unknown values are null, and so is the covariance of more than 200 parameters.
+
+        `save` keeps that in records.npz: as text it takes a hundred megabytes for two thousand parameters.
+        """
         return {
             "schema": SCHEMA,
             "model": self.name,
@@ -358,7 +362,7 @@ class FitResult:
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
             "free_names": list(self.free_names),
-            "covariance": _matrix(self.covariance),
+            "covariance": _matrix(self.covariance) if len(self.covariance) <= COVARIANCE_AS_TEXT else None,
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},
             "verdict": {
                 "train": verdict_dict(self.train, self.baselines),

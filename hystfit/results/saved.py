@@ -6,6 +6,7 @@ import io
 import json
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from hystfit.outcome.note import warn
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
 from hystfit.results.report import write_into
-from hystfit.results.result import SCHEMA, FitResult
+from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult
 from hystfit.results.stored_fit import result_of
 from hystfit.results.stored_values import Stored, parse
 from hystfit.results.user_code import checksums
@@ -44,13 +45,21 @@ def write_fit(result: FitResult, folder: Path) -> None:
     code = checksums(result.models, result.noise.name)
     dump_json(folder / "result.json", result.to_dict())
     dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models], "code": code})
-    save_records(folder / "records.npz", result.data)
+    large = len(result.covariance) > COVARIANCE_AS_TEXT
+    extra = {"covariance": result.covariance[np.triu_indices(len(result.covariance))]} if large else {}
+    save_records(folder / "records.npz", result.data, extra)
     seal(folder, _FILES)
 
 
-def save_records(path: Path, data: Dataset) -> None:
-    """Records with their labels in one .npz file."""
-    arrays: dict[str, np.ndarray] = {}
+def save_records(path: Path, data: Dataset, extra: Mapping[str, np.ndarray] | None = None) -> None:
+    """Records with their labels in one .npz file.
+
+    Args:
+        path: of the file.
+        data: records.
+        extra: other arrays to keep beside them.
+    """
+    arrays: dict[str, np.ndarray] = dict(extra or {})
     labels = []
     for k, record in enumerate(data):
         for field in ("u", "y", "t", "weight"):
@@ -87,6 +96,20 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
     except (OSError, KeyError, ValueError, TypeError, EOFError, MemoryError, OverflowError, NotImplementedError,
             RuntimeError, SyntaxError, AttributeError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
         raise DataError(f"{place} does not hold records as hystfit saves them: {error}") from error
+
+
+def _covariance_in(content: bytes) -> np.ndarray | None:
+    """The covariance that is kept beside the records, as its upper triangle; None where result.json has it."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        if "covariance" not in stored:
+            return None
+        upper = np.asarray(stored["covariance"], dtype=float)
+    p = int(np.sqrt(2 * upper.size))
+    if upper.shape != (p * (p + 1) // 2,):
+        raise DataError("records.npz: the covariance is no triangle of numbers; restore the file, or fit again")
+    full = np.empty((p, p))
+    full[np.triu_indices(p)] = upper
+    return np.where(np.tri(p, k=-1, dtype=bool), full.T, full)
 
 
 def _labels_of(stored: Stored) -> dict[str, Any]:
@@ -155,7 +178,8 @@ def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
     described = parse(files.contents["model.json"], place("model.json"))
     try:
         data = load_records(io.BytesIO(files.contents["records.npz"]), place("records.npz"))
-        result = result_of(stored, described, data, trust=trust)
+        covariance = _covariance_in(files.contents["records.npz"])
+        result = result_of(stored, described, data, covariance, trust=trust)
     except HystfitError as error:
         if str(folder) in str(error):
             raise

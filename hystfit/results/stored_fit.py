@@ -23,13 +23,16 @@ from hystfit.results.user_code import allow, noise_file
 _CLOSE = 1e-9  # relative, of a parameter in result.json to that of the model
 
 
-def result_of(stored: Stored, described: Stored, data: Dataset, *, trust: bool) -> FitResult:
+def result_of(
+    stored: Stored, described: Stored, data: Dataset, covariance: np.ndarray | None, *, trust: bool
+) -> FitResult:
     """The result that its files describe, with every value of its type and all of them consistent.
 
     Args:
         stored: result.json.
         described: model.json.
         data: the records.
+        covariance: kept beside them, shape (p, p); None where result.json has it.
         trust: run files of the user's.
 
     Raises:
@@ -39,6 +42,8 @@ def result_of(stored: Stored, described: Stored, data: Dataset, *, trust: bool) 
         raise DataError(f"{stored.place}: schema {schema!r}, expected {SCHEMA!r}")
     block, names = stored.part("problem"), stored.texts("free_names")
     noise = _noise_of(block.part("noise"))
+    if covariance is not None and len(covariance) != len(names):
+        raise DataError(f"{stored.place}: the covariance in records.npz is that of another fit; fit again")
     models, notes = _models_of(described, noise, trust)
     problem = _problem_of(block, names, models[0], data)
     space = problem.space
@@ -65,7 +70,7 @@ def result_of(stored: Stored, described: Stored, data: Dataset, *, trust: bool) 
         status=stored.member("status", Status),
         notes=(*stored.notes("notes"), *notes),
         parameters=parameters,
-        covariance=_covariance(stored, len(space)),
+        covariance=_covariance(stored, len(space)) if covariance is None else covariance,
         train=train,
         test=_metrics(metrics.optional_part("test")),
         sigma=residuals.number("sigma"),
