@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 QUICK ?= --quick
+PARTS ?= calls fit ukf reading
 CONSTRAINTS ?= constraints.txt
 # Tests and experiments compile the same programs in many processes: they share one compilation cache.
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/build/programs
@@ -59,8 +60,8 @@ hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, 
 benchmarks: setup  ## speed beside other programs: one table of ratios, which fails below the recorded floors
 	$(BIN)/python benchmarks/run.py
 
-smoke: setup  ## every benchmark on little work, unjudged
-	$(BIN)/python benchmarks/run.py --quick
+smoke: setup  ## the cheaper benchmarks on little work, unjudged (PARTS= for all)
+	$(BIN)/python benchmarks/run.py --quick $(PARTS)
 
 docs: setup  ## build the documentation in build/docs/site; DOCS=--quick without running notebooks and gallery
 	$(BIN)/python docs/build.py $(DOCS)
