@@ -352,12 +352,7 @@ def test_a_killed_command_resumes_and_writes_the_same_table(tmp_path):
     command = [*MAIN, "batch", "loop*.csv", "--model", "bouc-wen", "--starts", "2", "--workers", "1", "--reports", "0"]
     options = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": _plain(tmp_path)}
     running = subprocess.Popen([*command, "--out", "killed"], **options)
-    rows = tmp_path / "killed" / "run" / "rows.jsonl"
-    until = time.monotonic() + 200
-    while not (rows.exists() and rows.read_bytes()):
-        assert running.poll() is None, running.stderr.read().decode()
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    rows = _first_rows(running, tmp_path / "killed")
     running.send_signal(signal.SIGKILL)
     running.communicate()
     done = len(rows.read_bytes().splitlines())
@@ -380,12 +375,22 @@ def test_an_interrupt_ends_a_batch_of_several_processes(tmp_path):
         )
     finally:
         signal.signal(signal.SIGINT, before)
-    time.sleep(6.0)
+    _first_rows(running, tmp_path / "out")
     os.killpg(running.pid, signal.SIGINT)  # as a terminal sends it
     error = running.communicate(timeout=60)[1].decode()
     assert running.returncode == 130
     assert "Traceback" not in error
     assert "the same command resumes" in error
+
+
+def _first_rows(running: subprocess.Popen, out: Path) -> Path:
+    """The file of rows of a running command, as soon as it has some."""
+    rows, until = out / "run" / "rows.jsonl", time.monotonic() + 200
+    while not (rows.exists() and rows.read_bytes()):
+        assert running.poll() is None, running.stderr.read().decode()
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    return rows
 
 
 def _plain(home: Path) -> dict[str, str]:
@@ -394,6 +399,7 @@ def _plain(home: Path) -> dict[str, str]:
     return kept | {"HOME": str(home), "MPLCONFIGDIR": str(home)}
 
 
+@pytest.mark.slow
 def test_processes_and_dask_workers_make_the_same_rows(folder):
     alone = hf.fit_many("bouc-wen", f"{folder}/*.csv", **QUICK)
     assert hf.fit_many("bouc-wen", f"{folder}/*.csv", workers=2, **QUICK).rows == alone.rows

@@ -220,7 +220,7 @@ def test_every_extra_that_an_error_names_is_one_of_the_project():
     for package, extra in calls:
         named = [part.split(">")[0].strip() for part in extras[extra]]
         assert not package.startswith('"') or package.strip('"') in named, (package, extra)
-    assert set(extras["all"][0].partition("[")[2].strip("]").split(",")) == set(extras) - {"all", "test", "dev"}
+    assert set(extras["all"][0].partition("[")[2].strip("]").split(",")) == set(extras) - {"all", "test", "docs", "dev"}
 
 
 def test_a_scheduler_without_dask_names_the_extra(monkeypatch):

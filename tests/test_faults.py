@@ -146,6 +146,7 @@ RUNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", RUNS)
 @both
 def test_a_run_resumes_with_the_same_draws_after_any_fault(old, tmp_path, sampler, fault):
@@ -158,6 +159,7 @@ def test_a_run_resumes_with_the_same_draws_after_any_fault(old, tmp_path, sample
         shutil.rmtree(tmp_path / "run")
 
 
+@pytest.mark.slow
 @both
 def test_a_study_resumes_with_the_same_ranks_after_any_fault(old, tmp_path, fault):
     study = lambda: hf.calibrate(old.model, old.data, noise="iid", replicates=10, folder=tmp_path / "run", seed=1)

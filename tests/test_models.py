@@ -368,7 +368,7 @@ def test_settings_follow_a_name():
     made = registry.make_model("lag:rest=first+prandtl-ishlinskii-generalized:plays=8:degree=2+creep")
     assert isinstance(made, Series)
     plays = next(part for part in made.parts[1].parts if hasattr(part, "w"))
-    assert (plays.w.shape, plays.b.shape, made.parts[0].rest) == ((3, 8), (2,), "first")
+    assert (plays.w.shape, plays.rise.shape, made.parts[0].rest) == ((3, 8), (2,), "first")
     assert registry.make_model("bouc-wen: scheme = exact").scheme == "exact"
     assert registry.make_model("duhem:f=5:g=0").f.shape == (6,)
     assert not registry.make_model("preisach:n=12:reversible=no").slopes.size

@@ -5,6 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hystfit.inference.density import Density
@@ -38,7 +39,7 @@ class Target(eqx.Module):
         """
         return Target(self.density, center, factor)
 
-    def unwhitened(self, q: Float[Array, "... d"]) -> Float[Array, "... d"]:
+    def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
         """z from q."""
         return unbent(self.center + q @ self.factor.T, _both(self.density))
 
