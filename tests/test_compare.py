@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.compare import _Judge, _Shown
+from hystfit.fitting.compare import _Judge, _ranked, _Shown
 from hystfit.fitting.comparison import Row
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.smooth_weights import left_out_score
@@ -338,6 +338,18 @@ def test_the_search_states_numbers_that_agree():
     span = np.ptp(U**3)
     last = float(found.trail[-1].rsplit(" to ", 1)[1].split()[0])
     assert last == pytest.approx(100 * found.score / span, rel=0.06)
+
+
+def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
+    row = lambda name, score, parameters, status=Status.OK: Row(name, name, score, 1.0, 1.0, parameters, 0.0, status)
+    rows = [
+        row("large", 0.100, 40),
+        row("stuck", 0.1005, 3, Status.NOT_CONVERGED),
+        row("small", 0.1015, 5),
+        row("worse", 0.103, 2),
+    ]
+    assert [r.name for r in _ranked(rows, "prediction")] == ["small", "large", "stuck", "worse"]
+    assert [r.name for r in _ranked(rows[:2], "prediction")] == ["large", "stuck"]
 
 
 # -- measured loops ---------------------------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ from hystfit.results.result import FitResult
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
+_EQUAL = 1.02  # errors on left-out data up to this times the smallest do not tell models apart
 _HOPELESS = 2.0  # a model whose first fit errs this much more than the best on left-out data is not validated
 _HOPELESS_SIZE = 3.0  # the same of models with elements, whose other sizes may err less than the default one
 _FIRST_STARTS = 2  # starting points of that fit
@@ -50,6 +51,7 @@ def compare(
 ) -> Comparison:
     """Fit several models and rank them by their error on left-out data.
 
+    Of models within 2 % of the smallest error, those whose fit converged and those with fewer parameters rank first.
     Whole records are left out in turn where there are three or more, else five contiguous blocks of each: the input drives the
     model through a block, its output is not fitted. Samples are never left out one by one, because their neighbors give them away.
     Test data never enter. A model that cannot be fitted is named with the reason, and the others are compared.
@@ -86,7 +88,7 @@ def compare(
     judge = _Judge(data, left_out, purpose, seed, named)
     with _shown(progress) as update:
         judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
-    rows = sorted(judge.rows, key=lambda row: _rank(row, purpose))
+    rows = _ranked(judge.rows, purpose)
     if not judge.fits:
         raise judge.refusal(rows)
     best = rows[0]
@@ -149,6 +151,18 @@ class _Shown:
         with self._lock:
             self._done += 1
             self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
+
+
+def _ranked(rows: Sequence[Row], purpose: Purpose) -> list[Row]:
+    """From best to worst. Of models whose errors are within 2 % of the smallest, converged fits and fewer parameters come first."""
+    ranked = sorted(rows, key=lambda row: _rank(row, purpose))
+    least = ranked[0].score_percent if ranked else None
+    if least is None:
+        return ranked
+    kind = _rank(ranked[0], purpose)[:-1]
+    equal = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) <= _EQUAL * least]
+    simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, row.parameters or 0, row.score_percent))
+    return simple + ranked[len(equal) :]
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
