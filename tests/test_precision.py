@@ -30,6 +30,7 @@ REFUSED = {
     "Posterior": "posterior.predict(record)",
     "load_fit": "hf.load_fit(folder)",
     "load_posterior": "hf.load_posterior(draws)",
+    "plots": "hf.plots.fit(result, 'loop')",
     "fit_many": "hf.fit_many('bouc-wen', [record])",
     "invert": "hf.invert(model, y, limits=(-1, 1))",
     "InverseStep": "hf.InverseStep.of(model, limits=(-1, 1))",
@@ -57,7 +58,6 @@ INDEPENDENT = {
     *(
         "__version__",
         "Fits",
-        "plots",  # of predictions that were made with the fit
         "signals",
         "enable_x64",
         "Dataset",

@@ -194,9 +194,8 @@ def drift(results: Results) -> list:
         rows.append([model, "first input" if rest is None else "0 V", *percent, *parts, fit.train.nrmse_percent])
         if label:
             results.add(f"piezo drift, {label}: creep, % a decade", 100 * gamma.value)
-            results.add(
-                f"piezo drift, {label}: explained, part of the measured", explained.modeled / explained.measured
-            )
+            results.add(f"piezo drift, {label}: explained, um/decade", explained.modeled)
+            results.add(f"piezo drift, {label}: left, um/decade", abs(explained.left))
     results.add("piezo drift: measured, um/decade", rows[0][4])
     return rows
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError
 from hystfit.inference.autocorrelation import autocorrelation
@@ -48,7 +49,9 @@ def fit(
 
     Raises:
         HystfitError: no such kind.
+        PrecisionError: double precision is off.
     """
+    require_x64()
     if kind not in KINDS:
         raise HystfitError(f"no picture {kind!r}; there are {', '.join(KINDS)}")
     if ax is None:
