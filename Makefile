@@ -53,9 +53,10 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
 
-hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, and saves that are killed
+hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, NIST
 	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
 	$(BIN)/python -m tests.hard.fits
+	$(BIN)/python -m tests.hard.strd
 
 benchmarks: setup  ## speed beside other programs: one table of ratios, which fails below the recorded floors
 	$(BIN)/python benchmarks/run.py

@@ -132,6 +132,40 @@ def test_c_inverse_saturates_as_python_does(tmp_path: Path) -> None:
     assert status[40] == 3.0
 
 
+SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
+QUICK = ("bouc_wen_asymmetric", "duhem_explicit", "lag_plays_creep_rate", "preisach_creep")
+
+
+@pytest.fixture(scope="module")
+def sanitizers(tmp_path_factory: pytest.TempPathFactory) -> None:
+    if GCC is None:
+        pytest.skip("no C compiler: install gcc to test the exported code")
+    source = tmp_path_factory.mktemp("probe") / "probe.c"
+    source.write_text("int main(void) { return 0; }")
+    made = subprocess.run([GCC, *SANITIZED, str(source), "-o", str(source.with_suffix(""))], capture_output=True)
+    if made.returncode:
+        pytest.skip("the C compiler has no address and undefined-behavior sanitizers")
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES])
+def test_inputs_that_are_no_numbers_leave_the_model_as_it_was(name: str, sanitizers: None, tmp_path: Path) -> None:
+    """Under address and undefined-behavior sanitizers: NaN, infinite and extreme inputs among ordinary ones."""
+    model, low, high = CASES[name]
+    _, source, harness = export_c(model, tmp_path)
+    program, u = tmp_path / "model", path(low, high)
+    subprocess.run([GCC, *FLAGS, *SANITIZED, str(source), str(harness), "-o", str(program), "-lm"], check=True)  # type: ignore[list-item]
+    plain = run(program, "f", float(u[0]), u, 0.002)[:, 0]
+    assert np.isfinite(plain).all()
+    bad = np.insert(u, [3, 150, 290], [np.nan, np.inf, -np.inf])
+    kept = np.delete(np.arange(bad.size), [3, 151, 292])
+    found = run(program, "f", float(u[0]), bad, 0.002)[:, 0]
+    np.testing.assert_array_equal(found[kept], plain)
+    assert [found[3], found[151], found[292]] == [found[2], found[150], found[291]]
+    extreme = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
+    assert np.isfinite(run(program, "f", float(u[0]), np.concatenate([extreme, u]), 0.002)).all()
+    assert np.isfinite(run(program, "i", float(u[0]), np.concatenate([extreme, plain[:20]]), 0.002)[:, 1:]).all()
+
+
 def test_c_flags_an_output_that_does_not_rise(tmp_path: Path) -> None:
     model = hf.Duhem(alpha=2.0, f=(0.0, 1.0), g=(-0.3,))
     found = run(build(model, tmp_path), "i", 0.0, np.sin(np.linspace(0, 12, 200)), 0.0)

@@ -82,7 +82,9 @@ class TestWeights:
         record = Record(u, rng.normal(size=300), weight=rng.integers(0, 3, 300))
         system = SmoothSystem.of([model.design_matrix(u)], [record])
         A, index = features(model, u)
-        joint = np.column_stack([A[index], np.ones(300), record.y / system.size]) * np.sqrt(record.weight)[:, None]
+        assert system.origin == pytest.approx([0.0] * A.shape[1] + [np.mean(record.y[record.used]) / system.size])
+        y = record.y / system.size - system.origin[-1]
+        joint = np.column_stack([A[index], np.ones(300), y]) * np.sqrt(record.weight)[:, None]
         np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-9)
         assert system.counts.sum() == record.weight.sum()
 

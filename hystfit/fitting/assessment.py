@@ -60,7 +60,7 @@ def _bounds_reached(problem: Problem, x: np.ndarray) -> list[Note]:
     notes = [
         warn(
             Code.AT_BOUND,
-            f"{name} is at its {side} bound: it has no standard error, and those of the others assume it stays there",
+            f"{name} is at its {side} bound: it has no standard error, and those of the others take the bound as prior information",
         )
         for name, side, is_linear in reached
         if side and not is_linear

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
@@ -85,8 +86,17 @@ class LinearSystem:
         k = np.asarray(at, dtype=int)
         return dataclasses.replace(self, columns=self.columns[:, k], free=self.free[k], ridged=self.ridged[k])
 
+    @functools.cached_property
+    def origin(self) -> np.ndarray:
+        """The best offsets alone, zeros for all others, shape (p,): normal equations would square the size of an output far from zero."""
+        constant = self.free & ~self.ridged
+        origin = np.zeros(constant.size)
+        origin[constant] = np.linalg.lstsq(self.columns[:, constant], self.target, rcond=None)[0]
+        return origin
+
     def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Normal matrices of the blocks, (blocks, p + 1, p + 1), on columns divided by `scale`; the target comes last.
+        """Normal matrices of the blocks, (blocks, p + 1, p + 1), on columns divided by `scale`; the target, less the
+        response to `origin`, comes last.
 
         Returns:
             The matrices, the scale of each column, and the number of samples of each block.
@@ -95,7 +105,7 @@ class LinearSystem:
         scale = np.where(scale > 1e-9 * max(scale.max(initial=0.0), 1e-300), scale, np.inf)
         constant = ~self.ridged  # an offset has no spread, and needs no common scale
         scale[constant] = 1.0
-        joint = np.column_stack([self.columns / scale, self.target])
+        joint = np.column_stack([self.columns / scale, self.target - self.columns @ self.origin])
         blocks = [joint[self.block == k] for k in range(self.block.max() + 1)]
         return np.stack([part.T @ part for part in blocks]), scale, np.array([len(part) for part in blocks])
 
@@ -198,7 +208,7 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
     w = solve_normal(total, system.free, ridge)
     r = np.append(-w, 1.0)
     finite = np.where(dead, 1.0, scale)
-    weights = np.where(dead, 0.0, w / finite)
+    weights = np.where(dead, 0.0, w / finite) + system.origin
     return RidgeFit(weights, strengths[best], ridge * finite**2, np.array(left_out), max(float(r @ total @ r), 0.0))
 
 

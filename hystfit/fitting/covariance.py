@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.fitting.active_bounds import about_estimate
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
@@ -15,7 +16,8 @@ from hystfit.params.space import relative_size
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless
-_RANK = 1e-7  # or when its singular value is below this fraction of the largest, where rounding dominates
+_RANK = 1e-7  # or when its singular value, of columns of unit length, is below this fraction of the largest: rounding errors dominate
+_REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar
 _PART = 0.25  # components of a direction that its description includes
 
@@ -59,7 +61,8 @@ def uncertainty(
     Autocorrelated residuals carry less information than their number suggests: with `correlated` the covariance of a least-squares
     estimate is the one under slow and independent noise with their statistics (`inference.noise.slow_likelihood`). For hundreds of
     weights, or where such noise would have to be far larger than the residuals, it grows by their integrated autocorrelation time.
-    Parameters on a bound and directions that the data do not determine have no finite error.
+    Parameters on a bound and directions that the data do not determine have no finite error. Those of the others treat the
+    bounds as prior information where up to 60 parameters are near theirs (`active_bounds`); for more, those at bounds are held there.
 
     Args:
         problem: what was fitted.
@@ -71,9 +74,12 @@ def uncertainty(
     residual, jacobian = problem.linearize_misfit(x)
     used = problem.used.reshape(-1)
     relative = relative_size(problem.space, x)
-    at_bound = np.array([side is not None for side in problem.at_bound(x)])
-    J = jacobian[used] * relative
-    gain = np.linalg.norm(J, axis=0)
+    sides = np.array([{None: 0.0, "lower": 1.0, "upper": -1.0}[side] for side in problem.at_bound(x)])
+    at_bound = sides != 0
+    rows = jacobian[used]
+    J = rows * relative
+    natural = np.minimum(relative, np.asarray(space.coordinates.scale))
+    gain = np.linalg.norm(_centered(rows, space.offsets)[0] * natural, axis=0)
     inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
     live = ~at_bound & ~inactive
     y = problem.scales.y
@@ -83,19 +89,29 @@ def uncertainty(
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
     variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
-    slow = analysis.of_errors if correlated and root is None else None
+    pushed = at_bound & (gain > 1e-9 * gain.max(initial=0.0))
+    on, square, sought = live | pushed, rows, root is not None
+    slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
-        root = np.zeros((int(live.sum()), x.size))
-        # The noise may have pushed a parameter to its bound: the errors of the others allow for that.
-        pushed = at_bound & (gain > 1e-9 * gain.max()) & ~np.array([info.linear for info in space.infos])
-        order = np.concatenate([np.flatnonzero(pushed), np.flatnonzero(live)])
-        triangle = np.linalg.qr(least_squares_root(slow, J[:, order] * y), mode="r")
-        root[:, live] = triangle[pushed.sum() :, pushed.sum() :] / relative[live]
+        root = np.zeros((int(on.sum()), x.size))
+        root[:, on] = least_squares_root(slow, rows[:, on] * y)
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
-        J, variance, unit = root * relative, 1.0, 1 / plain
-    ridge = None if estimate.penalty is None else unit * estimate.penalty
-    inner = _determined(problem, x, J, variance, live, ridge)
+        square, variance, unit = root, 1.0, 1 / plain
+    ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
+    below, above = _rooms(problem, x)
+    room = np.where(pushed, 0.0, np.where([info.linear for info in space.infos], np.minimum(below, above), np.inf))
+    inside = None
+    if live.any() and 0 < np.isfinite(room[on]).sum() <= FEW:
+        # At the most probable point under a noise model the slope is not known.
+        slope = np.where(pushed, 0.0 if sought else (rows.T @ residual[used] + ridge * x) / plain, 0.0)
+        information = (square[:, on], variance, unit * ridge[on])
+        bounds = (room[on], np.where(below < above, 1.0, -1.0)[on])
+        inside = np.zeros((x.size, x.size))
+        inside[np.ix_(on, on)] = _inside(
+            rows[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on]
+        )
+    inner = _determined(problem, x, square, variance, live, None if estimate.penalty is None else unit * ridge, inside)
     return Uncertainty(
         **inner,
         inactive=inactive,
@@ -107,31 +123,50 @@ def uncertainty(
 
 
 def _determined(
-    problem: Problem, x: np.ndarray, J: np.ndarray, variance: float, live: np.ndarray, ridge: np.ndarray | None
+    problem: Problem,
+    x: np.ndarray,
+    J: np.ndarray,
+    variance: float,
+    live: np.ndarray,
+    ridge: np.ndarray | None,
+    inside: np.ndarray | None,
 ) -> dict[str, Any]:
     """What an SVD shows: covariance, and which parameters and directions the data determine.
+
+    The rank is that of the Jacobian centered and scaled to columns of unit length: neither the unit of a parameter nor the place of
+    zero in input and output may decide what the data determine.
 
     Args:
         problem: what was fitted.
         x: where it ended, physical, shape (p,).
-        J: Jacobian in relative coordinates, or the square root of the information, shape (n, p).
+        J: Jacobian, or the square root of the information, shape (n, p).
         variance: of its rows.
         live: parameters on no bound and with influence, shape (p,), bool.
         ridge: what regularization adds to the normal matrix of x, diagonal, shape (p,).
+        inside: the covariance where bounds are near, shape (p, p); None where none is.
     """
-    relative = relative_size(problem.space, x)
     covariance, determined = np.full((x.size, x.size), np.nan), live.copy()
     if not live.any():
         return {
             "covariance": covariance, "determined": determined, "directions": (), "reaching": (), "rank": 0, "condition": None
         }  # fmt: skip
     names = [name for name, on in zip(problem.space.names, live, strict=True) if on]
-    values, vectors = _spectrum(J[:, live], None if ridge is None else (ridge * relative**2)[live])
-    floor = _RANK * values[0]
-    undetermined, kept = (values < floor) | (np.sqrt(variance) > _OPEN * values), values > floor
-    scale = relative[live]
-    full = (vectors[:, kept] / values[kept] ** 2) @ vectors[:, kept].T * variance * scale[:, None] * scale[None, :]
-    touched = (np.abs(vectors[:, undetermined]) > _TOUCHED).any(axis=1)
+    relative = relative_size(problem.space, x)[live]
+    rows = J[:, live] if ridge is None else np.vstack([J[:, live], np.diag(np.sqrt(ridge[live]))])
+    rows, back = _centered(
+        rows if rows.shape[0] <= rows.shape[1] else np.linalg.qr(rows, mode="r"), problem.space.offsets[live]
+    )
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1.0
+    values, vectors = _spectrum(rows / size)
+    kept = values > _RANK * values[0]
+    root = np.sqrt(variance) * vectors[:, kept] / values[kept] / size[:, None]
+    spreads, axes = np.linalg.eigh(root @ root.T / relative[:, None] / relative)
+    free = vectors[:, ~kept] / (size * relative)[:, None]
+    open_axes = np.hstack([axes[:, spreads > _OPEN**2], free / np.linalg.norm(free, axis=0)])
+    full = back @ root
+    full = full @ full.T if inside is None else inside[np.ix_(live, live)]
+    touched = (np.abs(open_axes) > _TOUCHED).any(axis=1)
     near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
     touched |= near
     full[touched], full[:, touched] = np.nan, np.nan
@@ -141,11 +176,62 @@ def _determined(
     return {
         "covariance": covariance,
         "determined": determined,
-        "directions": tuple(describe(vectors[:, k], names) for k in np.flatnonzero(undetermined)),
+        "directions": tuple(describe(axis, names) for axis in open_axes.T),
         "reaching": tuple(names[k] for k in np.flatnonzero(near)),
-        "rank": int(np.sum(~undetermined)),
-        "condition": float(values[0] / values[-1]) if values[-1] > floor else None,
+        "rank": len(names) - open_axes.shape[1],
+        "condition": float(values[0] / values[-1]) if kept.all() else None,
     }
+
+
+def _inside(
+    rows: np.ndarray,
+    ridge: np.ndarray,
+    plain: float,
+    information: tuple[np.ndarray, float, np.ndarray],
+    slope: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    offsets: np.ndarray,
+) -> np.ndarray:
+    """Second moments about an estimate near bounds (`active_bounds`), shape (p, p).
+
+    Args:
+        rows: Jacobian of what was minimized, shape (n, p).
+        ridge: of the same, shape (p,).
+        plain: variance of its residuals.
+        information: square root of the information (m, p), the variance of its rows, and its ridge (p,).
+        slope: of the cost over `plain` at the estimate, shape (p,).
+        bounds: distance to the bound, and its side, see `about_estimate`.
+        offsets: see `_centered`.
+    """
+    centered, back = _centered(rows, offsets)
+    size = np.linalg.norm(centered, axis=0)
+    back = back / size
+    normal = (centered / size).T @ (centered / size) / plain + np.diag(ridge / size**2) / plain
+    root, variance, prior = information
+    root = root @ back
+    known = (root.T @ root + np.diag(prior / size**2)) / variance
+    # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
+    away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (slope / size)
+    return back @ about_estimate(known, known @ away, bounds[0] * size, bounds[1]) @ back.T
+
+
+def _centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns less what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
+
+    Args:
+        J: derivatives, shape (n, p).
+        offsets: which columns belong to offsets, shape (p,), bool; they stay, as do columns that they explain altogether.
+    """
+    back = np.eye(J.shape[1])
+    if not offsets.any():
+        return J, back
+    explained = np.linalg.lstsq(J[:, offsets], J[:, ~offsets], rcond=None)[0]
+    rest = J[:, ~offsets] - J[:, offsets] @ explained
+    explained[:, np.linalg.norm(rest, axis=0) <= _REST * np.linalg.norm(J[:, ~offsets], axis=0)] = 0.0
+    centered = J.copy()
+    centered[:, ~offsets] -= J[:, offsets] @ explained
+    back[np.ix_(offsets, ~offsets)] = -explained
+    return centered, back
 
 
 def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
@@ -185,21 +271,21 @@ def _log_ratios(root: np.ndarray, J: np.ndarray, variance: float) -> np.ndarray:
         return 0.5 * np.log(errors[0] / (errors[1] * variance))
 
 
-def _spectrum(J: np.ndarray, ridge: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values (falling) and right singular vectors as columns; a ridge counts as further rows."""
-    if ridge is not None:
-        J = np.vstack([J, np.diag(np.sqrt(ridge))])
-    if J.shape[0] > J.shape[1]:
-        J = np.asarray(np.linalg.qr(J, mode="r"))
+def _spectrum(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values (falling) and right singular vectors as columns."""
     _, values, rows = np.linalg.svd(J, full_matrices=True)
     return np.pad(values, (0, rows.shape[0] - values.size)), rows.T
 
 
 def _room(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Distance of each parameter to its nearest bound; infinite without one, and for linear weights, which may well be zero."""
+    return np.where([info.linear for info in problem.space.infos], np.inf, np.minimum(*_rooms(problem, x)))
+
+
+def _rooms(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of each parameter to its lower and its upper bound."""
     c = problem.space.coordinates
-    room = np.minimum(x - np.asarray(c.lower), np.asarray(c.upper) - x)
-    return np.where([info.linear for info in problem.space.infos], np.inf, room)
+    return x - np.asarray(c.lower), np.asarray(c.upper) - x
 
 
 def describe(direction: np.ndarray, names: list[str]) -> str:

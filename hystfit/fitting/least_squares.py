@@ -20,21 +20,26 @@ from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
 _ROUGH = 1e-4  # relative tolerance on z of starts on the short form of the records
+_EXACT, _STEPS = (
+    1e-14,
+    200,
+)  # relative decrease of the cost at which a fit of few samples has converged, and steps to it at most
 _ON_BOUND = 1e-6  # relative distance below which the bounded solver decides whether a parameter is on its bound
 
 
 class LeastSquares(AbstractEstimator):
     """Levenberg-Marquardt, or Powell's dogleg by optimistix, with forward-mode Jacobians, from several starts.
 
-    Every start gets a few steps, in which most reach their basin; the best continues for some rounds of as many. Where the records
-    are long, all this happens on a short form of them (`hystfit.fitting.thinning`), and the best start is polished on all samples.
-    A parameter that drifts to its bound never converges in unconstrained coordinates: the bounded trust region then finishes the fit.
+    Every start gets a few steps, in which most reach their basin; the best and the first continue for some rounds of as many. Where
+    the records are long, all this happens on a short form of them (`hystfit.fitting.thinning`). The best one is polished on all
+    samples, by a solver that no offset, scale or correlation of parameters slows down. A parameter that drifts to its bound never
+    converges in unconstrained coordinates: the bounded trust region then finishes the fit.
 
     Attributes:
         method: "lm" or "dogleg".
         rtol, atol: relative and absolute tolerance on z and on the cost.
         max_steps: in a round.
-        rounds: of further steps for the best start.
+        rounds: of further steps for the best start and the first.
     """
 
     needs_starts: ClassVar[bool] = True
@@ -49,19 +54,16 @@ class LeastSquares(AbstractEstimator):
         short = thin(problem)
         objective, settings = (problem.objective, self) if short is None else (short, _rough(self))
         ended = settings._run(objective, starts)
+        # The first start goes on too: another basin may be ahead after few steps.
+        for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
+            settings._go_on(objective, ended, number)
         costs, steps = ended.cost, int(ended.evaluations.sum())
         number = int(np.argmin(costs))
         z, cost, success = ended.z[number], float(costs[number]), bool(ended.converged[number])
-        for _ in range(self.rounds):
-            if success or not np.isfinite(cost):
-                break
-            again = settings._run(objective, z[None])
-            z, cost, success = again.z[0], float(again.cost[0]), bool(again.converged[0])
-            steps += int(again.evaluations[0])
-        costs[number] = min(cost, costs[number])
-        if short is not None and np.isfinite(z).all():
-            z, cost, success, more = polish(problem, z)
-            steps, costs = steps + more, costs * (cost / costs[number])
+        if np.isfinite(z).all() and np.isfinite(cost):
+            z, cost, success, more = polish(problem, z, *((_STEPS, _EXACT) if short is None else ()))
+            steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
+            costs[number] = cost
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, _ON_BOUND)):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs)
@@ -69,6 +71,20 @@ class LeastSquares(AbstractEstimator):
         message = "finished by the bounded trust region" if finished.converged else finished.message
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
+
+    def _go_on(self, objective: Objective, ended: Descents, number: int) -> None:
+        """Further rounds for one start, in place."""
+        for _ in range(self.rounds):
+            if ended.converged[number] or not np.isfinite(ended.cost[number]):
+                return
+            again = self._run(objective, ended.z[number][None])
+            if again.cost[0] <= ended.cost[number]:
+                ended.z[number], ended.cost[number], ended.converged[number] = (
+                    again.z[0],
+                    again.cost[0],
+                    again.converged[0],
+                )
+            ended.evaluations[number] += int(again.evaluations[0])
 
     def _run(self, objective: Objective, starts: np.ndarray) -> Descents:
         if self.method == "lm":

@@ -11,11 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from hystfit.inference.problem import Problem
+from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
-_ROUNDING = 1e-28  # decrease for each sample that is below rounding errors
+_ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
 _LEAST, _MOST = 1e-12, 1e10  # damping
-_LONGEST = 4.0  # step in z, infinity norm
+_LONGEST = 4.0  # step in z of parameters with bounds, infinity norm
+_NOTHING = (
+    1e-8  # rms change of the output, in half ranges, by a step of one in z, below which a parameter with bounds stays
+)
+_INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, below which it is rounding errors
 
 
 class Polished(NamedTuple):
@@ -27,26 +32,34 @@ class Polished(NamedTuple):
     evaluations: int
 
 
-def polish(problem: Problem, z: np.ndarray, steps: int = 40) -> Polished:
+def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
-    The Jacobian enters by its triangular factor, not by normal equations, which would square its condition.
+    The Jacobian enters by its triangular factor, not by normal equations, which would square its condition. Offsets of records are
+    solved for in each step: where an input or output is far from zero, damping would hold them, and with them all others.
 
     Args:
         problem: what is fitted.
         z: start, unconstrained, shape (p,).
         steps: linearizations at most.
+        gain: predicted decrease of the cost, relative to it, at which the fit has converged.
     """
+    offsets = problem.space.offsets
+    order, bounded = np.argsort(~offsets, kind="stable"), np.asarray(problem.space.coordinates.kinds) != REAL
     residual, jacobian = _linearize(problem, z)
     cost, damping, converged = 0.5 * float(residual @ residual), 1e-6, False
     for evaluations in range(1, steps):
-        triangle = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
-        step, gain = _step(triangle[:-1, :-1], triangle[:-1, -1], damping)
-        converged = gain <= _GAIN * cost + _ROUNDING * residual.size
+        triangle = np.linalg.qr(np.column_stack([jacobian[:, order], residual]), mode="r")
+        ordered, decrease = _step(triangle, int(offsets.sum()), damping)
+        converged = decrease <= gain * cost + _floor(problem, z)
         if converged or damping > _MOST or not np.isfinite(cost):
             return Polished(z, cost, converged, evaluations)
+        step = np.zeros(z.size)
+        step[order] = ordered
+        step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
         new_residual, new_jacobian = _linearize(problem, z + step)
-        new_cost = 0.5 * float(new_residual @ new_residual)
+        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+            new_cost = 0.5 * float(new_residual @ new_residual)
         if new_cost < cost:
             z, residual, jacobian, cost = z + step, new_residual, new_jacobian, new_cost
             damping = max(0.1 * damping, _LEAST)
@@ -55,15 +68,37 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40) -> Polished:
     return Polished(z, cost, converged, steps)
 
 
+def _floor(problem: Problem, z: np.ndarray) -> float:
+    """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output."""
+    largest = [np.abs(record.y[record.used]).max() for record in problem.data]
+    largest = max(*largest, problem.scales.y, *np.abs(problem.space.physical(z))[problem.space.offsets])
+    return int(problem.used.sum()) * (_ROUNDING * float(largest) / problem.scales.y) ** 2
+
+
 def _linearize(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     residual, jacobian = problem.linearize_misfit(problem.space.physical(z))
-    return residual, jacobian * problem.space.slope(z)
+    jacobian = jacobian * problem.space.slope(z)
+    bounded = np.asarray(problem.space.coordinates.kinds) != REAL
+    nothing = np.linalg.norm(jacobian, axis=0) < _NOTHING * np.sqrt(problem.used.sum())
+    return residual, np.where(bounded & nothing, 0.0, jacobian)
 
 
-def _step(R: np.ndarray, q: np.ndarray, damping: float) -> tuple[np.ndarray, float]:
-    """Damped step from J = Q R and q = Q' r, and the decrease of the cost that the linear model predicts for it."""
-    size = np.maximum(np.linalg.norm(R, axis=0), 1e-12 * max(float(np.abs(R).max(initial=0.0)), 1e-300))
-    rows = np.vstack([R, np.diag(np.sqrt(damping) * size)])
-    step = np.linalg.lstsq(rows / size, np.concatenate([-q, np.zeros(q.size)]), rcond=None)[0] / size
-    step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
-    return step, 0.5 * float(q @ q - np.sum((R @ step + q) ** 2))
+def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:
+    """Step from [J, r] = Q R, damped but for its first entries, and the decrease of the cost that an undamped one predicts.
+
+    Args:
+        triangle: R, shape (p + 1, p + 1).
+        offsets: number of the first columns of J, whose entries are not damped.
+        damping: relative to the columns of the others, less what the first ones explain of them.
+    """
+    p = triangle.shape[1] - 1
+    triangle = np.pad(triangle, ((0, max(p + 1 - triangle.shape[0], 0)), (0, 0)))
+    R, q = triangle[offsets:p, offsets:p], triangle[offsets:p, p]
+    size = np.linalg.norm(R, axis=0)
+    size = np.maximum(size, 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
+    rows = np.vstack([R / size, np.diag(np.full(size.size, np.sqrt(damping)))])
+    others = np.linalg.lstsq(rows, np.concatenate([-q, np.zeros(q.size)]), rcond=None)[0] / size
+    shifts = -triangle[:offsets, p] - triangle[:offsets, offsets:p] @ others
+    shifts = np.linalg.lstsq(triangle[:offsets, :offsets], shifts, rcond=_INDEPENDENT)[0]
+    full = R / size @ np.linalg.lstsq(R / size, -q, rcond=_INDEPENDENT)[0]
+    return np.concatenate([shifts, others]), 0.5 * float(full @ full + np.sum(triangle[:offsets, p] ** 2))

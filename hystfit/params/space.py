@@ -252,6 +252,12 @@ class ParameterSpace:
         ]
         return np.array(rows, dtype=bool)
 
+    @property
+    def offsets(self) -> np.ndarray:
+        """Which free elements shift the output of a record, shape (p,), bool: they are of any size, and tell nothing about the others."""
+        real = np.asarray(self.coordinates.kinds) == REAL
+        return np.array([info.per_record and info.linear for info in self.infos], dtype=bool) & real
+
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""
         flat = jax.tree_util.tree_leaves(self.template)
@@ -268,6 +274,8 @@ class ParameterSpace:
 def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
     """Size in which each parameter's error is judged: its distance to the bounds, or its natural scale where it has none.
 
+    That of an offset is its natural scale alone: its value tells where zero lies.
+
     Args:
         space: the free parameters.
         x: their physical values, shape (p,).
@@ -277,7 +285,7 @@ def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         both = (x - lower) * (upper - x) / (upper - lower)
         one = np.where(np.isfinite(lower), x - lower, upper - x)
-    natural = np.maximum(scale, np.abs(x))
+    natural = np.where(space.offsets, scale, np.maximum(scale, np.abs(x)))
     weight = np.array([info.linear for info in space.infos])
     # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
     one = np.where(weight, np.maximum(one, scale), one)

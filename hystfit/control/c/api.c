@@ -1,14 +1,34 @@
 void @name@_init(@name@ *h, double u0)
 {
+    if (!isfinite(u0))
+        u0 = 0;
     @root@_init(h->state, u0);
     h->u = u0;
     h->move = 0;
     h->y = @root@_step(h->state, u0, u0, 0.0, 0);
+    h->status = isfinite(h->y) ? @NAME@_OK : @NAME@_NOT_FINITE;
 }
 
 double @name@_step(@name@ *h, double u, double dt)
 {
-    h->y = @root@_step(h->state, h->u, u, dt, h->state);
+    int k, whole;
+    double y;
+    h->status = @NAME@_NOT_FINITE;
+    if (!isfinite(u) || !isfinite(dt))
+        return h->y;
+    for (k = 0; k < @NAME@_STATES; k++)
+        h->before[k] = h->state[k];
+    y = @root@_step(h->state, h->u, u, dt, h->state);
+    whole = isfinite(y);
+    for (k = 0; k < @NAME@_STATES; k++)
+        whole = whole && !isnan(h->state[k]);
+    if (!whole) {
+        for (k = 0; k < @NAME@_STATES; k++)
+            h->state[k] = h->before[k];
+        return h->y;
+    }
+    h->status = @NAME@_OK;
+    h->y = y;
     h->move = fabs(u - h->u);
     h->u = u;
     return h->y;
@@ -58,6 +78,11 @@ int @name@_inverse(@name@ *h, double y, double dt, double *u)
     const double from = fmin(fmax(h->u, edge_low), edge_high);
     double here, probe, value, side, stride, answer = from;
     int rising = 1, found = 0, status = @NAME@_OK;
+    if (!isfinite(dt)) {
+        *u = from;
+        h->status = @NAME@_NOT_FINITE;
+        return @NAME@_NOT_FINITE;
+    }
     if (!isfinite(y)) {
         *u = from;
         @name@_step(h, from, dt);
@@ -101,6 +126,7 @@ int @name@_inverse(@name@ *h, double y, double dt, double *u)
         status = @NAME@_OUT_OF_RANGE;
     if (@NAME@_GIVEN && !(fabs(h->y - y) <= @NAME@_TOLERANCE) && (answer == edge_low || answer == edge_high))
         status = @NAME@_SATURATED;
+    h->status = status;
     return status;
 }
 #endif

@@ -7,6 +7,9 @@
  *     y = @name@_step(&h, u, dt);            forward: output for the next input, dt after the last
  *     status = @name@_inverse(&h, y, dt, &u);  inverse: input for the next wanted output
  *@obstacle@
+ * After each call h.status holds @NAME@_OK or what is wrong. An input that is NaN, infinite or too large for the model's arithmetic changes
+ * nothing: the last output is returned, and the status is @NAME@_NOT_FINITE.
+ *
  * Input in @u_unit@, output in @y_unit@, dt in s. A struct serves the forward model or the inverse, not both.
  */
 #ifndef @NAME@_H
@@ -18,11 +21,12 @@
 #define @NAME@_LOW @low@
 #define @NAME@_HIGH @high@
 
-enum { @NAME@_OK = 0, @NAME@_SATURATED = 1, @NAME@_NOT_MONOTONE = 2, @NAME@_OUT_OF_RANGE = 3 };
+enum { @NAME@_OK = 0, @NAME@_SATURATED = 1, @NAME@_NOT_MONOTONE = 2, @NAME@_OUT_OF_RANGE = 3, @NAME@_NOT_FINITE = 4 };
 
 typedef struct @name@ {
     double u, y, move;
-    double state[@NAME@_STATES];
+    int status;
+    double state[@NAME@_STATES], before[@NAME@_STATES];
 } @name@;
 
 void @name@_init(@name@ *h, double u0);

@@ -27,7 +27,9 @@ class SmoothSystem:
     Attributes:
         blocks: of the design matrix of the first record; blocks that each record has for itself hold values for all records in turn.
         starts: position of each block's first weight among all p.
-        grams: one matrix a block of samples, shape (blocks, p + 1, p + 1); the output comes last.
+        origin: offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size
+            of an output far from zero.
+        grams: one matrix a block of samples, shape (blocks, p + 1, p + 1); the output, less the response to `origin`, comes last.
         counts: sum of weights of each block of samples, shape (blocks,).
         judged: blocks of samples that are left out in turn to choose the smoothness, shape (blocks,), bool.
         roughness: matrix of the smoothness penalty, shape (p, p).
@@ -39,6 +41,7 @@ class SmoothSystem:
 
     blocks: tuple[Block, ...]
     starts: tuple[int, ...]
+    origin: np.ndarray
     grams: np.ndarray
     counts: np.ndarray
     judged: np.ndarray
@@ -85,6 +88,11 @@ class SmoothSystem:
         folds = _folds(records, inner) if left_out == "records" else [r.blocks(_BLOCKS) for r in records]
         rows: list[list[np.ndarray]] = [[] for _ in folds[0]]
         counts = np.zeros(len(folds[0]))
+        means = np.array([np.mean(record.y[record.used]) for record in records]) / size
+        origin = np.zeros(p)
+        for block, own, start in zip(blocks, each, starts, strict=False):
+            if block.info.per_record and np.isneginf(block.info.bounds[0]) and np.all(block.columns == 1.0):
+                origin[start : start + (len(records) if own else 1)] = means if own else means.mean()
         low, high = np.full(p, np.inf), np.full(p, -np.inf)
         for number, (record, design, masks) in enumerate(zip(records, designs, folds, strict=True)):
             A = np.zeros((design.rest.size, p))
@@ -94,7 +102,7 @@ class SmoothSystem:
                 A[:, first : first + columns.shape[1]] = columns
             for fold, mask in enumerate(masks):
                 if mask.any():
-                    y = (record.y[mask] - design.rest[design.index[mask]]) / size
+                    y = (record.y[mask] - design.rest[design.index[mask]]) / size - (A @ origin)[design.index[mask]]
                     rows[fold].append(_rows(A, design.index[mask], y, record.weight[mask]))
                     counts[fold] += record.weight[mask].sum()
             seen = A[np.unique(design.index[record.used])]
@@ -110,7 +118,7 @@ class SmoothSystem:
                 if block.penalty.cells is not None:
                     reach[at] = np.clip((high - low)[at] / (2 * block.penalty.cells), 0.0, 1.0)
         judged = np.arange(counts.size) < (counts.size if left_out == "blocks" else counts.size - 1)
-        return cls(blocks, starts, grams, counts, judged, roughness, bounded, reach, size)
+        return cls(blocks, starts, origin, grams, counts, judged, roughness, bounded, reach, size)
 
     def notes(self) -> tuple[str, ...]:
         """Cells that the data never switched, one sentence for each array of their weights."""
@@ -194,7 +202,7 @@ def fit_smooth(
     """
     p = system.roughness.shape[0]
     held = np.full(p, np.nan) if held is None else held
-    grams, free = _reduced(system, held)
+    grams, free = _reduced(system, held - system.origin * system.size)
     total, n = grams.sum(axis=0), system.counts.sum()
     rough, bounded = system.roughness[np.ix_(free, free)], system.bounded[free]
     trial = bounded if free.size <= _MANY else np.zeros_like(bounded)
@@ -228,7 +236,7 @@ def fit_smooth(
     rss = max(float(r @ total @ r), 0.0) * system.size**2
     cost = rss + best * n * float(v @ rough @ v) * system.size**2
     weights = held.copy()
-    weights[free] = v * system.size
+    weights[free] = (v + system.origin[free]) * system.size
     return SmoothFit(weights, best, np.array(left_out), error, rss, cost, best * n * np.diag(system.roughness))
 
 

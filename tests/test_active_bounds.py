@@ -1,0 +1,69 @@
+"""Errors of fits whose parameters reach their bounds."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import hystfit as hf
+from hystfit.fitting.active_bounds import about_estimate, truncated_moments
+
+T = np.arange(300) / 100
+U = (20 + 12 * T) * np.sin(2 * np.pi * T)
+START = hf.PrandtlIshlinskii.of(6).start([hf.Record(u=U, y=U)])
+
+
+def pulls_of(seed: int, scale: float, noise: str) -> list[float]:
+    """Errors of plays with random weights, over their standard errors; about half of the weights end on zero."""
+    rng = np.random.default_rng(seed)
+    weights = (rng.exponential(scale, START.w.shape), rng.exponential(2.0, START.rise.shape), rng.normal())
+    truth = eqx.tree_at(lambda m: (m.w, m.rise, m.offset), START, tuple(jnp.asarray(value) for value in weights))
+    white = rng.normal(size=U.size)
+    slow = scipy.signal.lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], white) + 0.3 * rng.normal(size=U.size)
+    y = np.asarray(hf.simulate(truth, jnp.asarray(U))[0]) + 0.3 * (white if noise == "iid" else slow)
+    fit = hf.fit(truth, hf.Record(u=U, y=y, t=T), start="model", starts=1, method="lm", noise=noise)
+    true = fit.problem.space.vector(truth)
+    return [(p.value - t) / p.stderr for p, t in zip(fit.parameters, true, strict=False) if p.stderr is not None]
+
+
+@pytest.mark.parametrize(
+    ("scale", "noise", "count", "slack"),
+    [
+        (1.0, "iid", 12, 0.35),
+        pytest.param(0.5, "iid", 100, 0.1, marks=pytest.mark.slow),
+        pytest.param(1.0, "iid", 100, 0.1, marks=pytest.mark.slow),
+        pytest.param(2.0, "iid", 100, 0.1, marks=pytest.mark.slow),
+        pytest.param(1.0, "auto", 100, 0.1, marks=pytest.mark.slow),
+    ],
+)
+def test_errors_beside_weights_on_zero_are_calibrated(scale: float, noise: str, count: int, slack: float) -> None:
+    pulls = np.concatenate([pulls_of(seed, scale, noise) for seed in range(count)])
+    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=slack)
+    assert np.abs(pulls).max() < 4.0  # errors that held the weights on zero gave 9
+
+
+def test_moments_are_those_of_a_plain_sample() -> None:
+    rng = np.random.default_rng(0)
+    for count in (1, 2, 3):
+        A = rng.normal(size=(count + 2, count))
+        P, s, low = A.T @ A, rng.normal(size=count), -np.abs(rng.normal(size=count))
+        sample = rng.multivariate_normal(-np.linalg.solve(P, s), np.linalg.inv(P), size=400_000)
+        sample = sample[(sample >= low).all(axis=1)]
+        mean, covariance = truncated_moments(P, s, low)
+        np.testing.assert_allclose(mean, sample.mean(axis=0), atol=0.01)
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sample.std(axis=0), rtol=0.02)
+
+
+def test_a_steep_slope_leaves_an_exponential_density() -> None:
+    mean, covariance = truncated_moments(np.array([[1e-12]]), np.array([50.0]), np.zeros(1))
+    assert (mean[0], covariance[0, 0]) == pytest.approx((1 / 50, 1 / 2500), rel=1e-3)
+
+
+def test_without_a_bound_the_moments_are_the_covariance() -> None:
+    A = np.random.default_rng(1).normal(size=(5, 3))
+    P = A.T @ A
+    far = about_estimate(P, np.zeros(3), np.array([np.inf, 1e3, np.inf]), np.ones(3))
+    np.testing.assert_allclose(far, np.linalg.inv(P), rtol=1e-6)

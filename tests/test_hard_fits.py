@@ -1,0 +1,74 @@
+"""Fits at the edge: reference problems with certified values, and records far from zero."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.outcome import Status
+
+from .hard import strd
+
+# -- NIST's reference problems (`python -m tests.hard.strd` runs all, from both starts, alone and with seven others) ------------------
+
+QUICK = ["Thurber", "Hahn1", "MGH17"]
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in strd.LAWS]
+)
+def test_usable_fits_have_the_certified_values_and_errors(name: str) -> None:
+    outcomes = []
+    for starts in (1, 8):
+        outcome, fit, of_values, of_errors = strd.judged(name, 1, starts)
+        assert outcome != "wrong", (fit.status, of_values, of_errors)
+        outcomes.append(outcome)
+    if name in QUICK:
+        assert outcomes == ["right", "right"]
+
+
+def test_wrong_values_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = strd.reference_of("DanWood")
+    assert strd.digits(true.values * (1 + 1e-5), true.values) == pytest.approx(5.0, abs=0.01)
+    fit = strd.attempt("Eckerle4", 1, 1)
+    assert fit.status is Status.OK
+    monkeypatch.setattr(strd, "attempt", lambda *_: fit)
+    shifted = strd.reference_of("Eckerle4")._replace(values=1.00001 * strd.reference_of("Eckerle4").values)
+    monkeypatch.setattr(strd, "reference_of", lambda name: shifted)
+    assert strd.judged("Eckerle4", 1, 1)[0] == "wrong"
+
+
+# -- records far from zero -------------------------------------------------------------------------------------------------------
+
+N = 400
+T = np.arange(N) / 100
+U = (20 + 8 * T) * np.sin(2 * np.pi * T)
+Y = np.asarray(hf.simulate(hf.BoucWen(c=0.15, mu=0.45, tau=0.05, rho=0.6, offset=3.0), jnp.asarray(U))[0])
+Y = Y + 0.02 * np.random.default_rng(0).normal(size=N)
+SHIFTS = [(1e9, 0.0), (1e6, -1e9)]
+MODELS = [hf.BoucWen(), hf.PrandtlIshlinskii.of(4), hf.Preisach.of(8), hf.Duhem()]
+LEVELS = ("offset", "f[0]", "w0")  # parameters that a shift of the output moves
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: type(model).__name__)
+def test_an_origin_far_away_changes_no_value_error_or_status(model) -> None:
+    fit = lambda du, dy: hf.fit(model, hf.Record(u=U + du, y=Y + dy, t=T), starts=2)
+    near = fit(0.0, 0.0)
+    known = [k for k, name in enumerate(near.problem.space.names) if near.parameters[k].stderr and name not in LEVELS]
+    assert len(known) >= 4
+    for shift in SHIFTS:
+        far = fit(*shift)
+        assert (far.status, far.rank) == (near.status, near.rank), shift
+        assert far.train.rmse == pytest.approx(near.train.rmse, rel=1e-4), shift
+        for k in known:
+            one, other = near.parameters[k], far.parameters[k]
+            assert one.stderr is not None
+            assert other.stderr == pytest.approx(one.stderr, rel=0.01), (shift, one.name)
+            # At 1e9 numbers have a resolution of 1e-7, a hundred-thousandth of the noise.
+            assert abs(other.value - one.value) < 0.01 * one.stderr, (shift, one.name)
+        if isinstance(model, hf.BoucWen):  # whose offset is the output at zero input
+            slope = near["c"].stderr
+            assert slope is not None
+            assert far["offset"].stderr == pytest.approx(shift[0] * slope, rel=0.01)
