@@ -33,10 +33,10 @@ def pulls_of(seed: int, scale: float, noise: str) -> list[float]:
     ("scale", "noise", "count", "slack"),
     [
         (1.0, "iid", 12, 0.35),
-        pytest.param(0.5, "iid", 100, 0.1, marks=pytest.mark.slow),
-        pytest.param(1.0, "iid", 100, 0.1, marks=pytest.mark.slow),
-        pytest.param(2.0, "iid", 100, 0.1, marks=pytest.mark.slow),
-        pytest.param(1.0, "auto", 100, 0.1, marks=pytest.mark.slow),
+        pytest.param(0.5, "iid", 80, 0.1, marks=pytest.mark.slow),
+        pytest.param(1.0, "iid", 80, 0.1, marks=pytest.mark.slow),
+        pytest.param(2.0, "iid", 80, 0.1, marks=pytest.mark.slow),
+        pytest.param(1.0, "auto", 80, 0.1, marks=pytest.mark.slow),
     ],
 )
 def test_errors_beside_weights_on_zero_are_calibrated(scale: float, noise: str, count: int, slack: float) -> None:
@@ -60,6 +60,10 @@ def test_moments_are_those_of_a_plain_sample() -> None:
 def test_a_steep_slope_leaves_an_exponential_density() -> None:
     mean, covariance = truncated_moments(np.array([[1e-12]]), np.array([50.0]), np.zeros(1))
     assert (mean[0], covariance[0, 0]) == pytest.approx((1 / 50, 1 / 2500), rel=1e-3)
+    # So does a slope beyond all measure, where the residuals are rounding errors.
+    mean, covariance = truncated_moments(np.array([[1.0]]), np.array([1e90]), np.zeros(1))
+    assert np.isfinite([mean[0], covariance[0, 0]]).all()
+    assert abs(mean[0]) < 1e-80
 
 
 def test_without_a_bound_the_moments_are_the_covariance() -> None:

@@ -78,7 +78,7 @@ def truncated_moments(
 def _truncated(mean: np.ndarray, variance: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance of normal numbers above a limit."""
     deviation = np.sqrt(variance)
-    z = (mean - low) / deviation
+    z = np.clip((mean - low) / deviation, -1e70, 1e70)  # whose powers do not overflow
     far = z < -30  # where the differences below would cancel
     near, away = np.where(far, 0.0, z), np.where(far, z, -30.0)
     hazard = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - scipy.special.log_ndtr(near))

@@ -102,7 +102,7 @@ def uncertainty(
     below, above = _rooms(problem, x)
     room = np.where(pushed, 0.0, np.where([info.linear for info in space.infos], np.minimum(below, above), np.inf))
     inside = None
-    if live.any() and 0 < np.isfinite(room[on]).sum() <= FEW:
+    if live.any() and plain > 0 and 0 < np.isfinite(room[on]).sum() <= FEW:
         # At the most probable point under a noise model the slope is not known.
         slope = np.where(pushed, 0.0 if sought else (rows.T @ residual[used] + ridge * x) / plain, 0.0)
         information = (square[:, on], variance, unit * ridge[on])
