@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.data.batch import Batch
 from hystfit.models.base import run
 from hystfit.params.coordinates import Coordinates
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
@@ -86,7 +86,7 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
     return r * jnp.sqrt(ratio)
 
 
-@eqx.filter_jit
+@compiled
 def _linearize(objective: Objective, x: Array) -> tuple[Array, Array]:
     return objective.linearize(x)
 
@@ -98,7 +98,7 @@ def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], 
         objective: what is fitted.
         x: physical parameters, shape (p,).
     """
-    residual, jacobian = _linearize(objective, to_device(x))
+    residual, jacobian = _linearize(objective, np.asarray(x, float))
     return np.asarray(residual), np.asarray(jacobian)
 
 
