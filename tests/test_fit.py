@@ -11,6 +11,7 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 
@@ -293,3 +294,24 @@ def test_white_noise_as_large_as_the_loop_is_no_fault_of_the_model():
     assert empty.status == "poor"
     bent = hf.fit("bouc-wen", hf.Record(u=u, y=y + 0.01 * np.sin(90 * u) + 0.001 * rng.normal(size=600)), starts=2)
     assert bent.status == "poor"
+
+
+class Rooted(AbstractHysteresis):
+    """A line whose slope has an infinite derivative where its parameter is zero."""
+
+    rate_independent = True
+    k: jax.Array = hf.param(0.0, unit="1", doc="squared slope")
+    offset: jax.Array = hf.param(0.0, unit="y", doc="output at zero input")
+
+    def init(self, u0):
+        return jnp.zeros(1)
+
+    def step(self, state, u0, u1, dt):
+        return state, jnp.sqrt(jnp.abs(self.k)) * u1 + self.offset
+
+
+def test_the_bounded_solver_survives_derivatives_that_are_not_finite():
+    u = sweep()
+    data = hf.Record(u=u, y=0.3 * u + 2.0, t=T)
+    fitted = hf.fit(Rooted(), data, method="trf", start="model")
+    np.testing.assert_allclose([fitted["k"].value, fitted["offset"].value], [0.09, 2.0], rtol=1e-6)
