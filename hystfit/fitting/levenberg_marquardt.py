@@ -19,7 +19,7 @@ from hystfit.params.host_arrays import compiled
 # falls by more than _GOOD of it: "Sensitivity of trust-region algorithms to their parameters" (Gould et al. 2005).
 _LEAST, _GOOD = 0.01, 0.99
 _FIRST = 1e3  # size of the first steps, over that of the largest curvature: tau of "Methods for non-linear least squares" (Madsen et al.)
-_SHORTER, _LONGER, _LONGEST = 0.25, 3.5, 1e30
+_SHORTER, _LONGER, _LONGEST, _SHORTEST = 0.25, 3.5, 1e30, 1e-200
 _CLOSE = 0.5  # excess of the cost over that of a converged start, within which the linear model shows whether a start can do better
 _BETTER = 1e-4  # a lower cost, relative to that of the converged start, that is worth further steps
 _LANES = 8  # starts for which a program has room; fewer cost no more than their share
@@ -159,7 +159,7 @@ def _behind(triangle: np.ndarray, cost: np.ndarray, converged: np.ndarray) -> np
 def _step(triangle: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Minimum d of |J d - r|^2 + |d|^2 / size."""
     count, p = len(size), triangle.shape[1] - 1
-    damping = np.eye(p) / np.sqrt(size)[:, None, None]
+    damping = np.eye(p) / np.sqrt(np.maximum(size, _SHORTEST))[:, None, None]
     Q, R = np.linalg.qr(np.concatenate([triangle[:, :, :-1], damping], axis=1))
     target = np.concatenate([triangle[:, :, -1], np.zeros((count, p))], axis=1)
     return np.linalg.solve(R, np.einsum("kij,ki->kj", Q, target)[..., None])[..., 0]

@@ -29,18 +29,13 @@ class TrustRegion(AbstractEstimator):
         c = problem.space.coordinates
         scale, lower, upper = (np.asarray(v) for v in (c.scale, c.lower, c.upper))
         solutions = []
-
-        def jacobian(v: np.ndarray) -> np.ndarray:
-            slope = problem.linearize_misfit(v * scale)[1] * scale
-            return np.where(np.isfinite(slope), slope, 0.0)  # SciPy refuses others, which a root at zero has
-
         for z in starts:
             x0 = np.clip(problem.space.physical(z) / scale, lower / scale, upper / scale)
             solutions.append(
                 scipy.optimize.least_squares(
                     lambda v: problem.misfit(v * scale),
                     x0,
-                    jac=jacobian,  # type: ignore[arg-type]
+                    jac=lambda v: problem.linearize_misfit(v * scale)[1] * scale,  # type: ignore[arg-type]
                     bounds=(lower / scale, upper / scale),
                     x_scale="jac",
                     ftol=self.tolerance,
