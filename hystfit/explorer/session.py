@@ -93,11 +93,10 @@ class Session:
         middle = lambda signal: float(0.5 * (np.nanmin(signal) + np.nanmax(signal)))
         self._origin = {"u": middle(record.u), "y": middle(record.y[record.used])}
         first = self.choose({"model": chosen})
-        self.values = {slider["name"]: slider["value"] for slider in first["sliders"]} | self._views[0].checked(
-            start or {}
-        )
+        given = self._views[0].checked(start or {})
+        self.values = {slider["name"]: slider["value"] for slider in first["sliders"]} | given
         self.model = self._views[0].model(self.values)
-        self._first = {**first, "start": self.values}
+        self._first = {**first, "start": given}
 
     # -- what the page asks for --------------------------------------------------------------------------------------------------
 

@@ -203,6 +203,7 @@ function set(slider, value, typed = null) {
 
 function changed() {
   state.made = null;
+  say("");
   element("verdict").hidden = true;
   tellSliders();
   tellCommandsSoon();
@@ -285,7 +286,7 @@ async function fit() {
     const fitted = view.sliders.map(({ name, fitted }) => [name, (fitted || from.free.includes(name)) && !from.fix.includes(name)]);
     Object.assign(view, { first: before, stderr: result.stderr, verdict: result });
     await showView(view, {}, fitted.filter(([, may]) => may).map(([name]) => name), { model: view.model, ...from });
-    say("");
+    say(`fit: ${result.status}`, !result.usable);
     tellVerdict(result);
   } catch (error) {
     say(error.message, true);
