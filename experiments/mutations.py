@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from common import Mutation, Results, table
 
 import hystfit as hf
 
+HERE = Path(__file__).resolve().parent
 PAGE, SHOWN = "MUTATIONS.md", 4  # entries named in a row
 SOUND = -1  # number of the run without a fault, of the part of mutation k: SOUND - k
 HEAD = """# Mutations

@@ -31,6 +31,7 @@ from hystfit.models import (
     Series,
     SignedPreisach,
     Sum,
+    TabulatedPreisach,
     Viscous,
     registry,
     simulate,
@@ -63,6 +64,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "density": (ParametricPreisach(levels=(-0.71, -0.33, 0.13, 0.52, 0.8), depth=8), dict(kinked=["levels"])),
     "relays": (Preisach(w=WEIGHTS, elements="relays", **RELAYS), dict(flat=["levels"])),
     "cells": (Preisach(w=np.linspace(0.05, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),
+    "everett table": (TabulatedPreisach.of(3), dict(kinked=["levels"])),
     "cells of either sign": (SignedPreisach(w=np.linspace(-0.1, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),
     "plays": (PrandtlIshlinskii(w=[[0.2, 0.1, 0.4]], **PLAYS), dict(kinked=["r"])),
     "generalized plays": (

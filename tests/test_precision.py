@@ -86,6 +86,7 @@ INDEPENDENT = {
         "PrandtlIshlinskii",
         "Preisach",
         "SignedPreisach",
+        "TabulatedPreisach",
         "Relaxation",
         "SaturatingRate",
         "SecondOrder",

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.options import (
     DEFAULT_READING,
+    NO_SETTINGS,
     NO_SPLIT,
     STDOUT,
     Loop,
     Output,
     Purpose,
     Reading,
+    SequentialSettings,
     Split,
     lists,
     named_values,
@@ -42,6 +44,7 @@ def fit(
     start: Literal["data", "model"] = "data",
     starts: int = 8,
     seed: int = 0,
+    sequential: SequentialSettings = NO_SETTINGS,
     reading: Reading = DEFAULT_READING,
     split: Split = NO_SPLIT,
     output: Output = STDOUT,
@@ -64,8 +67,11 @@ def fit(
         seed: random seed for the starting points.
     """
     output.check("hystfit.fit")
+    if (settings := sequential.given()) and not is_sequential(method):
+        raise ParameterError(f"--{next(iter(settings))} is a setting of a sequential method: add --method rls, say")
     options = {
-        "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
+        "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts,
+        **settings,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):
