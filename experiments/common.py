@@ -51,7 +51,8 @@ class Results:
     """Numbers of one run, compared with expected.json.
 
     An expectation is {"value": v, "tolerance": t} (within t of v) or {"bar": b} (at most b; at least b with "sense": "min"), with
-    "kind" ("in-sample", "held-out" or "simulated"), and "quick": false where the short form does not compute the number.
+    "kind" ("in-sample", "held-out" or "simulated"), "data" ("simulated", on a surrogate, or "measured"), "guards" (the effect that a
+    limit further than a factor 2 from the value stands for), and "quick": false where the short form does not compute the number.
 
     Args:
         folder: of the experiment, with expected.json.
@@ -105,6 +106,10 @@ class Results:
             sign = ">=" if expectation.get("sense") == "min" else "<="
             return f"{sign} {expectation['bar']:g} {outcome}"
         return f"{expectation['value']:g} +- {expectation['tolerance']:g} {outcome}"
+
+    def origin(self, name: str) -> str:
+        """Whether a number comes from a simulated surrogate or from measured data; empty without an expectation."""
+        return self.expected.get(name, {}).get("data", "")
 
     def passes(self, name: str) -> bool:
         """Whether a number meets its expectation; a number that is not finite never does."""

@@ -341,7 +341,7 @@ class TestTabulatedPreisach:
         return EverettTable.from_masses(self.levels, np.random.default_rng(1).uniform(0, 1, 78), base=2.0)
 
     def curves(self, noise: float = 0.0):
-        u = through([0.0, *(x for peak in self.levels[1:] for x in (peak, 0.0))])
+        u = np.concatenate([np.append(np.arange(peak), np.arange(peak, 0, -1)) for peak in self.levels[1:]] + [[0.0]])
         return Record(u, self.table().output(u) + noise * np.random.default_rng(2).normal(size=u.size))
 
     def test_it_is_the_interpolated_table(self):

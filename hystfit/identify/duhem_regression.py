@@ -15,7 +15,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 
 STARTS = ("zero", "model", "data")
-Basis = Literal["legendre", "powers"]
+BASES = ("legendre", "powers")
 _LEAST_RATE = 1e-6  # scaled alpha (per half range of the input) below which f = (alpha f) / alpha is meaningless
 _RANK = 1e-9  # of the largest singular value of the columns at unit length
 
@@ -76,11 +76,11 @@ class DuhemRegressor(eqx.Module):
     m: int = eqx.field(static=True)
     n: int = eqx.field(static=True)
     scheme: str = eqx.field(static=True, default="midpoint")
-    basis: Basis = eqx.field(static=True, default="legendre")
+    basis: str = eqx.field(static=True, default="legendre")
 
     def __check_init__(self) -> None:
-        if self.basis not in get_args(Basis):
-            raise ParameterError(f"basis must be one of {', '.join(get_args(Basis))}, got {self.basis!r}")
+        if self.basis not in BASES:
+            raise ParameterError(f"basis must be one of {', '.join(BASES)}, got {self.basis!r}")
         if self.scheme not in ("midpoint", "explicit"):
             raise ModelError(
                 f"the {self.scheme!r} scheme is not linear in the parameters: identify with Duhem(scheme='midpoint') or "
@@ -88,7 +88,7 @@ class DuhemRegressor(eqx.Module):
             )
 
     @classmethod
-    def of(cls, model: AbstractHysteresis, records: Sequence[Record], *, basis: Basis = "legendre") -> DuhemRegressor:
+    def of(cls, model: AbstractHysteresis, records: Sequence[Record], *, basis: str = "legendre") -> DuhemRegressor:
         """Scaled to the ranges of records, with the orders and the scheme of a model.
 
         Args:

@@ -20,7 +20,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify.base import Info, Run, Sample
 from hystfit.identify.bias import noise_bias
-from hystfit.identify.duhem_regression import Basis, DuhemRegressor, LinearIdentifier, Rows, starting_theta
+from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, starting_theta
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
@@ -72,7 +72,7 @@ class GradientCorrection(LinearIdentifier):
         data: Record | Dataset | Sequence[Record],
         *,
         start: str = "data",
-        basis: Basis = "legendre",
+        basis: str = "legendre",
         weights: Sequence[float] | np.ndarray | None = None,
         mu: float = 1.0,
         floor: float = 1.0,

@@ -14,7 +14,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify.base import Info, Run, Sample
 from hystfit.identify.bias import noise_bias
-from hystfit.identify.duhem_regression import Basis, DuhemRegressor, LinearIdentifier, Rows, starting_theta
+from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, starting_theta
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
 from hystfit.params.param import as_array
@@ -67,7 +67,7 @@ class Rls(LinearIdentifier):
         data: Record | Dataset | Sequence[Record],
         *,
         start: str = "zero",
-        basis: Basis = "legendre",
+        basis: str = "legendre",
         forgetting: float = 1.0,
         prior: float = 1e8,
         form: str = "square-root",

@@ -42,7 +42,9 @@ class TabulatedPreisach(Preisach):
         Args:
             n: intervals of the table along each axis; the paper has one for each peak.
         """
-        table = EverettTable(np.linspace(-1, 1, n + 1), 0.1 * np.tri(n + 1, k=-1))
+        levels = np.linspace(-1, 1, n + 1)
+        width = np.maximum(np.subtract.outer(levels, levels), 0.0)
+        table = EverettTable(levels, 0.25 * width + 0.125 * width**2)
         return dataclasses.replace(cls.from_table(table), spacing="uniform")
 
     @classmethod
