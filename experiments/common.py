@@ -17,9 +17,10 @@ import dataclasses
 import json
 import math
 import os
+import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,18 @@ class Results:
     def origin(self, name: str) -> str:
         """Whether a number comes from a simulated surrogate or from measured data; empty without an expectation."""
         return self.expected.get(name, {}).get("data", "")
+
+    def fill(self, text: str, values: Mapping[str, str]) -> str:
+        """A page with {{name}} replaced by values, and {{number NAME}} by that number with three digits.
+
+        Args:
+            text: the page.
+            values: by name.
+        """
+        for name, value in values.items():
+            text = text.replace("{{" + name + "}}", value)
+        digits = lambda value: f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+        return re.sub(r"{{number ([^}]*)}}", lambda match: digits(self.numbers[match[1]]), text)
 
     def passes(self, name: str) -> bool:
         """Whether a number meets its expectation; a number that is not finite never does."""

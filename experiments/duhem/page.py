@@ -254,9 +254,7 @@ def write(
             for name, part in parts.items()
         },
     }
-    for name, value in values.items():
-        text = text.replace("{{" + name + "}}", value)
-    (folder / "RESULTS.md").write_text(text, encoding="utf-8")
+    (folder / "RESULTS.md").write_text(results.fill(text, values), encoding="utf-8")
     for name in SHOWN:
         if (results.out / name).is_file() and results.out.resolve() != folder.resolve():
             shutil.copy(results.out / name, folder / name)

@@ -62,6 +62,7 @@ def track(
     *,
     changed: Mapping[str, float] | None = None,
     frequency: float = 0.01,
+    noise: float = NOISE,
 ) -> LoopResult:
     """One run on the whole plant.
 
@@ -71,6 +72,7 @@ def track(
         made: the feedback; None for none.
         changed: parameters of the plant that have changed since the identification.
         frequency: of the reference [Hz].
+        noise: of the sensor [um].
     """
     controller = None if made is None else Controller.of(made.controller, RATE)
     return run_loop(
@@ -80,7 +82,7 @@ def track(
         feedforward=ahead,
         controller=controller,
         limits=LIMITS,
-        noise=NOISE,
+        noise=noise,
         seed=7,
     )
 
@@ -92,6 +94,7 @@ def arms(
     made: Design,
     changed: Mapping[str, float],
     names: Sequence[str],
+    noise: float = NOISE,
 ) -> dict[str, LoopResult]:
     """Runs on one reference: FF and FF+FB by the inverse of each model, FB alone, and FB with the straight line r / secant.
 
@@ -102,6 +105,7 @@ def arms(
         made: the feedback.
         changed: see `track`.
         names: which of the arms to run.
+        noise: of the sensor [um].
     """
     ahead = {f"{word}FF": feedforward(model, extrema, 0.01)[0] for word, model in models.items()}
     ahead["line"] = reference(extrema, 0.01) / secant
@@ -109,5 +113,5 @@ def arms(
     for name in names:
         forward, _, back = name.partition("+")
         forward, back = (None, "FB") if name == "FB" else (ahead[forward], back)
-        out[name] = track(extrema, forward, made if back else None, changed=changed)
+        out[name] = track(extrema, forward, made if back else None, changed=changed, noise=noise)
     return out
