@@ -113,7 +113,7 @@ class Results:
         return self.expected.get(name, {}).get("data", "")
 
     def fill(self, text: str, values: Mapping[str, str]) -> str:
-        """A page with {{name}} replaced by values, and {{number NAME}} by that number with three digits.
+        """A page with {{name}} replaced by values, and {{number NAME}} by that number with three digits where it was computed.
 
         Args:
             text: the page.
@@ -121,8 +121,8 @@ class Results:
         """
         for name, value in values.items():
             text = text.replace("{{" + name + "}}", value)
-        digits = lambda value: f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-        return re.sub(r"{{number ([^}]*)}}", lambda match: digits(self.numbers[match[1]]), text)
+        digits = lambda value: "-" if math.isnan(value) else f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+        return re.sub(r"{{number ([^}]*)}}", lambda match: digits(self.numbers.get(match[1], float("nan"))), text)
 
     def passes(self, name: str) -> bool:
         """Whether a number meets its expectation; a number that is not finite never does."""

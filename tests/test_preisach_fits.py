@@ -335,10 +335,10 @@ class TestEverettTable:
 
 
 class TestTabulatedPreisach:
-    levels = np.linspace(0, 180, 13)
+    levels = np.linspace(0, 180, 7)
 
     def table(self):
-        return EverettTable.from_masses(self.levels, np.random.default_rng(1).uniform(0, 1, 78), base=2.0)
+        return EverettTable.from_masses(self.levels, np.random.default_rng(1).uniform(0, 1, 21), base=2.0)
 
     def curves(self, noise: float = 0.0):
         u = np.concatenate([np.append(np.arange(peak), np.arange(peak, 0, -1)) for peak in self.levels[1:]] + [[0.0]])
@@ -350,8 +350,8 @@ class TestTabulatedPreisach:
         model = hf.TabulatedPreisach.from_table(table)
         grid = scipy.interpolate.RegularGridInterpolator((self.levels, self.levels), table.X)
         for alpha, beta in np.sort(rng.uniform(0, 180, (60, 2)))[:, ::-1]:
-            i, j = int(alpha // 15), int(beta // 15)
-            corner = table.X[i + 1, i] * (alpha - beta) / 15
+            i, j = int(alpha // 30), int(beta // 30)
+            corner = table.X[i + 1, i] * (alpha - beta) / 30
             expected = corner if i == j else float(grid((alpha, beta)))
             assert table(alpha, beta) == pytest.approx(expected, abs=1e-11)
             assert output(model, np.array([0.0, alpha, beta])) @ [0, 1, -1] == pytest.approx(expected, abs=1e-11)
@@ -360,7 +360,7 @@ class TestTabulatedPreisach:
         np.testing.assert_allclose(model.table().X, table.X, atol=1e-12)
 
     def test_a_fit_reads_the_curves_and_its_inverse_gives_the_input_back(self):
-        result = hf.fit("everett-table", self.curves())
+        result = hf.fit("everett-table:n=6", self.curves())
         assert result.method == "everett-table"
         np.testing.assert_allclose(result.model.table().X, self.table().X, atol=1e-9)
         u = through(HIGHER_ORDER)
@@ -373,7 +373,7 @@ class TestTabulatedPreisach:
     def test_noise_is_moved_until_the_table_has_an_inverse(self):
         noisy = EverettTable.from_descending([self.curves(2.0)], self.levels)
         assert noisy.turned().max() > 0.01
-        model = hf.fit("everett-table", self.curves(2.0)).model
+        model = hf.fit("everett-table:n=6", self.curves(2.0)).model
         assert model.table().turned().max() < 1e-9
         y = output(model, through((0, 150, 60, 120, 0)))
         assert hf.invert(model, y).counts()["not-monotone"] == 0
@@ -384,6 +384,10 @@ class TestTabulatedPreisach:
             hf.fit("everett-table:n=4", Record(u, self.table().output(u)))
         with pytest.raises(ModelError, match="use method='auto'"):
             hf.fit(hf.Preisach.of(3, initial="negative"), self.curves(), method="everett-table")
+        with pytest.raises(ModelError, match="use preisach in compositions"):
+            hf.fit("everett-table:n=6+offset", self.curves())
+        with pytest.raises(ModelError, match=r"w\[3\] is fixed"):
+            hf.fit("everett-table:n=6", self.curves(), fix={"w[3]": 0.1})
 
 
 class TestProperties:

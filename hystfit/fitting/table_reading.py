@@ -30,8 +30,11 @@ class TableReading(AbstractEstimator):
         model, records = problem.model, list(problem.data)
         if not isinstance(model, TabulatedPreisach):
             raise ModelError(
-                f"method='everett-table' reads the table of the model everett-table, got {type(model).__name__}: use method='auto'"
+                f"a table is read for the model everett-table alone, got {type(model).__name__}: use preisach in compositions, and "
+                "method='auto' for other models"
             )
+        if held := [name for name, *_ in problem.space.fixed() if name.partition("[")[0] in ("w", "slopes")]:
+            raise ModelError(f"a table is read as a whole, and {held[0]} is fixed: fix none of w and slopes")
         table = EverettTable.from_descending(records, np.asarray(model.levels))
         notes = [
             f"the values of the table on {table.levels.size} levels are read off the curves, not fitted by least squares"
