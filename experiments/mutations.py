@@ -45,6 +45,7 @@ def gather(folder: Path) -> tuple[Mutation, ...]:
     if spec is None or spec.loader is None:
         raise FileNotFoundError(folder / "mutations.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where `substitute` looks
     spec.loader.exec_module(module)
     return module.MUTATIONS
 
