@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+import equinox as eqx
 import identify
 import jax.numpy as jnp
 import numpy as np
@@ -105,8 +106,7 @@ def _congruent() -> None:
     step = Thunder.step
 
     def linear(self, state, u0, u1, dt):
-        state, y = step(hf.models.AbstractHysteresis.replace(self, bend=0.0), state, u0, u1, dt)
-        return state, y
+        return step(eqx.tree_at(lambda m: m.bend, self, jnp.zeros(())), state, u0, u1, dt)
 
     Thunder.step = linear
 
@@ -157,7 +157,7 @@ MUTATIONS = (
     Mutation("interpolation replaced by the nearest node", "equations (4) and (5)", _nearest, curves),
     Mutation("triangles on the diagonal left out", "equation (5)", _no_triangles, curves),
     Mutation("cells smoothed a million times more", "the shape of the density", _over_smooth, curves),
-    Mutation("hysteresis deleted in the device", "the loops of the surrogate", _no_loop, curves),
+    Mutation("hysteresis deleted in the device", "the loops of the surrogate", _no_loop, properties),
     Mutation("hysteresis deleted in the device, tracking", "the use of an inverse", _no_loop, tracked),
     Mutation("the device is congruent", "the nonlinearity behind the relays", _congruent, properties),
     Mutation("extrema are wiped out 25 % too late", "wiping-out in the device", _late_wiping, properties),
