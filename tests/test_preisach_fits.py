@@ -382,7 +382,7 @@ class TestTabulatedPreisach:
         u = through((0, 150, 60, 120, 0))
         with pytest.raises(DataError, match="reverses between 0 and its peak 150"):
             hf.fit("everett-table:n=4", Record(u, self.table().output(u)))
-        with pytest.raises(ModelError, match="use method='auto'"):
+        with pytest.raises(ModelError, match="method='auto' for other models"):
             hf.fit(hf.Preisach.of(3, initial="negative"), self.curves(), method="everett-table")
         with pytest.raises(ModelError, match="use preisach in compositions"):
             hf.fit("everett-table:n=6+offset", self.curves())

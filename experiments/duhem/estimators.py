@@ -46,14 +46,7 @@ def one_step(case: Case, model: hf.Duhem | None) -> float:
 
 
 def gradient_correction(
-    case: Case,
-    seed: int,
-    *,
-    passes: int = 1,
-    mu: float = 1.0,
-    floor: float = 1.0,
-    basis: str = "legendre",
-    weights: Any = None,
+    case: Case, seed: int, *, passes: int = 1, floor: float = 1.0, basis: str = "legendre", weights: Any = None
 ) -> hf.Duhem | None:
     """Gradient correction from a start within 10 % of the paper's parameters; None where it diverges or the rate is not positive.
 
@@ -61,10 +54,10 @@ def gradient_correction(
         case: the record.
         seed: of the start.
         passes: over the record.
-        mu, floor: of the normalized step.
+        floor: of the normalized step.
         basis, weights: see `GradientCorrection.of`.
     """
-    options = {"start": "model", "mu": mu, "floor": floor, "basis": basis, "weights": weights}
+    options = {"start": "model", "floor": floor, "basis": basis, "weights": weights}
     identifier = GradientCorrection.of(case.model, case.record, **options)
     start = jnp.asarray(identifier.regressor.from_powers(near(PAPER_RLS, seed)))
     identifier = eqx.tree_at(lambda g: g.theta0, identifier, start)
