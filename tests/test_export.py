@@ -63,6 +63,7 @@ CASES = {
         -1.0,
         1.0,
     ),
+    "everett_table": (hf.TabulatedPreisach.of(5), -1.0, 1.0),
     "preisach_positive": (
         weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="positive"), offset=-0.2),
         -1.0,

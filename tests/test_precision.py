@@ -88,6 +88,7 @@ INDEPENDENT = {
         "PrandtlIshlinskii",
         "Preisach",
         "SignedPreisach",
+        "TabulatedPreisach",
         "Relaxation",
         "SaturatingRate",
         "SecondOrder",

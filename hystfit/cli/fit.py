@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.options import (
     DEFAULT_READING,
+    NO_SETTINGS,
     NO_SPLIT,
     STDOUT,
     Loop,
     Output,
     Purpose,
     Reading,
+    SequentialSettings,
     Split,
     lists,
     named_values,
@@ -43,6 +45,7 @@ def fit(
     at: list[str] | None = None,
     starts: int = 8,
     seed: int = 0,
+    sequential: SequentialSettings = NO_SETTINGS,
     reading: Reading = DEFAULT_READING,
     split: Split = NO_SPLIT,
     output: Output = STDOUT,
@@ -68,9 +71,11 @@ def fit(
     output.check("hystfit.fit")
     if at and start == "model":
         raise ParameterError("--at replaces starting values estimated from the data: leave out --start model")
+    if (settings := sequential.given()) and not is_sequential(method):
+        raise ParameterError(f"--{next(iter(settings))} is a setting of a sequential method: add --method rls, say")
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
-        "start": named_values(at) if at else start,
+        "start": named_values(at) if at else start, **settings,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):

@@ -208,7 +208,7 @@ class Problem:
 
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
-        if self.model.estimator == "preisach":
+        if self.model.short_cut and self.model.estimator is not None:
             length = self.objective.batch.u.shape[1]
             jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
             return self.residuals(x), jacobian * self.used[..., None]
