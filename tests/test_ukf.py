@@ -25,8 +25,8 @@ from hystfit import (
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify import Phase, Run, Sample, Ukf, identify, identify_in_stages, run_stream, smooth
+from hystfit.identify.filter_verdict import loop_count
 from hystfit.identify.sigma_points import Unscented, triangular
-from hystfit.identify.ukf import loop_count
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.stage import Actuator, Sensor
