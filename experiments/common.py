@@ -13,12 +13,13 @@ the full form downloads what is not there.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -152,3 +153,35 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     text = lambda cell: f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(text(cell) for cell in row) + " |" for row in rows]) + "\n"
+
+
+@dataclasses.dataclass(frozen=True)
+class Mutation:
+    """A deliberate fault, and the part of an experiment whose expectations must notice it (experiments/mutations.py).
+
+    Attributes:
+        name: what is changed.
+        breaks: what is missing or wrong then.
+        apply: puts the fault in place; called once, in a process of its own, before the part.
+        part: computes numbers of the quick form; without the fault it must meet their expectations.
+    """
+
+    name: str
+    breaks: str
+    apply: Callable[[], None]
+    part: Callable[[Results], object]
+
+
+def substitute(original: Any, mutant: Any) -> None:
+    """Replace a function or class wherever a loaded module holds it by name.
+
+    Raises:
+        LookupError: no loaded module holds it.
+    """
+    places = [
+        (m, k) for m in list(sys.modules.values()) for k, v in list(getattr(m, "__dict__", {}).items()) if v is original
+    ]
+    if not places:
+        raise LookupError(f"no loaded module holds {original!r}")
+    for module, name in places:
+        setattr(module, name, mutant)
