@@ -174,7 +174,9 @@ def run_loop(
     require_x64()
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim not in (1, 2) or wanted.size == 0 or not np.isfinite(wanted).all():
-        raise DataError(f"the reference must be finite and of shape (T,) or (T, k) with T > 0, got shape {wanted.shape}")
+        raise DataError(
+            f"the reference must be finite and of shape (T,) or (T, k) with T > 0, got shape {wanted.shape}"
+        )
     sound = rate > 0 and delay >= 0 and finer >= 1 and limits[0] < limits[1]
     if not (sound and np.all(np.asarray(noise) >= 0) and np.all(np.asarray(resolution) >= 0)):
         raise DataError(

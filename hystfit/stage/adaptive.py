@@ -126,11 +126,7 @@ class _Channel:
     def invert(self, desired: np.ndarray) -> np.ndarray:
         """Inputs for the next outputs, shape (T,)."""
         inverse = InverseStep.of(self.model(), limits=self.limits)
-        start = (
-            inverse.init(0.0)
-            if self.memory is None
-            else Resume(self.state.mean[: self.ukf.states], self.memory.u)
-        )
+        start = inverse.init(0.0) if self.memory is None else Resume(self.state.mean[: self.ukf.states], self.memory.u)
         self.memory, answer = inverse.run(start, jnp.asarray(desired), jnp.full(desired.size, self.dt))
         return np.asarray(answer.u)
 
