@@ -148,7 +148,10 @@ def _stage(plt: Any, stage: dict[str, LoopResult]) -> Any:
         error = stage[name].error[late] * [1.0, 1.0, 40.0]
         right.semilogy(np.arange(len(error)) / 10, 1e3 * np.linalg.norm(error, axis=1), lw=1, label=name)
     right.set(
-        xlabel="time / ms", ylabel="|error| in x, y, θ · 40 mm / nm", title="open and closed loop (M9)", ylim=(1, 2000)
+        xlabel="time / ms",
+        ylabel="|error| in x, y, θ · 40 mm / nm",
+        title="open and closed loop (M9)",
+        ylim=(1, 30_000),
     )
-    right.legend(ncols=2, loc="upper center")
+    right.legend(loc="upper right")
     return figure

@@ -20,6 +20,12 @@ from hystfit.stage import axis_plant, piezo
 TRUE = np.array([0.1542, 0.45, 0.01086, 0.00956])
 AMPLITUDES = (20.0, 40.0, 60.0, 80.0, 100.0)  # V
 FREQUENCIES = (0.1, 1.0, 10.0, 100.0)  # Hz
+FACTORS = (
+    (3.0, 0.5, 0.3, 0.3),
+    (0.3, 1.5, 3.0, 2.0),
+    (0.3, 0.5, 3.0, 0.5),
+    (3.0, 1.5, 0.3, 0.3),
+)  # of c, mu, tau, delta
 RING_DOWN = 0.15  # s, twelve time constants of the 630 Hz mode
 
 
@@ -110,6 +116,20 @@ def filter_and_least_squares(results: Results, seeds: int) -> tuple[str, Any]:
     return table(head, rows), kept
 
 
+def far_starts(results: Results) -> str:
+    """The filter from starts off by factors of 0.3 to 3, with a prior as wide."""
+    record, rows = hysteresis_record(0), []
+    for factors in FACTORS:
+        start = off(bare(), dict(zip(FAR, factors, strict=True)))
+        result = Ukf.of(start, record, start="model", prior=1.0).fit(record)
+        rows.append([*factors, result.status.value, *_judge(result.model, record)])
+    good = [row for row in rows if row[4] == Status.OK]
+    results.add("M4: starts off by factors of 0.3 to 3 that converge, of 4", len(good))
+    results.add("M4: starts off by factors of 0.3 to 3, free-run maximum % of those", max(row[6] for row in good))
+    results.add("M4: starts off by factors of 0.3 to 3, free-run maximum % of all", max(row[6] for row in rows))
+    return table(["c", "mu", "tau", "delta", "status", "worst parameter %", "free run max %"], rows)
+
+
 def methods(results: Results, starts: int) -> str:
     """The filter, least squares and the sequential regressions on one record: errors, times, and sensitivity to the start."""
     record = hysteresis_record(0, signal=lambda: modulated(10.0, 500.0))
@@ -179,6 +199,8 @@ def in_stages(results: Results) -> tuple[str, Series]:
     x = np.array([hysteresis.c, hysteresis.mu, hysteresis.tau, hysteresis.tau * hysteresis.rho])
     results.add("M4: staged, gamma off by %", 100 * abs(float(creep.gamma[0]) / 0.0175 - 1))
     results.add("M4: staged, worst hysteresis parameter %", 100 * np.max(np.abs(x / TRUE - 1)))
+    second = stages[1].model.parts[1].gamma[0]
+    results.add("M4: staged, gamma off by % after the second stage", 100 * abs(float(second) / 0.0175 - 1))
     errors = [result.free_run.nrmse_percent for result in stages]
     results.add("M4: staged, free-run RMS %", errors[-1])
     rows = [[k + 1, ", ".join(r.names), error] for k, (r, error) in enumerate(zip(stages, errors, strict=True))]

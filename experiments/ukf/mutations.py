@@ -18,7 +18,6 @@ from hystfit import BoucWen, LogCreep, SecondOrder, Series
 from hystfit.control import invert, lead
 from hystfit.identify import BlockVerdict, Ukf, identify_in_stages
 from hystfit.identify.sigma_points import Unscented
-from hystfit.identify.tuning import fixed_at_rest
 from hystfit.params.coordinates import REAL
 from hystfit.stage import Decoupled, StageInverse
 
@@ -116,9 +115,8 @@ def _no_feedback() -> None:
     Decoupled.ask = lambda self, state, error: 0 * ask(self, state, error)
 
 
-def _without_acceleration() -> None:
-    original = lead
-    substitute(lead, lambda *rest, omega, zeta: original(*rest, omega=1e3 * omega, zeta=1e3 * zeta))
+def _without_lead() -> None:
+    substitute(lead, lambda reference, dt, omega, zeta: np.asarray(reference))
 
 
 def _rigid() -> None:
@@ -133,10 +131,6 @@ def _creep_is_gone() -> None:
     LogCreep.sweep = lambda self, *rest, **options: sweep(still(self), *rest, **options)
 
 
-def _never_at_rest() -> None:
-    substitute(fixed_at_rest, lambda space, hold: np.zeros(len(space), bool))
-
-
 _noisy = _changed_filter(lambda ukf: dataclasses.replace(ukf, noise=10 * ukf.noise))
 _restless = _changed_filter(lambda ukf: dataclasses.replace(ukf, walk=10 * ukf.walk))
 _bold = _changed_filter(lambda ukf: dataclasses.replace(ukf, caution=0 * ukf.caution))
@@ -149,14 +143,13 @@ MUTATIONS = (
     Mutation("measurement noise times 10", "tuning of the filter", _noisy, recovery),
     Mutation("weights of the sigma points times 2", "unscented transform", _heavy_points, recovery),
     Mutation("no extra noise at the start", "far starts", _bold, recovery),
-    Mutation("parameters without bounds", "constraints", _changed_filter(_unbounded), recovery),
+    Mutation("parameters without bounds", "constraints", _changed_filter(_unbounded), identification.far_starts),
     Mutation("always converged", "on-line verdict", _always_converged, identification.online),
     Mutation("creep before hysteresis", "order of the stages", _creep_first, identification.in_stages),
-    Mutation("hysteresis not fixed at rest", "observability", _never_at_rest, identification.in_stages),
     Mutation("a straight line for the inverse", "inverse", _line, stairs),
     Mutation("no creep term in the inverse", "inverse", _inverted_without_creep, stairs),
     Mutation("clock of the inverse 30 times too slow", "sampling interval", _slow_clock, stairs),
-    Mutation("lead without derivatives", "inverse of the resonance", _without_acceleration, sines),
+    Mutation("reference not led", "inverse of the resonance", _without_lead, sines),
     Mutation("x and y exchanged in the Jacobian", "kinematics", _mixed_axes, three_axes.three_axes),
     Mutation("no feedback", "closed loop", _no_feedback, three_axes.three_axes),
     Mutation("gain of the filter zero", "adaptation", _deaf, tracking.adaptive),

@@ -36,6 +36,7 @@ def main() -> None:
     parts = {"Loops (M1, M2) and creep (M3)": loops}
     parts["Identification (M4)"], kept = identification.filter_and_least_squares(results, 3 if options.quick else 20)
     parts["Methods on one record"] = identification.methods(results, 2 if options.quick else 30)
+    parts["Far starts"] = identification.far_starts(results)
     parts["Stopping on-line"] = identification.online(results)
     parts["Creep in stages"], identified = identification.in_stages(results)
     identification.one_amplitude(results)

@@ -164,6 +164,7 @@ class InverseStep(AbstractRunningInverse):
 
     def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
         """See the base class."""
+        dt = jnp.asarray(dt, dtype=memory.u.dtype)
         return Resume(self.solver.advance(memory.state, memory.u, u, dt)[0], u)
 
     def run(self, memory: Resume, targets: Float[Array, " T"], dt: Float[Array, " T"]) -> tuple[Resume, Answer]:
