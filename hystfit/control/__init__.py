@@ -13,7 +13,6 @@ from hystfit.control.lead import lead as lead
 from hystfit.control.loop import LoopResult as LoopResult
 from hystfit.control.loop import run_loop as run_loop
 from hystfit.control.online_inverse import AbstractRunningInverse as AbstractRunningInverse
-from hystfit.control.online_inverse import Answer as Answer
 from hystfit.control.online_inverse import InverseStep as InverseStep
 from hystfit.control.online_inverse import Status as Status
 from hystfit.control.plant import LinearPlant as LinearPlant

@@ -12,7 +12,6 @@ from .identification import Identification as Identification
 from .identification import as_fit as as_fit
 from .online import BlockVerdict as BlockVerdict
 from .online import identify_online as identify_online
-from .online import judge_block as judge_block
 from .registry import IDENTIFIERS as IDENTIFIERS
 from .remedies import bias_compensated as bias_compensated
 from .remedies import decimate as decimate

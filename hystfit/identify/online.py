@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify.base import Sample, run_stream
@@ -83,7 +84,9 @@ def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
 
     Raises:
         ParameterError: fewer samples than one block.
+        PrecisionError: double precision is off.
     """
+    require_x64()
     if not 1 <= block <= len(record):
         raise ParameterError(f"block must be between 1 and the {len(record)} samples of the record, got {block}")
     stream, state, parts, stop = Sample.stream([record]), ukf.init(), [], 0

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hystfit.control import AbstractController, AbstractRunningInverse, Answer, Controller, InverseStep
-from hystfit.control.online_inverse import Limits
+from hystfit.control import AbstractController, AbstractRunningInverse, Controller, InverseStep
+from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis, Resume
 
