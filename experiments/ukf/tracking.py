@@ -44,6 +44,8 @@ def sines(results: Results, quick: bool, identified: Series) -> tuple[str, Track
     results.add(
         "M6: growth of the error with frequency, identified, least ratio", min(np.divide(steps[1:], steps[:-1]))
     )
+    larger = [runs[f, 100.0, "identified"].worst / runs[f, 20.0, "identified"].worst for f in FREQUENCIES]
+    results.add("M6: growth of the error from 20 to 100 um, identified, least ratio", min(larger))
     results.add("M6: maximum error %, 0.1-50 Hz, perturbed", worst("perturbed", FREQUENCIES[:-1]))
     results.add("M6: maximum error % at 100 Hz, matched", worst("matched", (100.0,)))
     results.add("M6: maximum error % at 10 Hz, matched", worst("matched", (10.0,)))
