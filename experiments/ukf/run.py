@@ -44,8 +44,8 @@ def main() -> None:
     parts["Staircase (M7, M8)"], runs = tracking.ladder(results, identified)
     parts["Three axes (M9)"], poses = three_axes.three_axes(results)
     parts["Adaptive feed-forward"] = tracking.adaptive(results)
-    parts["Adaptive feed-forward on three axes"] = three_axes.adaptive_stage(results)
     if not options.quick:
+        parts["Adaptive feed-forward on three axes"] = three_axes.adaptive_stage(results)
         parts["Measured piezo stack"] = measured.measured(results)
     figures.all_of_them(results.out, circles, kept, example, runs, poses)
     text = "\n".join(f"## {title}\n\n{body}" for title, body in parts.items())
