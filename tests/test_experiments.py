@@ -65,6 +65,7 @@ print(*set(due) - set(results.failures()), sep="\\n")
         ("duhem", "run:measured", ("piezo", "steel 1")),
         ("preisach", "measured:measured", ("measured reversal curves", "measured minor loops")),
         ("uncertainty", "piezo:run", ("piezo",)),
+        ("ukf", "measured:measured", ("measured",)),
     ],
 )
 def test_the_measured_part_of_an_experiment_is_skipped(tmp_path: Path, name: str, function: str, numbers) -> None:

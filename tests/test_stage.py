@@ -27,8 +27,8 @@ from hystfit.stage import (
     perturbed,
     piezo,
     population,
+    track_adaptively,
 )
-from hystfit.stage.adaptive import track_adaptively
 
 IDEAL = Sensor(noise=0.0, resolution=0.0)
 
@@ -288,7 +288,7 @@ def test_a_filter_in_parallel_with_the_inverse_corrects_the_model():
     first, last = (np.max(np.abs(run.error[part])) for part in (slice(0, 500), slice(-500, None)))
     assert first > 1.0
     assert last < 0.1 * first
-    assert float(run.model.parts[0].c) == pytest.approx(float(plant.parts[0].c), rel=0.01)
+    assert float(run.models[0].parts[0].c) == pytest.approx(float(plant.parts[0].c), rel=0.01)
     with pytest.raises(DataError, match="T >= block"):
         track_adaptively(ukf, plant, reference[:10], dt, **settings)
     for wrong_dt, finer in ((0.0, 10), (dt, 0)):

@@ -5,6 +5,10 @@ from hystfit.stage.actuator import Amplifier as Amplifier
 from hystfit.stage.actuator import Sensor as Sensor
 from hystfit.stage.actuator import piezo as piezo
 from hystfit.stage.actuator import population as population
+from hystfit.stage.adaptive import AdaptiveTracking as AdaptiveTracking
+from hystfit.stage.adaptive import track_adaptively as track_adaptively
+from hystfit.stage.decoupled import Decoupled as Decoupled
+from hystfit.stage.decoupled import StageInverse as StageInverse
 from hystfit.stage.kinematics import JacobianEstimate as JacobianEstimate
 from hystfit.stage.kinematics import Kinematics as Kinematics
 from hystfit.stage.kinematics import identify_jacobian as identify_jacobian
