@@ -87,6 +87,7 @@ def test_the_documents_have_commands_of_most_verbs():
         "profile",
         "design",
         "simulate",
+        "run",
     }
 
 

@@ -26,6 +26,10 @@ VERBS = {
     "design": ("uncertainty:design", "Propose the next input, which reduces the errors most."),
     "report": ("predict:report", "Print the report of a saved fit and draw its pictures again."),
     "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
+    "run": (
+        "run_file:run",
+        "Run the steps of a study from one file; steps that are done with unchanged inputs are not run again.",
+    ),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
 }
