@@ -15,7 +15,7 @@ VERBS = {
     "check": ("check:check", "Check the quality of a record and which models it can determine."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
     "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),
-    "export": ("control:export", "Write a fitted model and its inverse as C code."),
+    "export": ("control:export", "Write a fitted model and its inverse as C code, or the fit for MATLAB."),
     "sample": ("uncertainty:sample", "Sample the posterior of a fit, with convergence diagnostics."),
     "profile": ("uncertainty:profile", "Confidence limits of the parameters of a fit by profile likelihood."),
     "errors": (
@@ -32,6 +32,7 @@ VERBS = {
     ),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
+    "completion": ("completion:completion", "Complete verbs and options by the tabulator key in bash, zsh or fish."),
 }
 # A value that is not quoted is left alone: records are called by column=value, too.
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
