@@ -40,7 +40,7 @@ folder.mkdir(parents=True, exist_ok=True)
 # column `device`, and the true parameters beside.
 
 # %%
-devices = Actuator().population(8 if QUICK else 40, spread={"c": 0.03, "mu": 0.02, "gamma": 0.1}, seed=1)
+devices = Actuator().population(6 if QUICK else 40, spread={"c": 0.03, "mu": 0.02, "gamma": 0.1}, seed=1)
 t, u = signals.amplitude_sweep(cycles=3 if QUICK else 6, frequency=1.0, rate=100.0, low=0.0, high=100.0, anchor="low")
 data = devices.records(t, u, seed=2)
 
@@ -57,7 +57,7 @@ plt.show()
 # `fit_many` fits each device on its own, in one compiled program, and keeps what is finished in a folder: the same call resumes.
 
 # %%
-fits = hf.fit_many("bouc-wen+log-creep", data, starts=2, folder=folder / "run")
+fits = hf.fit_many("bouc-wen+log-creep", data, starts=1 if QUICK else 4, folder=folder / "run")
 fits
 
 # %% [markdown]
@@ -66,7 +66,7 @@ fits
 # trend over the true value.
 
 # %%
-names = {"c": "c", "mu": "mu", "gamma[0]": "gamma[0]"}
+names = ("c", "mu", "gamma[0]")
 figure, axes = plt.subplots(1, 3, figsize=(12.0, 3.6), layout="constrained")
 print(f"{'':<10}{'true spread':>14}{'spread of fits':>16}{'median stderr':>16}{'rms of errors in stderr':>26}")
 for ax, name in zip(axes, names):
@@ -79,6 +79,7 @@ for ax, name in zip(axes, names):
     ax.errorbar(truth, found, errors, fmt="o", ms=3, lw=1)
     ax.axline((truth.mean(), truth.mean()), slope=1, color="gray", lw=0.8)
     ax.set(xlabel=f"true {name}", ylabel=f"estimated {name}")
+    ax.locator_params(nbins=5)
 plt.show()
 
 # %% [markdown]
@@ -90,7 +91,7 @@ plt.show()
 # the range:
 
 # %%
-first = hf.fit("bouc-wen+log-creep", data[0], starts=2)
+first = fits.result(data[0].name)
 own = np.array([row.error_percent for row in fits])
 shared = np.array([first.metrics(record).nrmse_percent for record in data])
 print(f"own fit: median {np.median(own):.3f} %; the fit of device 1: median {np.median(shared[1:]):.2f} %, worst {shared.max():.2f} %")

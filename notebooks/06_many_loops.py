@@ -56,7 +56,7 @@ print("\n".join(path.name for path in sorted((folder / "loops").iterdir())[:4]),
 # A file that cannot be fitted is a row with the reason; it does not stop the others.
 
 # %%
-fits = hf.fit_many("bouc-wen", str(folder / "loops" / "*.csv"), starts=2, folder=folder / "run")
+fits = hf.fit_many("bouc-wen", str(folder / "loops" / "*.csv"), starts=1 if QUICK else 4, folder=folder / "run")
 fits
 
 # %% [markdown]
@@ -102,5 +102,5 @@ plt.show()
 # for each record and everything else in common.
 
 # %%
-together = hf.fit("bouc-wen", [fits.result(row.name).data[0] for row in fits if row.usable][:3], starts=1)
+together = hf.fit("bouc-wen", [hf.read(row.name) for row in fits if row.usable][:3], starts=1)
 print(f"three temperatures with one set of parameters: rms error {together.train.nrmse_percent:.2f} %, of their own {fits.rows[0].error_percent:.2f} %")
