@@ -19,6 +19,7 @@
 
 # %%
 import os
+import shutil
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -31,7 +32,8 @@ from hystfit.stage import Actuator
 hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer devices
 folder = Path("out") / "population"
-folder.mkdir(parents=True, exist_ok=True)
+shutil.rmtree(folder, ignore_errors=True)  # of another form of this notebook
+folder.mkdir(parents=True)
 
 # %% [markdown]
 # ## The devices
