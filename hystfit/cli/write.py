@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
+from hystfit.errors import MissingExtraError
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 
@@ -94,6 +95,21 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") 
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+
+
+def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
+    """Columns by heading as netCDF variables over the dimension "sample".
+
+    Raises:
+        MissingExtraError: xarray or h5netcdf is not installed.
+    """
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray
+    except ImportError as error:
+        raise MissingExtraError(str(error.name), "frames", "a netCDF file") from error
+    table = xarray.Dataset({name: ("sample", list(values)) for name, values in columns.items()})
+    table.to_netcdf(path, engine="h5netcdf")
 
 
 def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[str, Any]:

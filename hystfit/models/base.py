@@ -22,6 +22,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.default_start import searched_start
 from hystfit.models.description import described
 from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.one_device import check_one_device
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -461,6 +462,7 @@ def simulate(
 
     Raises:
         ModelError: no time for a model that needs it, shapes that do not fit, or a run of a model that is not causal to resume.
+        ParameterError: the model holds several devices.
         PrecisionError: double precision is off.
     """
     if resume is not None and not model.causal:
@@ -469,7 +471,11 @@ def simulate(
         )
     u, dt = _driven(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
-    return _compiled(model)(model, u, dt, resume, unroll)
+    try:
+        return _compiled(model)(model, u, dt, resume, unroll)
+    except (TypeError, ValueError):
+        check_one_device(model)
+        raise
 
 
 def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:

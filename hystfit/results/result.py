@@ -232,6 +232,22 @@ class FitResult:
         numbers = dict.fromkeys(("value", "stderr", "lower", "upper"), float)
         return pandas.DataFrame(rows).set_index("name").astype(numbers)
 
+    def to_xarray(self) -> Any:
+        """Parameters, covariance and predictions as an xarray data set; see `hystfit.results.exchange`.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        return _view("exchange:to_xarray")(self)
+
+    def save_mat(self, path: str | Path) -> Path:
+        """Write parameters, errors and predictions as a MATLAB file; see `hystfit.results.exchange`.
+
+        Raises:
+            HystfitError: the file cannot be written.
+        """
+        return _view("exchange:write_mat")(self, path)
+
     def with_notes(self, *notes: Note, first: bool = False) -> FitResult:
         """The same result with further notes, at the end or first."""
         return dataclasses.replace(self, notes=(*notes, *self.notes) if first else (*self.notes, *notes))
