@@ -12,8 +12,8 @@ from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped
-from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
-from hystfit.results.report.text_report import ERRORS, facts, headline, remarks, text_report, verdict
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
+from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
 
 if TYPE_CHECKING:
@@ -71,7 +71,8 @@ def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bo
 def notebook_view(result: FitResult) -> str:
     """The report as notebooks show it: status, tables and notes, without pictures."""
     advice = "" if result.usable else result.advice
-    tables = (ERRORS, metrics_table(result), parameter_table(result), fixed_words(result))
+    numbers = (QUANTITIES_OF, quantity_table(result))
+    tables = (ERRORS, metrics_table(result), *numbers, parameter_table(result), fixed_words(result))
     return fragment(headline(result), (advice, *tables, result.notes))
 
 
@@ -94,6 +95,8 @@ def _page(result: FitResult, images: dict[str, bytes]) -> str:
         metrics=metrics_table(result).html(),
         parameters=parameter_table(result, meaning=True).html(),
         fixed=fixed_words(result),
+        quantities_of=QUANTITIES_OF,
+        quantities=quantity_table(result, meaning=True).html(),
         verdict=[str(note) for note in verdict(result)],
         notes=[str(note) for note in remarks(result)],
         facts=facts(result),
