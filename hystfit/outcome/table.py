@@ -27,6 +27,10 @@ def rounded(value: float, stderr: float | None) -> tuple[str, str]:
     return f"{value / 10**scale:z.{decimals}f}{tail}", f"{stderr / 10**scale:.{decimals}f}{tail}"
 
 
+_LONG = 28  # characters of a text from which it may take several lines
+_CLASS = {True: ' class="long"', False: ' class="number"'}
+
+
 @dataclasses.dataclass(frozen=True)
 class Column:
     """A column of a table.
@@ -84,12 +88,18 @@ class Table:
         ]
 
     def html(self) -> str:
-        """An HTML table; numbers are flush right by the class "number"."""
-        mark = lambda column: "" if column.left else ' class="number"'
+        """An HTML table; numbers are flush right by the class "number", and "long" cells may take several lines.
+
+        Each cell names its column, for narrow screens on which a row becomes a list.
+        """
+        mark = lambda column, text="": "" if column.left and len(text) < _LONG else _CLASS[column.left]
         head = "".join(f"<th{mark(column)}>{html.escape(column.head)}</th>" for column in self.columns)
         body = "".join(
             "<tr>"
-            + "".join(f"<td{mark(c)}>{html.escape(text)}</td>" for c, text in zip(self.columns, row, strict=True))
+            + "".join(
+                f'<td{mark(c, text)} data-head="{html.escape(c.head)}">{html.escape(text)}</td>'
+                for c, text in zip(self.columns, row, strict=True)
+            )
             + "</tr>\n"
             for row in self.cells()
         )
