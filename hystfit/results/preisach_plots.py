@@ -58,6 +58,11 @@ def _per_area(y: str, u: str) -> str:
     return f"{y}/({u})^2" if y and u and not u.isalpha() else f"{y}/{u}^2" if y and u else ""
 
 
+def per_unit(y: str, u: str) -> str:
+    """Unit of a density over an axis; "" where a unit is unknown."""
+    return "" if not (y and u) else f"{y}/{u}" if u.isalpha() else f"{y}/({u})"
+
+
 def _contours(ax: Any, x: np.ndarray, y: np.ndarray, density: np.ndarray, top: float) -> None:
     """Contours of a smoothed density at even parts of its largest value, where there are cells enough."""
     from scipy.ndimage import gaussian_filter
