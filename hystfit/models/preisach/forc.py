@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class ForcNumbers:
     coercivity: np.ndarray
     distribution: np.ndarray
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """For `result.json`: the numbers; the distribution has a file of its own."""
         kept = {k: v for k, v in dataclasses.asdict(self).items() if not isinstance(v, np.ndarray)}
         return kept | {"peak": {"coercivity": self.peak[0], "interaction": self.peak[1]}}
