@@ -365,3 +365,18 @@ def test_weights_and_density_have_units_and_mark_what_is_zero_or_not_switched():
     assert ax.figure.axes[1].get_ylabel() == "weight density [um/V^2]"
     square = ax.collections[0].get_array()
     assert np.ma.getmaskarray(np.ma.masked_invalid(square))[0, 1:].all()  # alpha < beta: no cells
+
+
+def test_the_answer_stands_at_the_top_of_the_page_and_the_text(result):
+    page, text = report.html_report(result), report.text_report(result)
+    rows = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", page, re.DOTALL))
+    assert rows["Error"].startswith(f"{result.train.nrmse_percent:.3g} % of the range")
+    assert f"{result.baselines.noise:.2g} um" in rows["Error"]
+    hysteresis = next(q for q in result.quantities if q.name == "hysteresis_percent")
+    assert rows["Hysteresis"] == f"{' +- '.join(rounded(hysteresis.value, hysteresis.stderr))} %"
+    assert rows["Not determined"] == "nothing"
+    assert "hystfit invert FIT REFERENCE" in rows["Next"]
+    assert page.index("<dl") < page.index("<section")
+    assert text.index("\nAnswer\n") < text.index("\nVerdict\n")
+    poor = dataclasses.replace(result, status=Status.POOR)
+    assert "hystfit compare LOOP" in report.html_report(poor)

@@ -49,7 +49,7 @@ def _corner(posterior: Posterior) -> Any:
         raise MissingExtraError("corner", "bayes", "a corner plot") from error
     flat = posterior.draws.reshape(-1, len(posterior.names))
     at = _of_corner(posterior, flat)
-    labels = _labels(posterior)
+    labels, size = _labels(posterior), 8 + 0.8 * len(at)  # the figure grows with the panels, and is shown at one width
     figure = corner.corner(
         flat[:, at],
         labels=[labels[k] for k in at],
@@ -58,13 +58,17 @@ def _corner(posterior: Posterior) -> Any:
         range=[0.998] * len(at),
         bins=25,
         smooth=1.0,
+        max_n_ticks=3,
+        label_kwargs={"fontsize": size},
     )
     panels = np.array(figure.axes).reshape(len(at), len(at))
     for ax, k in zip(np.diag(panels), at, strict=True):
-        ax.set_title(f"{posterior.names[k]}\n{_title(flat[:, k])}", fontsize=10)
+        ax.set_title(f"{posterior.names[k]}\n{_title(flat[:, k])}", fontsize=size)
+    for ax in panels.ravel():
+        ax.tick_params(labelsize=0.8 * size)
     part = f"{len(at)} of {len(labels)} parameters; " if len(at) < len(labels) else ""
     text = "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %"
-    figure.suptitle(part + text, fontsize=11)
+    figure.suptitle(part + text, fontsize=size, x=0.98, ha="right")
     return figure
 
 
