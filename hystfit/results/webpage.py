@@ -75,9 +75,9 @@ class Page:
             loader=jinja2.PackageLoader("hystfit.results"), autoescape=True, trim_blocks=True, lstrip_blocks=True
         )
         shown = [(heading, [block_html(block) for block in blocks if block]) for heading, blocks in self.sections]
-        return environment.get_template("page.html").render(
-            page=self, sections=[(heading, blocks) for heading, blocks in shown if blocks]
-        )
+        kept = [(heading, blocks) for heading, blocks in shown if blocks]
+        enlarges = any("<img" in block for _, blocks in kept for block in blocks)
+        return environment.get_template("page.html").render(page=self, sections=kept, enlarges=enlarges)
 
 
 def block_html(block: Block) -> str:
