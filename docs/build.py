@@ -55,7 +55,7 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
     import hystfit as hf
 
     hf.enable_x64()
-    from generate import api, commands, excerpts, lists
+    from generate import api, commands, excerpts, explorer_demo, lists
     from generate.markdown import write
     from generate.model_pages import draw_pictures, write_model_pages
 
@@ -77,6 +77,8 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
         excerpts.contributing,
     ):
         write(source / "parts" / f"{make.__name__}.md", make())
+    (source / "extra").mkdir()
+    (source / "extra" / "explorer-demo.html").write_text(explorer_demo.explorer_page(), encoding="utf-8")
     write(source / "reference" / "commands.md", commands.command_page())
     write(source / "reference" / "api" / "index.md", api.index_page())
     for page in api.PAGES:

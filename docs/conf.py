@@ -59,6 +59,7 @@ html_context = {"default_mode": "auto"}  # light or dark as the reader's system 
 html_theme = "pydata_sphinx_theme"
 html_title = "hystfit"
 html_static_path = ["static"]
+html_extra_path = ["extra"]
 html_favicon = "static/favicon.svg"
 html_css_files = ["site.css"]
 html_copy_source = False

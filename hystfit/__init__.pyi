@@ -11,6 +11,8 @@ from .control.online_inverse import InverseStep as InverseStep
 from .data.record import Dataset as Dataset
 from .data.record import Record as Record
 from .errors import HystfitError as HystfitError
+from .explorer.widget import Explorer as Explorer
+from .explorer.widget import explore as explore
 from .fitting.compare import compare as compare
 from .fitting.entry import fit as fit
 from .inference import priors as priors

@@ -87,7 +87,17 @@ VERBS = [  # arguments, exit status, status in result.json, files beside it
         ["sample", "fit", "--noise", "iid", "--chains", "2", "--draws", "40", "--warmup", "60"],
         1,
         "not-converged",
-        {"posterior.nc", "corner.png", "trace.png", "rank.png", "bands.png", "report.html", "fit", "run"},
+        {
+            "posterior.nc",
+            "corner.png",
+            "trace.png",
+            "rank.png",
+            "bands.png",
+            "report.html",
+            "fit",
+            "run",
+            "manifest.json",
+        },
         marks=pytest.mark.slow,
     ),
 ]

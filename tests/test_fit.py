@@ -11,6 +11,7 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 
@@ -293,3 +294,36 @@ def test_white_noise_as_large_as_the_loop_is_no_fault_of_the_model():
     assert empty.status == "poor"
     bent = hf.fit("bouc-wen", hf.Record(u=u, y=y + 0.01 * np.sin(90 * u) + 0.001 * rng.normal(size=600)), starts=2)
     assert bent.status == "poor"
+
+
+class Rooted(AbstractHysteresis):
+    """A line whose slope has an infinite derivative where its parameter is zero."""
+
+    rate_independent = True
+    k: jax.Array = hf.param(0.0, unit="1", doc="squared slope")
+    offset: jax.Array = hf.param(0.0, unit="y", doc="output at zero input")
+
+    def init(self, u0):
+        return jnp.zeros(1)
+
+    def step(self, state, u0, u1, dt):
+        return state, jnp.sqrt(jnp.abs(self.k)) * u1 + self.offset
+
+
+class Steep(Rooted):
+    """A model whose derivative with respect to k is finite, and its square is not."""
+
+    def step(self, state, u0, u1, dt):
+        return state, jnp.sin(1e200 * self.k) * 1e-3 * u1 + self.offset
+
+
+@pytest.mark.parametrize("model", [Rooted(), Steep()])
+def test_the_bounded_solver_survives_derivatives_without_finite_squares(model):
+    u = sweep()
+    data = hf.Record(u=u, y=0.3 * u + 2.0, t=T)
+    fitted = hf.fit(model, data, method="trf", start="model")
+    if type(model) is Rooted:
+        np.testing.assert_allclose([fitted["k"].value, fitted["offset"].value], [0.09, 2.0], rtol=1e-6)
+    else:  # no derivative shows where k should go
+        assert not fitted.usable
+        assert np.isfinite(fitted.x).all()

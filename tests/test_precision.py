@@ -26,6 +26,7 @@ REFUSED = {
     "covariance": "hf.covariance(result, 'sandwich')",
     "standard_errors": "hf.standard_errors(result)",
     "explain_drift": "hf.explain_drift(result)",
+    "explore": "hf.explore(record)",
     "FitResult": "result.predict(u)",
     "Posterior": "posterior.predict(record)",
     "load_fit": "hf.load_fit(folder)",
@@ -57,6 +58,7 @@ REFUSED = {
 INDEPENDENT = {
     *(
         "__version__",
+        "Explorer",
         "Fits",
         "signals",
         "enable_x64",

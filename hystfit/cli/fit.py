@@ -42,6 +42,7 @@ def fit(
     noise: str = "auto",
     loss: str = "linear",
     start: Literal["data", "model"] = "data",
+    at: list[str] | None = None,
     starts: int = 8,
     seed: int = 0,
     reading: Reading = DEFAULT_READING,
@@ -62,12 +63,16 @@ def fit(
             does not; the other noise models refine the fit by their likelihood.
         loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
         start: starting values estimated from the data, or those of the model.
+        at: starting value of a parameter, as NAME=VALUE, in place of the one estimated from the data; repeatable.
         starts: number of starting points.
         seed: random seed for the starting points.
     """
     output.check("hystfit.fit")
+    if at and start == "model":
+        raise ParameterError("--at replaces starting values estimated from the data: leave out --start model")
     options = {
-        "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "start": start, "starts": starts
+        "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
+        "start": named_values(at) if at else start,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 from hystfit.config import require_x64
 from hystfit.data.record import Dataset
@@ -11,7 +11,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Purpose
 from hystfit.fitting.estimate import AbstractEstimator
-from hystfit.fitting.fit import changed_settings, with_test
+from hystfit.fitting.fit import Start, changed_settings, with_test
 from hystfit.fitting.fit import fit as fit_model
 from hystfit.fitting.registry import is_sequential
 from hystfit.inference.noise.base import AbstractNoise
@@ -35,7 +35,7 @@ def fit(
     method: str | AbstractEstimator = "auto",
     fix: Sequence[str] | Mapping[str, Any] = (),
     free: Sequence[str] = (),
-    start: Literal["data", "model"] = "data",
+    start: Start = "data",
     starts: int = 8,
     seed: int = 0,
     loss: Loss = "linear",
@@ -62,7 +62,8 @@ def fit(
         fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
             the records where `start` is "data" and the model is given by name.
         free: parameters to fit that the model holds by default.
-        start: "data" reads starting values off the records, "model" takes the model's own.
+        start: "data" reads starting values off the records, "model" takes the model's own; values by name ({"tau": 0.01}) replace
+            those read off the records.
         starts: number of starting points: the data-driven one, and a Latin hypercube about it; at most so many of a model that
             reads several off the records.
         seed: of the starting points.

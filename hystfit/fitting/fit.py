@@ -40,6 +40,7 @@ from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, 
 from hystfit.results.timing import Stopwatch
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
+Start = Literal["data", "model"] | Mapping[str, float]
 _MANY = 4  # weights on a bound from which the convex solve is the default
 
 
@@ -50,7 +51,7 @@ def fit(
     method: str | AbstractEstimator = "auto",
     fix: Sequence[str] | Mapping[str, Any] = (),
     free: Sequence[str] = (),
-    start: Literal["data", "model"] = "data",
+    start: Start = "data",
     starts: int = 8,
     seed: int = 0,
     loss: Loss = "linear",
@@ -72,6 +73,8 @@ def fit(
     data = Dataset.of(data)
     notes: list[Note] = []
     if isinstance(model, str) and model == SEARCH and not is_sequential(method):
+        if isinstance(start, Mapping):
+            raise ParameterError(f"{SEARCH} chooses its terms on the data: leave out starting values by name")
         found = search_structure(data)
         model, start, notes = found.model, "model", list(found.notes())
     model = make_model(model)
@@ -117,7 +120,7 @@ def pose(
     method: str | AbstractEstimator = "auto",
     fix: Sequence[str] | Mapping[str, Any] = (),
     free: Sequence[str] = (),
-    start: Literal["data", "model"] = "data",
+    start: Start = "data",
     loss: Loss = "linear",
     held: bool = False,
     notes: tuple[Note, ...] = (),
@@ -133,14 +136,17 @@ def pose(
     """
     check_fittable(model, data)
     points: tuple[AbstractHysteresis, ...] = (model,)
-    if start == "data":
+    if start != "model":
         fix = _held(model, fix) if held else fix
         problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
+        if isinstance(start, Mapping):
+            points = (points[0].replace(**start),)
+            problem = Problem(points[0], data, fix=fix, free=free, loss=loss)
         model = points[0]
     else:
         problem = Problem(model, data, fix=fix, free=free, loss=loss)
     name = choose_method(problem) if method == "auto" else method
-    if name == "convex" and start == "data" and model.has_rest:
+    if name == "convex" and start != "model" and model.has_rest:
         problem, of_rest = _choose_rest(problem, fix, free, loss)
         notes = (*notes, *of_rest)
     return Posed(problem, name, points, notes)
@@ -237,7 +243,7 @@ def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: flo
     ]
 
 
-def check_settings(method: Any, starts: int, loss: str, noise: Any, start: str) -> None:
+def check_settings(method: Any, starts: int, loss: str, noise: Any, start: Any) -> None:
     """Refuse settings that no data can be fitted with.
 
     Args:
@@ -250,9 +256,10 @@ def check_settings(method: Any, starts: int, loss: str, noise: Any, start: str) 
         ESTIMATORS.find(method)
     if noise != "auto":
         NOISES.find(noise)
-    for what, value, known in (("loss", loss, LOSSES), ("start", start, ("data", "model"))):
-        if value not in known:
-            raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
+    if loss not in LOSSES:
+        raise ParameterError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    if start not in ("data", "model") and not isinstance(start, Mapping):
+        raise ParameterError(f"start must be data, model, or values of parameters by name, got {start!r}")
     if starts < 1:
         raise ParameterError(f"at least one start is needed, got {starts}")
 

@@ -20,6 +20,7 @@ from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
 _ROUGH = 1e-4  # relative tolerance on z of starts on the short form of the records
+_ROUGH_GAIN = 1e-6  # decrease of the cost, relative to it, that is left to the polish
 _ON_BOUND = 1e-6  # relative distance below which the bounded solver decides whether a parameter is on its bound
 
 
@@ -33,6 +34,7 @@ class LeastSquares(AbstractEstimator):
     Attributes:
         method: "lm" or "dogleg".
         rtol, atol: relative and absolute tolerance on z and on the cost.
+        gain: decrease of the cost promised by the linear model, relative to it, below which "lm" has converged too.
         max_steps: in a round.
         rounds: of further steps for the best start.
     """
@@ -41,6 +43,7 @@ class LeastSquares(AbstractEstimator):
     method: Literal["lm", "dogleg"] = eqx.field(static=True, default="lm")
     rtol: float = eqx.field(static=True, default=1e-8)
     atol: float = eqx.field(static=True, default=1e-10)
+    gain: float = eqx.field(static=True, default=0.0)
     max_steps: int = eqx.field(static=True, default=25)
     rounds: int = eqx.field(static=True, default=4)
 
@@ -72,14 +75,14 @@ class LeastSquares(AbstractEstimator):
 
     def _run(self, objective: Objective, starts: np.ndarray) -> Descents:
         if self.method == "lm":
-            return descend(objective, starts, rtol=self.rtol, atol=self.atol, steps=self.max_steps)
+            return descend(objective, starts, rtol=self.rtol, atol=self.atol, steps=self.max_steps, gain=self.gain)
         runs = [_dogleg(self, objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
         return Descents(*(np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True)))
 
 
 def _rough(settings: LeastSquares) -> LeastSquares:
     """The tolerances of starting points that are polished later."""
-    return dataclasses.replace(settings, rtol=_ROUGH, atol=0.1 * _ROUGH)
+    return dataclasses.replace(settings, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
 
 
 def dogleg() -> LeastSquares:

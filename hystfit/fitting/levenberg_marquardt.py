@@ -7,25 +7,30 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.objective import Objective
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled
 
 # A step is accepted where the cost falls by more than _LEAST of what the linear model predicts, and the next one is longer where it
 # falls by more than _GOOD of it: "Sensitivity of trust-region algorithms to their parameters" (Gould et al. 2005).
 _LEAST, _GOOD = 0.01, 0.99
-_SHORTER, _LONGER, _LONGEST = 0.25, 3.5, 1e30
+_FIRST = 1e3  # size of the first steps, over that of the largest curvature: tau of "Methods for non-linear least squares" (Madsen et al.)
+_SHORTER, _LONGER, _LONGEST, _SHORTEST = 0.25, 3.5, 1e30, 1e-200
+_CLOSE = 0.5  # excess of the cost over that of a converged start, within which the linear model shows whether a start can do better
+_BETTER = 1e-4  # a lower cost, relative to that of the converged start, that is worth further steps
 _LANES = 8  # starts for which a program has room; fewer cost no more than their share
 _BYTES = 2**26  # of their Jacobians, beyond which a program has room for fewer
 
 
 class Descents(NamedTuple):
-    """Where descents ended: unconstrained z (S, p), half the squared misfits, which converged, and their linearizations, each (S,)."""
+    """Where descents ended: unconstrained z (S, p), half the squared misfits, which converged, and their linearizations, each (S,).
+
+    A descent that was given up has the cost that its linear model promises, which is not below the least of the converged ones.
+    """
 
     z: Float[np.ndarray, "S p"]
     cost: Float[np.ndarray, " S"]
@@ -33,8 +38,12 @@ class Descents(NamedTuple):
     evaluations: np.ndarray
 
 
-def descend(objective: Objective, starts: np.ndarray, *, rtol: float, atol: float, steps: int) -> Descents:
+def descend(
+    objective: Objective, starts: np.ndarray, *, rtol: float, atol: float, steps: int, gain: float = 0.0
+) -> Descents:
     """Minimize half the sum of squared misfits from every start.
+
+    Once a start has converged, others end where they are close to its cost and their linear model promises no lower one.
 
     Args:
         objective: what is fitted.
@@ -42,16 +51,20 @@ def descend(objective: Objective, starts: np.ndarray, *, rtol: float, atol: floa
         rtol: change of z and of the misfit, relative to them, below which a descent has converged.
         atol: the same, absolute.
         steps: linearizations at most, of each.
+        gain: decrease of the cost that the linear model promises, relative to the cost, below which a descent has converged too.
     """
     samples, p = objective.batch.u.size, starts.shape[1]
     lanes = int(np.clip(_BYTES // (8 * samples * (p + 1)), 1, _LANES))
     groups = [starts[k : k + lanes] for k in range(0, len(starts), lanes)]
     with np.errstate(over="ignore", invalid="ignore"):  # of simulations that are not finite, whose steps are rejected
-        ended = [_together(objective, group, lanes, rtol, atol, steps) for group in groups]
+        ended = [_together(objective, group, lanes, (rtol, atol, gain), steps) for group in groups]
     return Descents(*(np.concatenate(part) for part in zip(*ended, strict=True)))
 
 
-def _together(objective: Objective, starts: np.ndarray, lanes: int, rtol: float, atol: float, steps: int) -> Descents:
+def _together(
+    objective: Objective, starts: np.ndarray, lanes: int, tolerances: tuple[float, float, float], steps: int
+) -> Descents:
+    rtol, atol, gain = tolerances
     count, p = starts.shape
     z, trial = np.array(starts, float), np.array(starts, float)
     misfit, triangle = np.zeros((count, objective.batch.u.size)), np.zeros((count, p + 1, p + 1))
@@ -76,7 +89,15 @@ def _together(objective: Objective, starts: np.ndarray, lanes: int, rtol: float,
         going = ~done & np.isfinite(cost[taken]) & np.isfinite(jacobian).all(axis=(1, 2))
         active[taken[~going]] = False
         rows = np.concatenate([jacobian[going], new[going, None]], axis=1).swapaxes(1, 2)
-        triangle[taken[going]] = _factor(rows)
+        at = taken[going]
+        triangle[at] = _factor(rows)
+        if number == 0:
+            size[at] = _FIRST / np.maximum(np.sum(triangle[at][:, :, :-1] ** 2, axis=1).max(axis=1), 1e-300)
+        converged[at] |= cost[at] - _promised(triangle[at]) <= gain * cost[at]
+        active[at[converged[at]]] = False
+        behind = active & _behind(triangle, cost, converged)
+        cost[behind] = np.maximum(_promised(triangle[behind]), cost[converged].min(initial=np.inf))
+        active &= ~behind
         left = np.flatnonzero(active)
         trial[left] = z[left] - _step(triangle[left], size[left])
     return Descents(z, np.where(np.isfinite(cost), cost, np.inf), converged, evaluations)
@@ -86,11 +107,11 @@ def _linearize(objective: Objective, z: np.ndarray, lanes: int) -> tuple[np.ndar
     """Misfits (k, n) and their derivatives with respect to z, (k, p, n), at k points."""
     padded = np.zeros((lanes, z.shape[1]))
     padded[: len(z)] = z
-    misfit, jacobian = _linearize_first(objective, to_device(padded), to_device(len(z)))
+    misfit, jacobian = _linearize_first(objective, padded, np.int64(len(z)))
     return np.asarray(misfit)[: len(z)], np.asarray(jacobian)[: len(z)]
 
 
-@eqx.filter_jit
+@compiled
 def _linearize_first(objective: Objective, z: Float[Array, "lanes p"], count: Array) -> tuple[Array, Array]:
     """Misfit and derivatives at the first `count` points, zero at the others."""
     eye = jnp.eye(z.shape[1])
@@ -113,19 +134,32 @@ def _factor(rows: np.ndarray) -> np.ndarray:
     """Factor R of [J, r] = Q R, padded to shape (k, p + 1, p + 1)."""
     triangle = np.linalg.qr(rows, mode="r")
     missing = rows.shape[2] - triangle.shape[1]
-    return np.pad(triangle, ((0, 0), (0, missing), (0, 0)))
+    return np.pad(triangle, ((0, 0), (0, missing), (0, 0))) if missing else triangle
 
 
 def _predicted(triangle: np.ndarray, step: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """Change of the cost that the linear model predicts."""
-    rows = np.einsum("kij,kj->ki", triangle, np.pad(step, ((0, 0), (0, 1)), constant_values=1.0))
+    rows = (triangle[:, :, :-1] @ step[:, :, None])[:, :, 0] + triangle[:, :, -1]
     return 0.5 * np.sum(rows**2, axis=1) - cost
+
+
+def _promised(triangle: np.ndarray) -> np.ndarray:
+    """Least cost of the linear model."""
+    return 0.5 * triangle[:, -1, -1] ** 2
+
+
+def _behind(triangle: np.ndarray, cost: np.ndarray, converged: np.ndarray) -> np.ndarray:
+    """Which starts approach no lower cost than that of the best converged one."""
+    if not converged.any():
+        return np.zeros(cost.size, bool)
+    best = cost[converged].min()
+    return (cost <= (1 + _CLOSE) * best) & (_promised(triangle) >= (1 - _BETTER) * best)
 
 
 def _step(triangle: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Minimum d of |J d - r|^2 + |d|^2 / size."""
     count, p = len(size), triangle.shape[1] - 1
-    damping = np.eye(p) / np.sqrt(size)[:, None, None]
+    damping = np.eye(p) / np.sqrt(np.maximum(size, _SHORTEST))[:, None, None]
     Q, R = np.linalg.qr(np.concatenate([triangle[:, :, :-1], damping], axis=1))
     target = np.concatenate([triangle[:, :, -1], np.zeros((count, p))], axis=1)
     return np.linalg.solve(R, np.einsum("kij,ki->kj", Q, target)[..., None])[..., 0]

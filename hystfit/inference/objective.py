@@ -13,9 +13,10 @@ from jaxtyping import Array, Float
 from hystfit.data.batch import Batch
 from hystfit.models.base import run
 from hystfit.params.coordinates import Coordinates
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
+_STEEPEST = 1e100
 BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
 
 
@@ -86,20 +87,21 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
     return r * jnp.sqrt(ratio)
 
 
-@eqx.filter_jit
+@compiled
 def _linearize(objective: Objective, x: Array) -> tuple[Array, Array]:
     return objective.linearize(x)
 
 
 def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
-    """`Objective.linearize` on the host, by one compiled program for all uses.
+    """`Objective.linearize` on the host, by one compiled program for all uses; 0 for derivatives whose squares cannot be added.
 
     Args:
         objective: what is fitted.
         x: physical parameters, shape (p,).
     """
-    residual, jacobian = _linearize(objective, to_device(x))
-    return np.asarray(residual), np.asarray(jacobian)
+    residual, jacobian = _linearize(objective, np.asarray(x, float))
+    steep = ~(np.abs(jacobian) < _STEEPEST)  # a root at zero, or a simulation beyond its stable range
+    return np.asarray(residual), np.where(steep, 0.0, jacobian) if steep.any() else np.asarray(jacobian)
 
 
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:

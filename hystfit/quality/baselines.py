@@ -49,12 +49,15 @@ class Baselines:
         y = np.concatenate([record.y[record.used] for record in judged])
 
         def error(columns: Callable[[_Frame, Record], np.ndarray]) -> float:
-            rows = [np.hstack([columns(frame, r), _offset(k, len(own), r)])[r.used] for k, r in enumerate(train)]
-            target = np.concatenate([record.y[record.used] for record in train])
-            theta = np.linalg.lstsq(np.concatenate(rows), target, rcond=None)[0]
+            parts = {id(r): np.hstack([columns(frame, r), _offset(k, len(own), r)]) for k, r in enumerate(train)}
+            theta = _least_squares(
+                np.concatenate([parts[id(r)][r.used] for r in train]), np.concatenate([r.y[r.used] for r in train])
+            )
             squares = 0.0
             for record in judged:
-                here = np.hstack([columns(frame, record), _offset(own.get(record.name, 0), len(own), record)])
+                here = parts.get(id(record))
+                if here is None:
+                    here = np.hstack([columns(frame, record), _offset(own.get(record.name, 0), len(own), record)])
                 miss = (record.y - here @ theta)[record.used]
                 squares += float(np.sum((miss - (miss.mean() if refit_offset else 0.0)) ** 2))
             return float(np.sqrt(squares / y.size))
@@ -79,6 +82,14 @@ class _Frame:
     def place(self, record: Record) -> np.ndarray:
         """Input in -1..1 over the fitted range, shape (T,)."""
         return (record.u - self.middle) / self.half
+
+
+def _least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Solution by normal equations: few scaled columns, of which only the misfit counts; a tenth of the time of an SVD of A."""
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0] = 1.0
+    gram = (A.T @ A) / np.outer(size, size)
+    return np.linalg.lstsq(gram, (A.T @ b) / size, rcond=1e-13)[0] / size
 
 
 def _line(frame: _Frame, record: Record) -> np.ndarray:

@@ -1,0 +1,269 @@
+"""What the page asks for: a model with sliders, its loop at their values, and a fit that starts there."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hystfit.config import require_x64
+from hystfit.data.record import Record
+from hystfit.errors import HystfitError, ParameterError
+from hystfit.explorer.decimation import chunks, visible
+from hystfit.explorer.view import View
+from hystfit.fitting.entry import fit
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.data_check import data_kinds
+from hystfit.models.registry import MODELS, compared, make_model
+from hystfit.params.param import leaves_of
+from hystfit.quality.summary import summarize
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import FitResult
+
+_WIDEST = 8000  # pixels of a canvas
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """How the record is read again, in the words of a shell and of Python; empty where that is unknown.
+
+    Attributes:
+        shell: LOOP and the options for reading it.
+        python: a line that makes `record`.
+    """
+
+    shell: str = ""
+    python: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Points:
+    """Curves for a canvas, in single precision from an origin in double.
+
+    Attributes:
+        facts: lengths, start of the time axis and errors, for JSON.
+        numbers: the curves one after another.
+    """
+
+    facts: dict[str, Any]
+    numbers: Float[np.ndarray, " n"]
+
+
+class Session:
+    """A record, the models that the user has chosen for it, and the fit that runs.
+
+    Attributes:
+        record: the measured loop.
+        choices: models that the page offers.
+        result: the last fit; None before it.
+        model: as it was drawn last.
+        values: of the sliders, as they were drawn last.
+    """
+
+    def __init__(
+        self,
+        record: Record,
+        model: str = "auto",
+        *,
+        start: Mapping[str, float] | None = None,
+        source: Source | None = None,
+    ):
+        """Choose models for a record, and read starting values off it.
+
+        Args:
+            record: the measured loop.
+            model: the first model; "auto" takes the one with the fewest parameters that suits the loop.
+            start: values that replace those read off the record, by name.
+            source: how the record is read again.
+        """
+        require_x64()
+        self.record, self._source, self.result = record, source or Source(), None
+        suited = _suited(record)
+        chosen = suited[0] if model == "auto" else model
+        self.choices = tuple(dict.fromkeys([chosen, *suited]))
+        self._dt = None if record.t is None else record.dt
+        self._lock, self._fitting = threading.Lock(), threading.Lock()
+        self._views: list[View] = []
+        self._fit: dict[str, Any] = {"state": "none"}
+        middle = lambda signal: float(0.5 * (np.nanmin(signal) + np.nanmax(signal)))
+        self._origin = {"u": middle(record.u), "y": middle(record.y[record.used])}
+        first = self.choose({"model": chosen})
+        given = self._views[0].checked(start or {})
+        self.values = {slider["name"]: slider["value"] for slider in first["sliders"]} | given
+        self.model = self._views[0].model(self.values)
+        self._first = {**first, "start": given}
+
+    # -- what the page asks for --------------------------------------------------------------------------------------------------
+
+    def scene(self) -> dict[str, Any]:
+        """What the page shows before it asks for anything."""
+        record, axis = self.record, self._axis
+        used = record.used
+        return {
+            "record": {
+                "name": record.name,
+                "samples": len(record),
+                "u": [record.u_name, record.u_unit, float(record.u.min()), float(record.u.max())],
+                "y": [record.y_name, record.y_unit, float(record.y[used].min()), float(record.y[used].max())],
+                "x": ["sample", "", *axis[[0, -1]]] if record.t is None else ["time", record.t_unit, *axis[[0, -1]]],
+                "origin": self._origin,
+            },
+            "source": dataclasses.asdict(self._source),
+            "choices": self.choices,
+            "view": self._first,
+        }
+
+    def choose(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """A model with starting values read off the record, as sliders.
+
+        Raises:
+            HystfitError: a model that the page does not offer, or that the record does not suit.
+        """
+        name = request["model"]
+        if name not in self.choices:  # a name may mean a file with code, so that only the user's own is taken
+            raise ParameterError(f"no model {name!r} on this page: open it by --model")
+        model = make_model(name)
+        record = model.prepared(self.record)
+        return self._added(View(name, model.starting_points([record])[0], record))
+
+    def measured(self, request: Mapping[str, Any]) -> Points:
+        """The measured curve between two samples, for a canvas of some columns: x, u, y."""
+        part, starts = self._part(request)
+        y = np.where(self.record.used, self.record.y, np.nan)[part]
+        kept = visible(starts, self.record.u[part], y)
+        return self._points(part, kept, [y[kept]], y, kept[:0])
+
+    def predict(self, request: Mapping[str, Any]) -> Points:
+        """The model's curve between two samples: x, u, y, the same at two other settings, and the residuals.
+
+        Args:
+            request: `view`, `values` by name, `band` (two sets of values that replace some, or nothing), and the part.
+
+        Raises:
+            HystfitError: values that the model cannot have.
+        """
+        part, starts = self._part(request)
+        view, values = self._view(request), request["values"]
+        model = view.model(values)
+        with self._lock:
+            y = self._run(model)
+            sides = [self._run(view.model(values | side))[part] for side in request.get("band") or ()]
+            self.model, self.values = model, view.checked(values)
+        used = view.record.used
+        error = Metrics.of([self.record.y[used]], [y[used]]).to_dict()
+        residuals = np.where(used, self.record.y - y, np.nan)[part]
+        y = y[part]
+        kept = visible(starts, self.record.u[part], y)
+        points = self._points(part, kept, [side[kept] for side in (y, *sides)], residuals, visible(starts, residuals))
+        return dataclasses.replace(points, facts=points.facts | {"error": error})
+
+    def start_fit(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Begin a fit from the values of the sliders in the background; `fit_state` follows it.
+
+        Args:
+            request: `view`, `values`, and `fitted`: names of the parameters that the fit may change.
+
+        Raises:
+            HystfitError: one is running, or values that the model cannot have.
+        """
+        view = self._view(request)
+        start, fitted = view.checked(request["values"]), set(request["fitted"])
+        options = {
+            "start": start,
+            "starts": 1,
+            "fix": [slider.name for slider in view.sliders if slider.fitted and slider.name not in fitted],
+            "free": [slider.name for slider in view.sliders if not slider.fitted and slider.name in fitted],
+        }
+        if not self._fitting.acquire(blocking=False):
+            raise ParameterError("a fit is running: wait for its end")
+        self._fit = {"state": "running", "began": time.monotonic()}
+        threading.Thread(target=self._fitted, args=(view.choice, options), daemon=True).start()
+        return self.fit_state()
+
+    def fit_state(self) -> dict[str, Any]:
+        """Whether a fit runs, since how many seconds, and what the last one has found."""
+        state = dict(self._fit)
+        if began := state.pop("began", None):
+            state["seconds"] = time.monotonic() - began
+        return state
+
+    # -- how -----------------------------------------------------------------------------------------------------------------------
+
+    @property
+    def _axis(self) -> Float[np.ndarray, " T"]:
+        """Abscissa of the curves over time: time, or sample numbers."""
+        return np.arange(float(len(self.record))) if self.record.t is None else self.record.t
+
+    def _view(self, request: Mapping[str, Any]) -> View:
+        return self._views[int(request["view"])]
+
+    def _added(self, view: View) -> dict[str, Any]:
+        with self._lock:
+            self._views.append(view)
+            return {"view": len(self._views) - 1, **view.to_dict()}
+
+    def _part(self, request: Mapping[str, Any]) -> tuple[slice, np.ndarray]:
+        """The samples that are shown, at least two, and the first of each piece of them; `from` and `to` may be None."""
+        axis, (low, high) = self._axis, (request["from"], request["to"])
+        first = 0 if low is None else min(int(np.searchsorted(axis, float(low))), axis.size - 2)
+        stop = axis.size if high is None else max(int(np.searchsorted(axis, float(high), "right")), first + 2)
+        return slice(first, stop), chunks(stop - first, min(max(int(request["columns"]), 2), _WIDEST))
+
+    def _run(self, model: AbstractHysteresis) -> Float[np.ndarray, " T"]:
+        return type(model).free_run(model, self.record.u, self._dt)
+
+    def _points(
+        self, part: slice, kept: np.ndarray, curves: list[np.ndarray], residuals: np.ndarray, of_residuals: np.ndarray
+    ) -> Points:
+        """Abscissa, input and curves at the samples kept, then abscissa and residuals at others."""
+        axis, u = self._axis[part] - self._axis[part.start], self.record.u[part][kept] - self._origin["u"]
+        curves = [curve - self._origin["y"] for curve in curves]
+        with np.errstate(over="ignore"):  # an unstable model
+            numbers = np.concatenate([axis[kept], u, *curves, axis[of_residuals], residuals[of_residuals]]).astype(
+                "<f4"
+            )
+        facts = {"points": kept.size, "columns": of_residuals.size, "curves": len(curves)}
+        return Points(facts | {"x": float(self._axis[part.start])}, numbers)
+
+    def _fitted(self, choice: str, options: dict[str, Any]) -> None:
+        try:
+            result = fit(choice, self.record, **options)
+            model = result.model
+            found = self._added(View(choice, model, model.prepared(self.record)))
+            self.result = result
+            self._fit = {"state": "done", "result": _described(result), "view": found, "from": options}
+        except Exception as error:
+            known = isinstance(error, HystfitError)
+            self._fit = {"state": "failed", "error": str(error) if known else f"{type(error).__name__}: {error}"}
+        finally:
+            self._fitting.release()
+
+
+def _described(result: FitResult) -> dict[str, Any]:
+    """The verdict on a fit, and its standard errors."""
+    return {
+        "model": result.name,
+        "status": str(result.status),
+        "usable": result.usable,
+        "advice": result.advice,
+        "notes": [note.to_dict() for note in result.notes],
+        "stderr": {p.name: p.stderr for p in result.parameters if p.stderr is not None and np.isfinite(p.stderr)},
+    }
+
+
+def _suited(record: Record) -> list[str]:
+    """Models that the page offers: those that suit the loop by their number of parameters, then the others."""
+    kinds = data_kinds([summarize(record)])
+    dynamic = ("dynamic",) if "dynamic" in kinds else kinds
+    count = lambda name: sum(leaf.size for leaf in leaves_of(make_model(name)) if not leaf.info.fixed)
+    first = sorted(compared(*dynamic), key=count)
+    cores = [
+        name for name, entry in MODELS.items() if entry.place == "core" and entry.compared_on != ("reversal-curves",)
+    ]
+    names = dict.fromkeys([*first, *compared(*kinds), *cores])
+    return [name for name in names if record.t is not None or make_model(name).rate_independent]

@@ -1,0 +1,130 @@
+"""A model on a record as sliders: which parameters have one, over which range, and which values they may take."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Dataset, Record
+from hystfit.errors import ParameterError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.starting import scales_of
+from hystfit.params.param import leaves_of, short_names
+from hystfit.params.space import ParameterSpace
+
+_MANY = 32  # weights that still have sliders
+_REACH = 10.0  # factor to either side of a logarithmic slider
+
+
+@dataclasses.dataclass(frozen=True)
+class Slider:
+    """A parameter that the user moves.
+
+    Attributes:
+        name, unit, doc: what it is.
+        value: where it begins.
+        low, high: ends of the slider; values beyond can be typed.
+        lower, upper: bounds; None where there is none.
+        logarithmic: whether equal ways are equal factors.
+        fitted: whether a fit changes it unless the user says otherwise.
+        weight: whether it is one of many weights.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    value: float
+    low: float
+    high: float
+    lower: float | None
+    upper: float | None
+    logarithmic: bool
+    fitted: bool
+    weight: bool
+
+
+class View:
+    """A model with values, on a record; parameters without a slider keep the values of the model.
+
+    Attributes:
+        choice: the model as the user chose it.
+        record: as it is fitted.
+        sliders: the parameters that the user moves.
+        hidden: free parameters without a slider.
+    """
+
+    def __init__(self, choice: str, model: AbstractHysteresis, record: Record):
+        """Choose sliders and their ranges.
+
+        Args:
+            choice: expression of the model.
+            model: with the values to begin with.
+            record: as it is fitted.
+        """
+        self.choice, self.record = choice, record
+        names = short_names([leaf.path for leaf in leaves_of(model)])
+        self._space = ParameterSpace.of(model, free=names, scales=scales_of(Dataset.of(record)))
+        self._x = self._space.vector(model)
+        free = set(ParameterSpace.of(model).names)
+        weights = self._space.weights if self._space.weights.sum() <= _MANY else None
+        rows = range(len(self._space)) if weights is not None else np.flatnonzero(~self._space.weights).tolist()
+        scalar = {name for name in self._space.names if "[" not in name}
+        shown = [k for k in rows if self._space.names[k] in free | scalar]
+        self._place = {self._space.names[k]: k for k in shown}
+        self.sliders = tuple(self._slider(k, free) for k in shown)
+        self.hidden = len(free - set(self._place))
+
+    def _slider(self, k: int, free: set[str]) -> Slider:
+        info, value, name = self._space.infos[k], float(self._x[k]), self._space.names[k]
+        scale = float(np.asarray(self._space.coordinates.scale)[k])
+        lower, upper = info.bounds
+        logarithmic = bool(np.isfinite(lower) and np.isinf(upper) and value > lower == 0.0 and not info.linear)
+        if logarithmic:
+            low, high = value / _REACH, value * _REACH
+        else:
+            reach = max(scale, abs(value))
+            low, high = max(lower, value - reach), min(upper, value + reach)
+            if np.isfinite(lower) and np.isfinite(upper):
+                low, high = lower, upper
+        return Slider(
+            name, self._space.units[k], info.doc, value, low, high,
+            lower if np.isfinite(lower) else None, upper if np.isfinite(upper) else None,
+            logarithmic, name in free, bool(self._space.weights[k]),
+        )  # fmt: skip
+
+    def model(self, values: Mapping[str, Any]) -> AbstractHysteresis:
+        """The model at values of some sliders.
+
+        Args:
+            values: by name; the others keep the values of the view.
+
+        Raises:
+            ParameterError: an unknown name, or a value that is no number or outside its bounds.
+        """
+        x = self._x.copy()
+        for name, value in self.checked(values).items():
+            x[self._place[name]] = value
+        return self._space.assembled(x)
+
+    def checked(self, values: Mapping[str, Any]) -> dict[str, float]:
+        """Values as numbers within their bounds.
+
+        Raises:
+            ParameterError: see `model`.
+        """
+        for name, value in values.items():
+            if name not in self._place:
+                raise ParameterError(f"{self.choice} has no slider {name!r}")
+            lower, upper = self._space.infos[self._place[name]].bounds
+            number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+            if not (number and lower <= value <= upper):
+                raise ParameterError(f"{name} is a number in [{lower:g}, {upper:g}], got {value!r}")
+        return {name: float(value) for name, value in values.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the page."""
+        sliders = [dataclasses.asdict(slider) for slider in self.sliders]
+        return {"model": self.choice, "sliders": sliders, "hidden": self.hidden}
