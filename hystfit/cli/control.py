@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hystfit.control.inverse import Inverse
     from hystfit.data.record import Record
     from hystfit.results.result import FitResult
+    from hystfit.results.webpage import Page
 
 
 def invert(
@@ -32,7 +33,8 @@ def invert(
     """Compute the input that makes a fitted model follow a reference, with a status for every sample.
 
     From a folder of `hystfit sample --out`, it also computes 90 % bands over the posterior draws: of the input, and of the
-    tracking error of the input computed for the fit. With --out, the folder holds inverse.csv.
+    tracking error of the input computed for the fit. With --out, the folder holds inverse.csv and a page
+    (report.html).
 
     Args:
         reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
@@ -80,7 +82,15 @@ def invert(
     if bands is not None:
         lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
-    return finish("\n".join(lines), content, output, save)
+
+    def page() -> Page:
+        from hystfit.cli.pages import inverse_figure, invert_page
+
+        remarks = [lines[1], *(line for line in lines if line.startswith("  - "))]
+        figure = inverse_figure(target, inverse, bands, units["input"] or "")
+        return invert_page(f"{result.name} inverted for {target.name}", content, remarks, figure)
+
+    return finish("\n".join(lines), content, output, save, page=page)
 
 
 def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:

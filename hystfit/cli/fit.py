@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,6 +30,7 @@ from hystfit.inference.noise.registry import NOISES
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
     from hystfit.results.result import FitResult
+    from hystfit.results.webpage import Page
 
 
 @lists(methods=ESTIMATORS, sequential=IDENTIFIERS, noises=NOISES)
@@ -131,7 +133,7 @@ def compare(
 ) -> int:
     """Fit several models and rank them by their cross-validation error.
 
-    With --out, the folder holds the ranking (comparison.txt) and the fit of the winner (winner/).
+    With --out, the folder holds the ranking (comparison.txt, report.html) and the fit of the winner (winner/).
 
     Args:
         models: names, repeated or separated by commas; default: a selection that suits what hystfit check finds, of which models that
@@ -160,4 +162,9 @@ def compare(
         (folder / "winner").mkdir()
         _save_fit(winner, folder / "winner", test, split)
 
-    return finish(text, content, output, save, status=winner.status)
+    def page() -> Page:
+        from hystfit.cli.pages import compare_page
+
+        return compare_page(dataclasses.replace(comparison, winner=winner))
+
+    return finish(text, content, output, save, status=winner.status, page=page)

@@ -13,6 +13,7 @@ VERBS = {
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
     "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
     "check": ("check:check", "Check the quality of a record and which models it can determine."),
+    "forc": ("reversals:forc", "Draw the FORC diagram of reversal curves, and give its numbers."),
     "explore": ("explore:explore", "Move the parameters of a model by sliders beside a measured loop, in the browser."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
     "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),

@@ -19,6 +19,7 @@ from hystfit.outcome.progress import progress as progress
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
+    from hystfit.results.webpage import Page
 
 
 def finish(
@@ -28,6 +29,7 @@ def finish(
     save: Callable[[Path], object] | None = None,
     *,
     status: str = "",
+    page: Callable[[], Page] | None = None,
 ) -> int:
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
@@ -36,6 +38,7 @@ def finish(
         content: of result.json.
         output: folder and form of the output.
         save: writes the other files into the folder that it is called with.
+        page: makes report.html; None where there is none, or `save` writes it.
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
@@ -45,6 +48,8 @@ def finish(
             dump_json(scratch / "result.json", content)
             if save is not None:
                 save(scratch)
+            if page is not None:
+                (scratch / "report.html").write_text(page().render(), encoding="utf-8")
             names = sorted(path.name for path in scratch.iterdir())
         text += written(output.out, names)
     show(text, content, output.json)

@@ -26,6 +26,7 @@ class Uncertainty:
 
     Attributes:
         covariance: of the free parameters in physical units, shape (p, p); NaN where it means nothing.
+        joint: the same with the parameters that the data do not determine, whose variances are large; 0 on a bound, NaN where inactive.
         determined: whether the data determine each parameter, shape (p,), bool.
         inactive: parameters without any influence on these data, shape (p,), bool.
         directions: parameters that the data cannot separate, a text for each such direction.
@@ -39,6 +40,7 @@ class Uncertainty:
     """
 
     covariance: np.ndarray
+    joint: np.ndarray
     determined: np.ndarray
     inactive: np.ndarray
     directions: tuple[str, ...]
@@ -96,6 +98,7 @@ def uncertainty(
         J, variance, unit = root * relative, 1.0, 1 / plain
     ridge = None if estimate.penalty is None else unit * estimate.penalty
     inner = _determined(problem, x, J, variance, live, ridge)
+    inner["joint"][at_bound], inner["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(
         **inner,
         inactive=inactive,
@@ -123,23 +126,27 @@ def _determined(
     covariance, determined = np.full((x.size, x.size), np.nan), live.copy()
     if not live.any():
         return {
-            "covariance": covariance, "determined": determined, "directions": (), "reaching": (), "rank": 0, "condition": None
+            "covariance": covariance, "joint": covariance.copy(), "determined": determined, "directions": (), "reaching": (), "rank": 0,
+            "condition": None,
         }  # fmt: skip
     names = [name for name, on in zip(problem.space.names, live, strict=True) if on]
     values, vectors = _spectrum(J[:, live], None if ridge is None else (ridge * relative**2)[live])
     floor = _RANK * values[0]
     undetermined, kept = (values < floor) | (np.sqrt(variance) > _OPEN * values), values > floor
     scale = relative[live]
-    full = (vectors[:, kept] / values[kept] ** 2) @ vectors[:, kept].T * variance * scale[:, None] * scale[None, :]
+    root = vectors / np.maximum(values, floor) * np.sqrt(variance) * scale[:, None]
+    full = root[:, kept] @ root[:, kept].T
+    joint, at = np.full_like(covariance, np.nan), np.flatnonzero(live)
+    joint[np.ix_(at, at)] = full if kept.all() else root @ root.T
     touched = (np.abs(vectors[:, undetermined]) > _TOUCHED).any(axis=1)
     near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
     touched |= near
     full[touched], full[:, touched] = np.nan, np.nan
-    at = np.flatnonzero(live)
     covariance[np.ix_(at, at)] = full
     determined[at[touched]] = False
     return {
         "covariance": covariance,
+        "joint": joint,
         "determined": determined,
         "directions": tuple(describe(vectors[:, k], names) for k in np.flatnonzero(undetermined)),
         "reaching": tuple(names[k] for k in np.flatnonzero(near)),

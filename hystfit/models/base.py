@@ -190,6 +190,14 @@ class AbstractHysteresis(eqx.Module):
         """Quantities that follow from its parameters, which a fit reports with their standard errors."""
         return ()
 
+    def plays(self) -> tuple[PlayWeights, ...]:
+        """Weights of plays or stops by threshold, for pictures; none by default."""
+        return ()
+
+    def plane(self) -> Any:
+        """The `Preisach` whose density describes the model, for pictures; None where there is none."""
+        return None
+
     @property
     def needs(self) -> Needs | None:
         """The data that determine its parameters; None where that is not declared."""
@@ -430,6 +438,22 @@ def check_rest(rest: str) -> None:
     """
     if rest not in ("level", "first"):
         raise ModelError(f"rest must be level or first, got {rest!r}")
+
+
+class PlayWeights(NamedTuple):
+    """Weights of the plays or stops of one envelope.
+
+    Attributes:
+        label: of the envelope and operator.
+        threshold: half width of each, rising [u], shape (n,).
+        weight: of each [y], shape (n,).
+        names: of the parameters that are the weights.
+    """
+
+    label: str
+    threshold: np.ndarray
+    weight: np.ndarray
+    names: tuple[str, ...]
 
 
 class Resume(NamedTuple):
