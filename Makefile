@@ -13,7 +13,7 @@ export JAX_COMPILATION_CACHE_MAX_SIZE ?= 1000000000
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types tests hard notebooks experiments measured benchmarks smoke docs package records versions clean
+.PHONY: help setup fit test lint types tests hard notebooks experiments mutations measured benchmarks smoke docs package records versions clean
 
 help:  ## this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -52,6 +52,9 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 	  $(BIN)/python RUN $(QUICK) > $$log 2>&1; status=$$?; echo "exit status $$status" >> $$log; \
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
+
+mutations: setup  ## put faults into library and surrogates, and see that the experiments notice each (experiments/MUTATIONS.md)
+	$(BIN)/python experiments/mutations.py
 
 hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, NIST
 	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000

@@ -1,6 +1,6 @@
-"""Time of the unscented filter against filterpy on one problem, in one process: n = 8 (two states, six parameters), 1e4 samples.
+"""Time of the unscented filter against filterpy and a numba loop on one problem: n = 8 (two states, six parameters), 1e4 samples.
 
-Both filters use the same model, sigma points and covariances, and their estimates are compared before they are timed.
+All filters use the same model, sigma points and covariances, and their estimates are compared before they are timed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rows import Row
+from rows import Row, beside
+from timing import alternate
+from ukf_loop import loop
 
 from hystfit import BoucWen, LinearCreep, Sum
 from hystfit.identify import Sample
@@ -136,12 +138,28 @@ def compare(samples: int = 10_000, chunks: int = 10) -> dict[str, float]:
     }
 
 
+def beside_numba(samples: int, repeats: int) -> list[Row]:
+    """The filter beside a numba loop, whose final mean must be the same.
+
+    Raises:
+        RuntimeError: it is another one.
+    """
+    record, ukf = problem(samples)
+    stream, state, plain = Sample.stream([record]), ukf.init(), loop(ukf, record)
+    ours = lambda: run_stream(ukf, state, stream)
+    if not np.allclose(ours()[0].mean, plain(), rtol=0, atol=1e-9):
+        raise RuntimeError(f"two filters, two answers: {ours()[0].mean} and {plain()}")
+    times = alternate({"hystfit": ours, "numba": plain}, repeats)
+    return beside(times, f"unscented filter, n = 8, {samples} samples")
+
+
 def measure(quick: bool) -> list[Row]:
     """Rows of the suite."""
     samples = 200 if quick else 10_000
     row = compare(samples)
     ours, theirs = (1e-6 * samples * row[name] for name in ("us_per_sample", "us_per_sample_filterpy"))
-    return [Row(f"unscented filter, n = 8, {samples} samples / filterpy", ours, theirs)]
+    name = f"unscented filter, n = 8, {samples} samples / filterpy"
+    return [Row(name, ours, theirs), *beside_numba(samples, 3 if quick else 25)]
 
 
 if __name__ == "__main__":

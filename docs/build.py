@@ -64,6 +64,7 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
     write_model_pages(source / "models")
     for make in (
         lists.statuses,
+        lists.quantities,
         lists.codes,
         lists.noises,
         lists.samplers,

@@ -13,12 +13,14 @@ the full form downloads what is not there.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import os
+import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +52,8 @@ class Results:
     """Numbers of one run, compared with expected.json.
 
     An expectation is {"value": v, "tolerance": t} (within t of v) or {"bar": b} (at most b; at least b with "sense": "min"), with
-    "kind" ("in-sample", "held-out" or "simulated"), and "quick": false where the short form does not compute the number.
+    "kind" ("in-sample", "held-out" or "simulated"), "data" ("simulated", on a surrogate, or "measured"), "guards" (the effect that a
+    limit further than a factor 2 from the value stands for), and "quick": false where the short form does not compute the number.
 
     Args:
         folder: of the experiment, with expected.json.
@@ -105,6 +108,22 @@ class Results:
             return f"{sign} {expectation['bar']:g} {outcome}"
         return f"{expectation['value']:g} +- {expectation['tolerance']:g} {outcome}"
 
+    def origin(self, name: str) -> str:
+        """Whether a number comes from a simulated surrogate or from measured data; empty without an expectation."""
+        return self.expected.get(name, {}).get("data", "")
+
+    def fill(self, text: str, values: Mapping[str, str]) -> str:
+        """A page with {{name}} replaced by values, and {{number NAME}} by that number with three digits where it was computed.
+
+        Args:
+            text: the page.
+            values: by name.
+        """
+        for name, value in values.items():
+            text = text.replace("{{" + name + "}}", value)
+        digits = lambda value: "-" if math.isnan(value) else f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+        return re.sub(r"{{number ([^}]*)}}", lambda match: digits(self.numbers.get(match[1], float("nan"))), text)
+
     def passes(self, name: str) -> bool:
         """Whether a number meets its expectation; a number that is not finite never does."""
         expectation, value = self.expected[name], self.numbers[name]
@@ -152,3 +171,35 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     text = lambda cell: f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(text(cell) for cell in row) + " |" for row in rows]) + "\n"
+
+
+@dataclasses.dataclass(frozen=True)
+class Mutation:
+    """A deliberate fault, and the part of an experiment whose expectations must notice it (experiments/mutations.py).
+
+    Attributes:
+        name: what is changed.
+        breaks: what is missing or wrong then.
+        apply: puts the fault in place; called once, in a process of its own, before the part.
+        part: computes numbers of the quick form; without the fault it must meet their expectations.
+    """
+
+    name: str
+    breaks: str
+    apply: Callable[[], None]
+    part: Callable[[Results], object]
+
+
+def substitute(original: Any, mutant: Any) -> None:
+    """Replace a function or class wherever a loaded module holds it by name.
+
+    Raises:
+        LookupError: no loaded module holds it.
+    """
+    places = [
+        (m, k) for m in list(sys.modules.values()) for k, v in list(getattr(m, "__dict__", {}).items()) if v is original
+    ]
+    if not places:
+        raise LookupError(f"no loaded module holds {original!r}")
+    for module, name in places:
+        setattr(module, name, mutant)

@@ -36,6 +36,7 @@ from .models import SecondOrder as SecondOrder
 from .models import Series as Series
 from .models import SignedPreisach as SignedPreisach
 from .models import Sum as Sum
+from .models import TabulatedPreisach as TabulatedPreisach
 from .models import Viscous as Viscous
 from .models import simulate as simulate
 from .models.data_check import check as check

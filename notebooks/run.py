@@ -4,7 +4,7 @@
 
 The notebooks are Python files in jupytext's percent format. Each runs in a fresh kernel of this interpreter; no kernel has to be
 registered, and the user's IPython configuration is ignored. `--quick` sets HYSTFIT_QUICK=1, which the notebooks read. Exit status 1
-if a cell fails, after the other notebooks have run.
+if a cell fails, after the other notebooks have run, or at once after an interrupt.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ SOCKETS = sys.platform != "win32" and len(tempfile.gettempdir()) < 60
 
 
 def execute(source: Path, target: Path, limit: float) -> str | None:
-    """Run one notebook and write it as far as it ran; returns the failing cell and its error as text, or None.
+    """Run one notebook and write it; returns the failing cell and its error as text, or None.
 
     Args:
         source: a percent-format notebook (.py).
-        target: where the executed notebook (.ipynb) goes.
+        target: where the executed notebook (.ipynb) goes; one that failed or was interrupted goes beside it (.partial.ipynb), since
+            the documentation shows what is at `target`.
         limit: time for one cell [s].
     """
     import jupytext
@@ -60,18 +61,25 @@ def execute(source: Path, target: Path, limit: float) -> str | None:
         kernel_manager_class=ThisInterpreter,
         resources={"metadata": {"path": str(source.parent)}},
     )
+    partial = target.with_suffix(".partial.ipynb")
+    complete = False
     try:
         client.execute()
+        complete = True
         return None
     except CellExecutionError as error:
         return re.sub(r"\x1b\[[0-9;]*m", "", str(error))  # without color codes
-    except (CellTimeoutError, RuntimeError) as error:  # a time-out, or the kernel died or did not start
+    except (CellTimeoutError, RuntimeError, AssertionError) as error:  # a time-out, or the kernel died or did not start
+        if hasattr(client, "_async_cleanup_kernel_future"):  # nbclient ends the kernel at a signal, and then fails in several ways
+            raise KeyboardInterrupt from error
         started = [
             cell.source for cell in notebook.cells if "iopub.execute_input" in cell.metadata.get("execution", {})
         ]
         return f"{started[-1] if started else 'before the first cell'}\n{type(error).__name__}: {error}"
     finally:
-        nbformat.write(notebook, target)
+        nbformat.write(notebook, partial)
+        if complete:
+            partial.replace(target)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -102,4 +110,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit("interrupted: what was run is in notebooks/out/NAME.partial.ipynb")

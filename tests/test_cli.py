@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import errno
+import inspect
 import itertools
 import json
 import os
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hystfit as hf
 from hystfit.cli import run
 from hystfit.cli.options import bounds_of, named_values
 from hystfit.cli.verbs import as_options
@@ -135,6 +137,39 @@ def test_sequential_methods_give_a_result_without_standard_errors(folder, capsys
     assert (result.method, result.name) == ("rls", "duhem")
     assert all(p.stderr is None for p in result.parameters)
     assert result.train.nrmse_percent < 1
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "settings"),
+    [
+        ("rls", ["--forgetting", "0.999", "--prior", "1e4"], {"forgetting": 0.999, "prior": 1e4}),
+        (
+            "gradient-correction",
+            ["--basis", "powers", "--weights", "1,1e-3,1e-6,1e-9,1,1,1e-3,1e-6", "--mu", "0.5", "--floor", "0"],
+            {"basis": "powers", "weights": [1, 1e-3, 1e-6, 1e-9, 1, 1, 1e-3, 1e-6], "mu": 0.5, "floor": 0.0},
+        ),
+        ("gradient-correction", ["--step", "1e-3", "--passes", "2"], {"step": 1e-3, "passes": 2}),
+    ],
+)
+def test_settings_of_a_sequential_method_at_the_shell(method, options, settings, capsys):
+    run(["fit", "stage-sine", "--method", method, *options, "--json"])
+    shown = strict(capsys.readouterr().out)["parameters"]
+    model = hf.identify.identify(hf.datasets.load("stage-sine"), method, **settings).model
+    assert shown["alpha"]["value"] == pytest.approx(float(model.alpha), rel=1e-12)
+    default = hf.identify.identify(hf.datasets.load("stage-sine"), method).model
+    assert shown["alpha"]["value"] != pytest.approx(float(default.alpha), rel=1e-9)
+
+
+def test_every_setting_of_the_linear_identifiers_has_an_option():
+    from hystfit.cli.options import SequentialSettings
+
+    options = {field.name for field in dataclasses.fields(SequentialSettings)}
+    names = {
+        name
+        for kind in (hf.identify.Rls, hf.identify.GradientCorrection)
+        for name in inspect.signature(kind.of).parameters
+    }
+    assert options - {"passes"} == names - {"model", "data", "start", "form"}
 
 
 def test_own_model_in_a_file(folder, loop, monkeypatch, capsys):
@@ -356,6 +391,10 @@ BAD = [  # arguments, and what the message must name: the file, option, paramete
     (["compare", "LOOP", "--models", "duhem", "bouc-wen"], "'bouc-wen'"),
     (["fit", "LOOP", "--method", "ukf", "--noise", "ou"], "--noise"),
     (["fit", "LOOP", "--method", "rls", "--starts", "3"], "--starts"),
+    (["fit", "LOOP", "--method", "rls", "--floor", "1"], "'floor'"),
+    (["fit", "LOOP", "--forgetting", "0.9"], "--method rls"),
+    (["fit", "LOOP", "--method", "gradient-correction", "--weights", "1;2"], "--weights"),
+    (["fit", "LOOP", "--method", "rls", "--basis", "chebyshev"], "legendre"),
     (["compare", "LOOP", "--models", "bouc-wen,foo"], "'foo'"),
     (["compare", "LOOP", "--out", "plain/x"], "'plain/x'"),
     (["check", "one.csv"], "one.csv"),

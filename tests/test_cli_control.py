@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 
 import hystfit as hf
 from hystfit.cli import run
@@ -57,6 +58,41 @@ def test_invert_writes_an_input_that_the_model_follows(
     content = json.loads(capsys.readouterr().out)
     assert sum(content["counts"].values()) == 199
     assert "left-out" in [note["code"] for note in content["reading"]]
+
+
+def test_export_writes_for_matlab_and_simulink(
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = hf.load_fit(fitted)
+    assert run(["export", str(fitted), "--mat", str(tmp_path / "fit.mat")]) == 0
+    fit = scipy.io.loadmat(tmp_path / "fit.mat", simplify_cells=True)["fit"]
+    assert (fit["model"], fit["status"], fit["units"]["y"]) == (result.name, str(result.status), "um")
+    for k, name in enumerate(fit["parameters"]["name"]):
+        estimate = result[str(name)]
+        assert fit["parameters"]["value"][k] == estimate.value
+        assert fit["parameters"]["stderr"][k] == pytest.approx(estimate.stderr or np.nan, nan_ok=True)
+    np.testing.assert_array_equal(fit["covariance"], result.covariance)
+    record = fit["records"]
+    np.testing.assert_array_equal(record["y"], result.data[0].y)
+    np.testing.assert_allclose(record["y"] - record["predicted"], result.residuals, atol=1e-12)
+    assert run(["export", str(fitted), "--c", str(tmp_path / "c"), "--s-function"]) == 0
+    assert (tmp_path / "c" / "hysteresis_sfun.c").is_file()
+    for bad in ([], ["--s-function", "--mat", "x.mat"], ["--mat", str(tmp_path / "no" / "fit.mat")]):
+        assert run(["export", str(fitted), *bad]) == 2
+    assert "--c FOLDER" in capsys.readouterr().err
+
+
+def test_a_fit_as_an_xarray_data_set(fitted: Path) -> None:
+    result = hf.load_fit(fitted)
+    data = result.to_xarray()
+    assert float(data["value"].sel(parameter="c")) == result["c"].value
+    assert float(data["covariance"].sel(free="c", free_too="c")) == pytest.approx(result["c"].stderr ** 2)  # type: ignore[operator]
+    np.testing.assert_allclose((data["y"] - data["predicted"]).values, result.residuals, atol=1e-12)
+    assert (data["u"].attrs["units"], data["t"].attrs["units"], set(data["record"].values)) == (
+        "V",
+        "s",
+        {"stage-sine"},
+    )
 
 
 def test_export_writes_c(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

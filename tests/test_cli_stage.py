@@ -82,7 +82,52 @@ def test_one_actuator_of_three_and_all_together(tmp_path):
     assert np.ptp(poses["together"][:, :2]) < 0.01
 
 
+def test_a_population_is_one_file_with_its_truth_beside(tmp_path):
+    drive = [
+        "simulate",
+        "stage",
+        "--population",
+        "3",
+        "--spread",
+        "c=0.05,mu=0.02",
+        "--set",
+        "gamma=0",
+        "--duration",
+        "2",
+    ]
+    for name in ("all.csv", "all.nc"):
+        assert run([*drive, "--out", str(tmp_path / name)]) == 0
+    records, same = (hf.read(tmp_path / name, by="device") for name in ("all.csv", "all.nc"))
+    assert [record.name for record in records] == ["device=1", "device=2", "device=3"]
+    for one, other in zip(records, same, strict=True):
+        np.testing.assert_allclose(one.y, other.y, rtol=1e-9)
+    table = np.genfromtxt(tmp_path / "all.truth.csv", delimiter=",", names=True, deletechars="")
+    fits = hf.fit_many("bouc-wen", tmp_path / "all.csv", starts=1, reading={"by": "device"})
+    for name, column in (("c", "c_[um/V]"), ("mu", "mu")):
+        errors = np.array([row.stderr[name] for row in fits])
+        assert np.all(np.abs(fits.values(name) - table[column]) < 5 * errors)
+        assert np.ptp(table[column]) > 5 * errors.max()  # the devices differ
+
+
+def test_a_population_of_stages_has_all_channels(tmp_path):
+    drive = ["--axes", "3", "--drive", "together", "--population", "2", "--spread", "c=0.05", "--duration", "1"]
+    assert run(["simulate", "stage", *drive, "--noise", "0", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "data.csv").read_text().startswith("device,t_s,u1_V,")
+    table = np.loadtxt(tmp_path / "data.csv", delimiter=",", skiprows=1)
+    truth = np.genfromtxt(tmp_path / "truth.csv", delimiter=",", names=True, deletechars="")
+    assert table.shape == (400, 11)
+    stroke = [[np.ptp(table[table[:, 0] == device][:, 5 + k]) for k in range(3)] for device in (1, 2)]
+    slopes = np.array([[truth[f"c@{k}_[um/V]"][n] for k in (1, 2, 3)] for n in (0, 1)])
+    np.testing.assert_allclose(stroke / slopes, np.mean(stroke / slopes), rtol=1e-3)  # the model is linear in c
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert (content["population"], content["spread"]) == (2, {"c": 0.05})
+
+
 BAD = [
+    (["--population", "0"], "at least one device"),
+    (["--spread", "c=0.1"], "--population"),
+    (["--population", "2", "--spread", "c"], "--spread c"),
+    (["--population", "2", "--spread", "beta=0.1"], "'beta'"),
     (["--axes", "2"], "--axes"),
     (["--drive", "2"], "--axes 3"),
     (["--axes", "3", "--drive", "4"], "in-turn, together, 1, 2 or 3"),
@@ -106,8 +151,9 @@ def test_bad_input_is_refused(arguments, name, tmp_path, capsys):
     assert not out.exists()
 
 
-def test_a_model_has_no_axes(tmp_path, capsys):
-    assert run(["simulate", "bouc-wen", "--axes", "3", "--out", str(tmp_path / "x.csv")]) == 2
+@pytest.mark.parametrize("option", [["--axes", "3"], ["--population", "3"]])
+def test_a_model_has_no_axes_and_no_population(option, tmp_path, capsys):
+    assert run(["simulate", "bouc-wen", *option, "--out", str(tmp_path / "x.csv")]) == 2
     assert "bouc-wen" in capsys.readouterr().err
 
 

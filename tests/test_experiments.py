@@ -65,6 +65,7 @@ print(*set(due) - set(results.failures()), sep="\\n")
         ("duhem", "run:measured", ("piezo", "steel 1")),
         ("preisach", "measured:measured", ("measured reversal curves", "measured minor loops")),
         ("uncertainty", "piezo:run", ("piezo",)),
+        ("ukf", "measured:measured", ("measured",)),
     ],
 )
 def test_the_measured_part_of_an_experiment_is_skipped(tmp_path: Path, name: str, function: str, numbers) -> None:
@@ -120,3 +121,58 @@ def test_damaged_data_are_no_missing_data(common, tmp_path: Path, monkeypatch: p
     (tmp_path / "piezo_dbo").mkdir()
     with pytest.raises(DataError):
         results.load("piezo", "piezo_dbo/model")
+
+
+@pytest.mark.parametrize("name", ["duhem", "preisach"])
+def test_limits_are_near_their_values_or_name_what_they_guard(name: str) -> None:
+    expected = json.loads((EXPERIMENTS / name / "expected.json").read_text())
+    for key, entry in expected.items():
+        assert entry["data"] in ("simulated", "measured"), key
+        if "bar" in entry and "guards" not in entry:
+            assert 0.5 <= entry["bar"] / entry["value"] <= 2, key
+        elif "tolerance" in entry:
+            assert entry["tolerance"] <= 0.5 * abs(entry["value"]), key
+
+
+FAKE = """
+from common import Mutation, substitute
+
+def double(x):
+    return 2 * x
+
+def part(results):
+    results.add("a", double(1.0))
+
+def fault():
+    substitute(double, lambda x: 3 * x)
+
+def neutral():
+    substitute(double, lambda x: x + x)
+
+MUTATIONS = (Mutation("triple, fake", "all", fault, part), Mutation("sum, fake", "nothing", neutral, part))
+"""
+
+
+def mutated(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(EXPERIMENTS / "mutations.py"), *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+
+
+def test_a_mutation_that_no_expectation_notices_survives(tmp_path: Path) -> None:
+    (tmp_path / "mutations.py").write_text(FAKE)
+    (tmp_path / "expected.json").write_text(json.dumps({"a": {"value": 2.0, "tolerance": 0.1}}))
+    before = (EXPERIMENTS / "MUTATIONS.md").read_bytes()
+    ended = mutated(str(tmp_path), "--only", "fake")
+    assert ended.returncode == 1, ended.stderr
+    noticed, survived = (line for line in ended.stdout.splitlines() if line.startswith(("noticed", "SURVIVED")))
+    assert noticed.endswith("triple, fake: a: 3")
+    assert survived.startswith("SURVIVED")
+    assert "sum" in survived
+    assert (EXPERIMENTS / "MUTATIONS.md").read_bytes() == before
+
+
+def test_an_experiment_notices_a_fault_in_the_library() -> None:
+    ended = mutated("duhem", "--only", "RLS steps against the error")
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.startswith("noticed: duhem: RLS steps against the error: noise free: RLS free-run maximum")

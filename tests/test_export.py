@@ -63,6 +63,7 @@ CASES = {
         -1.0,
         1.0,
     ),
+    "everett_table": (hf.TabulatedPreisach.of(5), -1.0, 1.0),
     "preisach_positive": (
         weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="positive"), offset=-0.2),
         -1.0,
@@ -225,3 +226,97 @@ def test_a_late_response_is_exported_forward_only(model: hf.Series, tmp_path: Pa
     assert "@" not in "".join(file.read_text() for file in tmp_path.iterdir() if file.suffix in (".c", ".h"))
     with pytest.raises(ModelError):
         InverseStep.of(model)
+
+
+SIMSTRUC = """
+#include <stdio.h>
+#include <stdlib.h>
+typedef int int_T;
+typedef double real_T;
+typedef struct { double t, u, y, *dwork[4]; int dworks, widths[4], ports, feed; } SimStruct;
+enum { SS_DOUBLE, INHERITED_SAMPLE_TIME, SS_OPTION_EXCEPTION_FREE_CODE };
+#define UNUSED_ARG(x) (void)(x)
+#define ssSetNumSFcnParams(S, n) (void)(S)
+#define ssGetNumSFcnParams(S) 0
+#define ssGetSFcnParamsCount(S) 0
+#define ssSetNumContStates(S, n) (void)(S)
+#define ssSetNumDiscStates(S, n) (void)(S)
+#define ssSetNumInputPorts(S, n) ((S)->ports += (n), 1)
+#define ssSetNumOutputPorts(S, n) ((S)->ports += (n), 1)
+#define ssSetInputPortWidth(S, port, n) (void)(S)
+#define ssSetInputPortRequiredContiguous(S, port, n) (void)(S)
+#define ssSetInputPortDirectFeedThrough(S, port, n) ((S)->feed = (n))
+#define ssSetOutputPortWidth(S, port, n) (void)(S)
+#define ssSetNumSampleTimes(S, n) (void)(S)
+#define ssSetNumDWork(S, n) ((S)->dworks = (n))
+#define ssSetDWorkWidth(S, k, n) ((S)->dwork[k] = calloc((n), sizeof(double)))
+#define ssSetDWorkDataType(S, k, kind) (void)(S)
+#define ssSetOptions(S, n) (void)(S)
+#define ssSetSampleTime(S, k, n) (void)(S)
+#define ssSetOffsetTime(S, k, n) (void)(S)
+#define ssGetDWork(S, k) ((void *)(S)->dwork[k])
+#define ssGetT(S) ((S)->t)
+#define ssGetInputPortRealSignal(S, port) (&(S)->u)
+#define ssGetOutputPortRealSignal(S, port) (&(S)->y)
+"""
+SIMULINK = """
+static void sample(SimStruct *S, double t, double u)
+{
+    S->t = t - 0.001;
+    S->u = u + 0.3;
+    mdlOutputs(S, 0); /* a minor time step on the way, whose output is not kept */
+    S->t = t;
+    S->u = u;
+    mdlOutputs(S, 0);
+    mdlUpdate(S, 0);
+}
+
+int main(void)
+{
+    static SimStruct first, other;
+    SimStruct *both[2] = {&first, &other};
+    double t, u;
+    int k, again;
+    for (k = 0; k < 2; k++) {
+        mdlInitializeSizes(both[k]);
+        mdlInitializeSampleTimes(both[k]);
+        mdlInitializeConditions(both[k]);
+    }
+    if (first.ports != 2 || first.dworks != 2 || !first.feed)
+        return 3;
+    while (scanf("%d %lf %lf", &again, &t, &u) == 3) {
+        if (again)
+            mdlInitializeConditions(&first);
+        sample(&first, t, u);
+        sample(&other, t, -u); /* a second block of the model has its own state */
+        printf("%.17g\\n", first.y);
+    }
+    mdlTerminate(&first);
+    return 0;
+}
+"""
+
+
+def test_an_s_function_gives_the_numbers_of_python(tmp_path: Path) -> None:
+    """Against a stub of Simulink: outputs in minor time steps do not advance the state, resets start at rest, blocks are independent."""
+    model = hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175,), span=12.0))
+    files = export_c(model, tmp_path, name="stack", s_function=True)
+    assert [file.name for file in files] == ["stack.h", "stack.c", "stack_main.c", "stack_sfun.c"]
+    (tmp_path / "simstruc.h").write_text(SIMSTRUC)
+    (tmp_path / "simulink.c").write_text(SIMULINK.replace("\\\\n", "\\n"))
+    program = tmp_path / "sfun"
+    sources = [str(tmp_path / "stack_sfun.c"), str(tmp_path / "stack.c")]
+    subprocess.run(
+        [str(GCC), *FLAGS, "-DMATLAB_MEX_FILE", f"-I{tmp_path}", *sources, "-o", str(program), "-lm"], check=True
+    )
+    u, dt = path(-20.0, 120.0), 0.01
+    rows = [(again * (k == 0), k * dt + again, value) for again in (0, 1) for k, value in enumerate(u)]
+    words = "\n".join(
+        f"{again} {t!r} {value!r}" for again, t, value in [(int(a), float(t), float(v)) for a, t, v in rows]
+    )
+    done = subprocess.run([str(program)], input=words, capture_output=True, text=True, check=True)
+    steps = np.full(u.size, dt)
+    steps[0] = 0.0
+    expected = np.asarray(hf.simulate(model, u, steps)[0])
+    found = np.array(done.stdout.split(), dtype=float).reshape(2, -1)
+    assert np.abs(found - expected).max() <= 1e-10 * np.ptp(expected)

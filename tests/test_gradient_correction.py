@@ -46,6 +46,23 @@ def one_row(identifier: GradientCorrection, at: int, count: int = 0):
     return np.asarray(state.theta), np.asarray(after.theta), ROWS.phi[at - 1], ROWS.target[at - 1]
 
 
+def test_the_papers_form_is_its_equation_8():
+    """Raw columns, weights 1/q^i and the normalized step, against a plain loop."""
+    weights = 30.0 ** -np.array([0, 1, 2, 3, 0, 0, 1, 2])
+    u, w = RECORD.u[:200], RECORD.y[:200]
+    theta = np.zeros(8)
+    for v0, v1, w0, w1 in zip(u, u[1:], w, w[1:], strict=False):
+        v, d = 0.5 * (v0 + v1), v1 - v0
+        a = abs(d)
+        phi = np.array([a, a * v, a * v**2, a * v**3, -a * 0.5 * (w0 + w1), d, d * v, d * v**2])
+        theta = theta + 0.5 / (0.1 + phi @ (weights * phi)) * weights * phi * (w1 - w0 - phi @ theta)
+    record = Record(u=u, y=w)
+    made = GradientCorrection.of(Duhem(), record, start="zero", basis="powers", weights=weights, mu=0.5, floor=0.1)
+    np.testing.assert_allclose(made.fit(record).theta, theta, rtol=1e-9, atol=1e-18)
+    with pytest.raises(ParameterError, match="legendre, powers"):
+        GradientCorrection.of(Duhem(), record, basis="cubes")
+
+
 @given(start=vectors, weights=sizes, mu=st.floats(0.05, 1.95), floor=st.floats(0, 5), at=st.integers(1, 2000))
 @settings(max_examples=60)
 def test_weighted_error_decreases_by_the_proven_amount(start, weights, mu, floor, at):

@@ -1,5 +1,6 @@
 """Every model through the conformance suite; compositions by hand; and the suite itself against broken models."""
 
+import dataclasses
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -31,6 +32,7 @@ from hystfit.models import (
     Series,
     SignedPreisach,
     Sum,
+    TabulatedPreisach,
     Viscous,
     registry,
     simulate,
@@ -63,6 +65,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "density": (ParametricPreisach(levels=(-0.71, -0.33, 0.13, 0.52, 0.8), depth=8), dict(kinked=["levels"])),
     "relays": (Preisach(w=WEIGHTS, elements="relays", **RELAYS), dict(flat=["levels"])),
     "cells": (Preisach(w=np.linspace(0.05, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),
+    "everett table": (dataclasses.replace(TabulatedPreisach.of(2), depth=8), dict(kinked=["levels"])),
     "cells of either sign": (SignedPreisach(w=np.linspace(-0.1, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),
     "plays": (PrandtlIshlinskii(w=[[0.2, 0.1, 0.4]], **PLAYS), dict(kinked=["r"])),
     "generalized plays": (

@@ -48,10 +48,13 @@ REFUSED = {
     "identify.integrated_regression": "identify.integrated_regression(hf.Duhem(), record)",
     "identify.identify": "identify.identify(record)",
     "identify.identify_in_stages": "identify.identify_in_stages(model, [identify.Phase(record, ('c',))])",
+    "identify.identify_online": "identify.identify_online(ukf, record, block=50)",
     "identify.smooth": "identify.smooth(ukf, record)",
     "stage.Actuator": "stage.Actuator(model).record(t, u, seed=0)",
     "stage.Stage": "stage.Stage.of().simulate(three, 0.01)",
     "stage.StageMeasurement": "stage.Stage.of().measure(t, three, seed=0)",
+    "stage.StageInverse": "stage.StageInverse.of([model] * 3, np.eye(3), limits=(-1, 1))",
+    "stage.track_adaptively": "stage.track_adaptively(ukf, model, y, 0.1, block=50, limits=(-1, 1), sensor=stage.Sensor(), seed=0)",
     "stage.population": "stage.population(model, 3, spread={'c': 0.1}, seed=0)",
 }
 # Numbers of the host in double precision throughout, descriptions, or parts that the verbs above are given.
@@ -88,12 +91,15 @@ INDEPENDENT = {
         "PrandtlIshlinskii",
         "Preisach",
         "SignedPreisach",
+        "TabulatedPreisach",
         "Relaxation",
         "SaturatingRate",
         "SecondOrder",
         "Series",
     ),
     *("Sum", "Viscous", "param", "ParameterSpace", "Inverse"),
+    *("control.AbstractController", "control.AbstractRunningInverse", "identify.BlockVerdict"),
+    *("stage.AdaptiveTracking", "stage.Decoupled"),
     *(f"control.{name}" for name in ("Design", "LoopResult", "Status", "LinearPlant", "Margins", "TransferFunction")),
     *(
         f"control.{name}"

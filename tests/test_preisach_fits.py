@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+import scipy.interpolate
 import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -333,6 +334,62 @@ class TestEverettTable:
         u = np.concatenate([np.linspace(0, 90, 50), np.linspace(90, 0, 50)])
         with pytest.raises(DataError, match="never reached"):
             EverettTable.from_descending([Record(u, u)], self.levels)
+
+
+class TestTabulatedPreisach:
+    levels = np.linspace(0, 180, 7)
+
+    def table(self):
+        return EverettTable.from_masses(self.levels, np.random.default_rng(1).uniform(0, 1, 21), base=2.0)
+
+    def curves(self, noise: float = 0.0):
+        u = np.concatenate([np.append(np.arange(peak), np.arange(peak, 0, -1)) for peak in self.levels[1:]] + [[0.0]])
+        return Record(u, self.table().output(u) + noise * np.random.default_rng(2).normal(size=u.size))
+
+    def test_it_is_the_interpolated_table(self):
+        """Rectangles by scipy's bilinear interpolation, triangles by the plane through their corners; sums by a plain stack."""
+        table, rng = self.table(), np.random.default_rng(3)
+        model = hf.TabulatedPreisach.from_table(table)
+        grid = scipy.interpolate.RegularGridInterpolator((self.levels, self.levels), table.X)
+        for alpha, beta in np.sort(rng.uniform(0, 180, (60, 2)))[:, ::-1]:
+            i, j = int(alpha // 30), int(beta // 30)
+            corner = table.X[i + 1, i] * (alpha - beta) / 30
+            expected = corner if i == j else float(grid((alpha, beta)))
+            assert table(alpha, beta) == pytest.approx(expected, abs=1e-11)
+            assert output(model, np.array([0.0, alpha, beta])) @ [0, 1, -1] == pytest.approx(expected, abs=1e-11)
+        u = np.append(0.0, rng.uniform(0, 180, 80))
+        np.testing.assert_allclose(output(model, u), plain_table_output(table, u), atol=1e-11)
+        np.testing.assert_allclose(model.table().X, table.X, atol=1e-12)
+
+    def test_a_fit_reads_the_curves_and_its_inverse_gives_the_input_back(self):
+        result = hf.fit("everett-table:n=6", self.curves())
+        assert result.method == "everett-table"
+        np.testing.assert_allclose(result.model.table().X, self.table().X, atol=1e-9)
+        u = through(HIGHER_ORDER)
+        y = plain_table_output(self.table(), u)
+        np.testing.assert_allclose(output(result.model, u), y, atol=1e-8)
+        found = hf.invert(result, y)
+        assert found.counts()["ok"] == u.size
+        np.testing.assert_allclose(found.u, u, atol=1e-6)
+
+    def test_noise_is_moved_until_the_table_has_an_inverse(self):
+        noisy = EverettTable.from_descending([self.curves(2.0)], self.levels)
+        assert noisy.turned().max() > 0.01
+        model = hf.fit("everett-table:n=6", self.curves(2.0)).model
+        assert model.table().turned().max() < 1e-9
+        y = output(model, through((0, 150, 60, 120, 0)))
+        assert hf.invert(model, y).counts()["not-monotone"] == 0
+
+    def test_other_records_are_refused(self):
+        u = through((0, 150, 60, 120, 0))
+        with pytest.raises(DataError, match="reverses between 0 and its peak 150"):
+            hf.fit("everett-table:n=4", Record(u, self.table().output(u)))
+        with pytest.raises(ModelError, match="method='auto' for other models"):
+            hf.fit(hf.Preisach.of(3, initial="negative"), self.curves(), method="everett-table")
+        with pytest.raises(ModelError, match="use preisach in compositions"):
+            hf.fit("everett-table:n=6+offset", self.curves())
+        with pytest.raises(ModelError, match=r"w\[3\] is fixed"):
+            hf.fit("everett-table:n=6", self.curves(), fix={"w[3]": 0.1})
 
 
 class TestProperties:

@@ -1,5 +1,6 @@
 """The report and its pictures."""
 
+import base64
 import dataclasses
 import html.parser
 import math
@@ -18,7 +19,7 @@ from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.fit import fit, with_test
 from hystfit.inference.problem import Problem
-from hystfit.models import BoucWen, simulate
+from hystfit.models import BoucWen, PrandtlIshlinskii, Preisach, simulate
 from hystfit.outcome import Status
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
@@ -168,11 +169,13 @@ def test_page_is_whole_and_self_contained(result):
     page = report.html_report(result)
     links = Links()
     links.feed(page)
-    assert len(links.loaded) == 5
-    assert all(link.startswith("data:image/png;base64,") for link in links.loaded)
+    assert len(links.loaded) == 6
+    assert all(link.startswith("data:image/svg+xml;base64,") for link in links.loaded)
     assert not re.search(r"https?://|@import|url\(", page)
+    drawn = base64.b64decode(links.loaded[0].partition(",")[2]).decode()
+    assert not re.search(r'(href|src)="(?!#|data:)', drawn)
     assert {"table", "th", "td", "img"} <= set(links.tags)
-    assert not {"script", "link", "iframe", "object", "b"} & set(links.tags)
+    assert not {"link", "iframe", "object", "b"} & set(links.tags)
     text = " ".join(links.words)
     assert "run <b>1</b> & more" in text  # a name from a file is text, not markup
     for note in result.notes:
@@ -188,7 +191,7 @@ def test_files(result, tmp_path):
 
     record = result.data[0].replace(name="other")
     folder = report.write(result, tmp_path / "out", test=record, refit_offset=True)
-    names = ("loop", "series", "residuals", "autocorrelation", "parameters", "test")
+    names = ("loop", "series", "residuals", "residuals-input", "autocorrelation", "parameters", "test", "test-series")
     assert {p.name for p in folder.iterdir()} == {"report.html", "report.txt"} | {
         f"{n}.{e}" for n in names for e in ("png", "svg")
     }
@@ -305,3 +308,75 @@ def test_a_few_residuals_not_fitted_do_not_flatten_those_of_the_fit(kind):
     assert shown is not None
     assert float(shown[1]) == pytest.approx(7.0, abs=0.1)
     assert np.abs(marred.predict(marred.data[0]) - y)[:150].max() < ax.get_ylim()[1] < 0.5
+
+
+def cycling(count: int, spikes: int = 0) -> FitResult:
+    """A fit of many cycles, of which the seventh has a larger error, and of outliers."""
+    n = 60
+    u = 30 * np.sin(2 * np.pi * np.arange(n * count + 1) / n)
+    y = 0.2 * u + 0.02 * np.random.default_rng(5).standard_normal(u.size)
+    y[6 * n : 7 * n] += 0.3
+    y[: n * spikes : n] += 40.0
+    return fit(BoucWen(), Record(u=u, y=y), starts=1, fix={"mu": 0.5, "tau": 0.05, "rho": 0.0}, loss="huber")
+
+
+def test_of_many_cycles_the_first_the_last_and_the_worst_are_shown():
+    many = cycling(12)
+    labels = [line.get_label() for line in plots.fit(many, "loop", axes()).get_lines()]
+    shown = [label for label in labels if label.startswith("cycle")]
+    assert [label.partition(" (")[2] for label in shown] == ["first)", "last)", "largest error)"]
+    numbers = [int(label.split()[1]) for label in shown]
+    assert numbers[0] == 1
+    assert numbers[1] == 11  # whole cycles between turning points
+    assert numbers[2] in (6, 7)
+    line = plots.fit(many, "cycle-errors", axes()).get_lines()[0]
+    record = many.data[0]
+    at = np.flatnonzero(record.u == line.get_xdata()[5])
+    measured_less_model = (record.y - many.predict(record))[at]
+    assert np.abs(measured_less_model - line.get_ydata()[5]).min() == 0
+    assert {"cycle-errors", "worst"} <= set(report.page.pictures(many))
+    worst = plots.fit(many, "worst", axes())
+    low, high = worst.get_xlim()
+    assert 300 < low < 6.5 * 60 < high < 500
+
+
+def test_outliers_of_the_fit_are_clipped_and_counted():
+    marred = cycling(40, spikes=3)
+    ax = plots.fit(marred, "residuals", axes())
+    assert ax.texts[0].get_text().startswith("3 outliers lie outside (up to 4")
+    assert ax.get_ylim()[1] < 10
+
+
+def test_weights_and_density_have_units_and_mark_what_is_zero_or_not_switched():
+    u = np.concatenate([np.linspace(0, 8, 40), np.linspace(8, -6, 60), np.linspace(-6, 6, 50)])
+    plays = PrandtlIshlinskii.of(5)
+    y = np.asarray(simulate(plays.replace(high=8.0), u)[0])
+    record = Record(u=u, y=y + 0.01 * np.random.default_rng(0).standard_normal(u.size), u_unit="V", y_unit="um")
+    fitted = fit(plays, record)
+    ax = plots.fit(fitted, "weights", axes())
+    (family,) = fitted.model.plays()
+    drawn = ax.containers[0][0]
+    np.testing.assert_allclose(drawn.get_ydata(), [fitted[name].value for name in family.names])
+    span = float(fitted.model.high - fitted.model.low)
+    np.testing.assert_allclose(drawn.get_xdata(), span * np.asarray(fitted.model.r))
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("threshold (half width) [V]", "weight [um]")
+    ax = plots.fit(fit(Preisach.of(12), record), "density", axes())
+    assert ax.get_ylabel() == "switch-up threshold alpha [V]"
+    assert ax.figure.axes[1].get_ylabel() == "weight density [um/V^2]"
+    square = ax.collections[0].get_array()
+    assert np.ma.getmaskarray(np.ma.masked_invalid(square))[0, 1:].all()  # alpha < beta: no cells
+
+
+def test_the_answer_stands_at_the_top_of_the_page_and_the_text(result):
+    page, text = report.html_report(result), report.text_report(result)
+    rows = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", page, re.DOTALL))
+    assert rows["Error"].startswith(f"{result.train.nrmse_percent:.3g} % of the range")
+    assert f"{result.baselines.noise:.2g} um" in rows["Error"]
+    hysteresis = next(q for q in result.quantities if q.name == "hysteresis_percent")
+    assert rows["Hysteresis"] == f"{' +- '.join(rounded(hysteresis.value, hysteresis.stderr))} %"
+    assert rows["Not determined"] == "nothing"
+    assert "hystfit invert FIT REFERENCE" in rows["Next"]
+    assert page.index("<dl") < page.index("<section")
+    assert text.index("\nAnswer\n") < text.index("\nVerdict\n")
+    poor = dataclasses.replace(result, status=Status.POOR)
+    assert "hystfit compare LOOP" in report.html_report(poor)

@@ -119,6 +119,36 @@ def test_paper_parameters_and_scaled_ones_are_two_names_of_one_model():
     np.testing.assert_allclose(y, data.y, atol=1e-12)
 
 
+def test_powers_are_the_papers_columns_and_theta_its_parameters():
+    data = record(decaying(401), w0=0.5)
+    rls = Rls.of(Duhem(), data, basis="powers", prior=1e14)
+    u, w = data.u, data.y
+    d, v, middle = np.diff(u), 0.5 * (u[1:] + u[:-1]), 0.5 * (w[1:] + w[:-1])
+    a = np.abs(d)
+    columns = [a, a * v, a * v**2, a * v**3, -a * middle, d, d * v, d * v**2]
+    rows = rls.regressor.rows(data)
+    np.testing.assert_allclose(rows.phi, np.stack(columns, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(rows.target, np.diff(w), rtol=1e-12)
+    found = rls.fit(data)
+    np.testing.assert_allclose(found.theta, PAPER, rtol=1e-4)
+    np.testing.assert_allclose(rls.regressor.theta(found.model), found.theta, rtol=1e-8)
+    np.testing.assert_allclose(found.history[-1][0], ALPHA, rtol=1e-4)
+    assert found.status is Status.OK
+
+
+def test_the_bias_by_noise_does_not_depend_on_the_basis():
+    data = record(sine(401), "explicit", noise=0.01)
+    found = []
+    for basis in ("legendre", "powers"):
+        regressor = DuhemRegressor.of(Duhem(scheme="explicit"), [data], basis=basis)
+        rows = regressor.rows(data)
+        scale = np.linalg.norm(rows.phi, axis=0)
+        theta = np.linalg.lstsq(rows.phi / scale, rows.target, rcond=None)[0] / scale
+        bias = noise_bias(regressor, rows, theta)
+        found.append((bias.noise, bias.alpha, bias.relative or 0.0))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
+
+
 @given(
     values=st.lists(st.floats(-1, 1), min_size=7, max_size=7),
     alpha=st.floats(0.01, 0.2),
@@ -310,7 +340,7 @@ def test_unusable_requests_are_refused():
         identify(data, "rls", BoucWen())
     with pytest.raises(ParameterError, match="forgetting must lie in"):
         identify(data, forgetting=1.5)
-    with pytest.raises(ParameterError, match="no setting 'lam'; it has start, forgetting, prior, form"):
+    with pytest.raises(ParameterError, match="no setting 'lam'; it has start, basis, forgetting, prior, form"):
         identify(data, lam=0.99)
     with pytest.raises(ParameterError, match="method must be one of rls"):
         identify(data, "lms")

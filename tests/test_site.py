@@ -86,6 +86,7 @@ def test_the_documents_have_commands_of_most_verbs():
         "profile",
         "design",
         "simulate",
+        "run",
     }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import hystfit as hf
 from hystfit import BoucWen, signals, simulate
 from hystfit.control import invert
 from hystfit.data.record import Record
@@ -27,8 +28,8 @@ from hystfit.stage import (
     perturbed,
     piezo,
     population,
+    track_adaptively,
 )
-from hystfit.stage.adaptive import track_adaptively
 
 IDEAL = Sensor(noise=0.0, resolution=0.0)
 
@@ -154,6 +155,59 @@ def test_a_population_scatters_by_the_given_spread_and_runs_vectorized():
     for k in range(5):
         one = jax.tree.map(lambda leaf, k=k: leaf[k], few)
         np.testing.assert_allclose(together[k], simulate(one, jnp.asarray(u), dt)[0], rtol=1e-12)
+
+
+def test_a_population_gives_records_with_their_truth():
+    t, u = signals.sine(1.0, 200.0, low=0.0, high=100.0)
+    actuators = Actuator(sensor=Sensor(0.005, 0.0)).population(4, spread={"c": 0.05, "gamma": 0.1}, seed=5)
+    data = actuators.records(t, u, seed=0)
+    assert [record.name for record in data] == ["device=1", "device=2", "device=3", "device=4"]
+    drawn = population(piezo(), 4, spread={"c": 0.05, "gamma": 0.1}, seed=5)
+    np.testing.assert_array_equal(actuators.truth["c"], drawn.parts[0].c)
+    assert (actuators.units["c"], np.ptp(actuators.truth["mu"])) == ("um/V", 0.0)
+    noise = []
+    for k, record in enumerate(data):
+        model = piezo(c=actuators.truth["c"][k], gamma=actuators.truth["gamma[0]"][k])
+        noise.append(record.y - np.asarray(simulate(model, u, np.diff(t, prepend=0.0))[0]))
+    assert np.std(noise) == pytest.approx(0.005, rel=0.1)  # 800 samples: 2.5 % standard error
+    assert abs(np.corrcoef(noise)[0, 1]) < 0.3  # each device has noise of its own: 4 standard errors
+
+
+def test_a_population_of_stages_has_actuators_of_its_own():
+    t = np.arange(50) / 500.0
+    volts = np.stack([50 - 50 * np.cos(2 * np.pi * 10 * t)] * 3, axis=1)
+    stages = Stage.of().population(2, spread={"c": 0.05}, seed=3)
+    assert len({float(stages.truth[f"c@{k}"][n]) for k in (1, 2, 3) for n in (0, 1)}) == 6
+    data = stages.records(t, volts, seed=0, axis="theta")
+    again = Stage.of([piezo(c=stages.truth[f"c@{k}"][1]) for k in (1, 2, 3)])
+    expected = again.simulate(volts, np.diff(t, prepend=0.0))[:, 2]
+    np.testing.assert_allclose(data[1].y, expected, atol=5 * 0.005 / 43 + 0.001)
+    assert (data[1].name, data[1].y_unit) == ("device=2", "mrad")
+    with pytest.raises(ParameterError, match="an axis is"):
+        stages.records(t, volts, seed=0, axis="z")
+
+
+def test_several_devices_are_refused_where_one_is_needed():
+    """These ended in errors of JAX about shapes, or in a stage of four actuators."""
+    t, u = signals.sine(1.0, 200.0, low=0.0, high=100.0)
+    several, record = population(piezo(), 4, spread={"c": 0.05}, seed=0), Actuator().record(t, u, seed=0)
+    attempts = (
+        lambda: Actuator(model=several),
+        lambda: Stage.of(several),
+        lambda: Stage.of([several] * 3),
+        lambda: simulate(several, u, 0.005),
+        lambda: hf.fit(several, record),
+        lambda: population(several, 2, spread={}, seed=0),
+    )
+    for attempt in attempts:
+        with pytest.raises(ParameterError, match="several devices"):
+            attempt()
+    with pytest.raises(ParameterError, match="seed"):
+        population(piezo(), 2, spread={"c": 0.05}, seed=-1)
+    for times, volts in ((t, u[:-1]), (t[::-1], u), (t[:, None], u[:, None])):
+        for run in (Actuator().displacement, lambda a, b: Actuator().record(a, b, seed=0)):
+            with pytest.raises(DataError, match="one shape"):
+                run(times, volts)
 
 
 # -- three axes --------------------------------------------------------------------------------------------------------
@@ -288,7 +342,7 @@ def test_a_filter_in_parallel_with_the_inverse_corrects_the_model():
     first, last = (np.max(np.abs(run.error[part])) for part in (slice(0, 500), slice(-500, None)))
     assert first > 1.0
     assert last < 0.1 * first
-    assert float(run.model.parts[0].c) == pytest.approx(float(plant.parts[0].c), rel=0.01)
+    assert float(run.models[0].parts[0].c) == pytest.approx(float(plant.parts[0].c), rel=0.01)
     with pytest.raises(DataError, match="T >= block"):
         track_adaptively(ukf, plant, reference[:10], dt, **settings)
     for wrong_dt, finer in ((0.0, 10), (dt, 0)):

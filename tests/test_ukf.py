@@ -24,9 +24,20 @@ from hystfit import (
 )
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.identify import Phase, Run, Sample, Ukf, identify, identify_in_stages, run_stream, smooth
+from hystfit.identify import (
+    BlockVerdict,
+    Phase,
+    Run,
+    Sample,
+    Ukf,
+    identify,
+    identify_in_stages,
+    identify_online,
+    run_stream,
+    smooth,
+)
+from hystfit.identify.filter_verdict import loop_count
 from hystfit.identify.sigma_points import Unscented, triangular
-from hystfit.identify.ukf import loop_count
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.stage import Actuator, Sensor
@@ -329,6 +340,34 @@ def test_status_of_a_run_that_ends_far_from_the_record_or_without_a_finite_mean(
     assert judgment.status is Status.DIVERGED
     assert has(judgment.notes, Code.DIVERGED)
     assert judgment.equation_error is None
+
+
+def test_the_filter_stops_on_line_where_it_has_converged():
+    """What it returns is the filter of the samples until then; later samples, here damaged, are not used."""
+    record = measured()
+    ukf = Ukf.of(bouc_wen(1.1, 0.9), record, start="model", noise=0.005)
+    later = np.arange(len(record)) >= 5600
+    damaged = record.replace(y=np.where(later, 0.0, record.y))
+    result = identify_online(ukf, damaged, block=400)
+    used = result.counts["total"]
+    assert result.status is Status.OK
+    assert 400 < used <= 5600
+    np.testing.assert_allclose(result.theta, ukf.fit(record.segment(0, used)).theta, rtol=0, atol=1e-9)
+    assert result.free_run.nrmse_percent < 0.1
+
+
+def test_the_filter_runs_to_the_end_where_it_does_not_converge():
+    """With too large a noise the innovations never have their predicted size; a wrong model does not predict the next block."""
+    record = measured()
+    noisy = Ukf.of(bouc_wen(1.1, 0.9), record, start="model", noise=0.05)
+    result = identify_online(noisy, record, block=1000)
+    assert result.counts["total"] == len(record)
+    assert not result.usable
+    assert has(result.notes, Code.NOT_SETTLED)
+    assert BlockVerdict(0.001, 1.0, 0.001).converged
+    assert not any(v.converged for v in (BlockVerdict(0.1, 1, 0), BlockVerdict(0, 2, 0), BlockVerdict(0, 1, 0.1)))
+    with pytest.raises(ParameterError, match="block"):
+        identify_online(noisy, record, block=len(record) + 1)
 
 
 @pytest.mark.slow

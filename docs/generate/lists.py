@@ -19,10 +19,18 @@ from hystfit.reading.array_files import KINDS
 from hystfit.reading.formats import WORKBOOKS
 from hystfit.reading.read import TEXT_SUFFIXES
 from hystfit.registry import Registry
+from hystfit.results.quantities import QUANTITIES
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.signals.registry import SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def quantities() -> str:
+    """Every quantity of the trade with its definition and unit."""
+    units = {"u": "[u]", "y": "[y]", "force": "[force]", "path": "[displacement]"}
+    rows = [(f"`{name}`", one.label, plain(one.doc), one.unit.format(**units)) for name, one in QUANTITIES.items()]
+    return table(["name", "in a report", "definition", "unit"], rows)
 
 
 def statuses() -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 import hystfit as hf
 from hystfit import signals
+from hystfit.identify import Rls
 from hystfit.models.base import simulate
 
 LOW, HIGH = (
@@ -22,6 +23,9 @@ PAPER_RLS = np.array([*ALPHA_F, ALPHA, *G])
 PAPER_GC = np.array([-0.0149, 0.0061, 5.5649e-6, -8.6096e-8, 0.0870, 0.051, -0.83166e-4, 8.196e-6])
 LABELS = ("αf0", "αf1", "αf2", "αf3", "α", "g0", "g1", "g2")
 WAVES = ("sine", "decaying sine")
+Q = 30.0  # of the paper's weights; its print has lost a zero, and 30 suits 0-60 V
+ORDERS = np.array([0, 1, 2, 3, 0, 0, 1, 2])  # power of v in each column
+WEIGHTS = {"1/q^i, the paper's": Q**-ORDERS, "1/q^(2i)": Q ** (-2.0 * ORDERS)}
 DURATION, CYCLES, DECAY = 2.0, {"sine": 2, "decaying sine": 5}, 1.0  # s, -, 1/s
 
 
@@ -44,12 +48,27 @@ class Case:
         """Range of the output [um]."""
         return float(np.ptp(self.y))
 
-    def error(self, model: hf.Duhem | None) -> float:
-        """Largest simulation error of a model against the noise-free output [um]; infinite without a valid model."""
+    def deviation(self, model: hf.Duhem | None) -> np.ndarray:
+        """Simulation error of a model against the noise-free output [um], shape (T,); infinite where there is none."""
         if model is None:
-            return float("inf")
-        worst = float(np.max(np.abs(np.asarray(simulate(model, self.record.u)[0]) - self.y)))
-        return worst if np.isfinite(worst) else float("inf")
+            return np.full(self.y.shape, np.inf)
+        deviation = np.asarray(simulate(model, self.record.u)[0]) - self.y
+        return np.where(np.isfinite(deviation), deviation, np.inf)
+
+    def error(self, model: hf.Duhem | None) -> float:
+        """Largest simulation error of a model [um]; infinite without a valid model."""
+        return float(np.max(np.abs(self.deviation(model))))
+
+    def rms(self, model: hf.Duhem | None) -> float:
+        """RMS simulation error of a model [um]; infinite without a valid model."""
+        return float(np.sqrt(np.mean(self.deviation(model) ** 2)))
+
+    def model_of(self, powers: np.ndarray) -> hf.Duhem:
+        """The model of the paper's parameters, with the first output that fits the record best."""
+        identifier = Rls.of(self.model, self.record, basis="powers")
+        model = identifier.model(powers, self.record)
+        assert model is not None
+        return model
 
 
 def truth(scheme: str = "midpoint", w0: float = 0.0) -> hf.Duhem:

@@ -45,18 +45,21 @@ def one_step(case: Case, model: hf.Duhem | None) -> float:
     return float(np.sqrt(np.mean(rls.one_step(rls.regressor.theta(model), rls.regressor.rows(case.record)) ** 2)))
 
 
-def gradient_correction(case: Case, seed: int, *, floor: float = 1.0, passes: int = 1) -> hf.Duhem | None:
+def gradient_correction(
+    case: Case, seed: int, *, passes: int = 1, floor: float = 1.0, basis: str = "legendre", weights: Any = None
+) -> hf.Duhem | None:
     """Gradient correction from a start within 10 % of the paper's parameters; None where it diverges or the rate is not positive.
 
     Args:
         case: the record.
         seed: of the start.
-        floor: of the normalized step.
         passes: over the record.
+        floor: of the normalized step.
+        basis, weights: see `GradientCorrection.of`.
     """
-    identifier = GradientCorrection.of(case.model, case.record, start="model", floor=floor)
-    regressor = identifier.regressor
-    start = jnp.asarray(regressor.from_powers(near(PAPER_RLS, seed)))
+    options = {"start": "model", "floor": floor, "basis": basis, "weights": weights}
+    identifier = GradientCorrection.of(case.model, case.record, **options)
+    start = jnp.asarray(identifier.regressor.from_powers(near(PAPER_RLS, seed)))
     identifier = eqx.tree_at(lambda g: g.theta0, identifier, start)
     state, _ = run_stream(identifier, identifier.init(), Sample.stream([case.record], passes))
     theta = np.asarray(state.theta)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from cases import case
+from cases import WAVES, WEIGHTS, case
 from common import Results
-from estimators import output_error
+from estimators import gradient_correction, output_error
 
 import hystfit as hf
 from hystfit.identify import GradientCorrection, Rls, identify
@@ -17,7 +17,7 @@ from hystfit.models.base import simulate
 from hystfit.results.metrics import Metrics
 
 INK = {"truth": "0.25", "RLS": "#c0392b", "gradient correction": "#e08e0b", "output error": "#1f6fb4"}
-SHOWN = ("loops.png", "histories.png", "rates.png")
+SHOWN = ("paper.png", "loops.png", "histories.png", "rates.png")
 HERE = Path(__file__).resolve().parent
 
 
@@ -75,6 +75,7 @@ def figures(out: Path, outcomes: dict, loops: dict) -> None:
         "font.size": 9,
     }
     with plt.rc_context({**style, "legend.frameon": False, "savefig.dpi": 95}):
+        _paper(plt, out)
         _loops(plt, out)
         _histories(plt, out)
         _rates(plt, out, outcomes)
@@ -85,6 +86,33 @@ def figures(out: Path, outcomes: dict, loops: dict) -> None:
 def _save(plt: Any, figure: Any, path: Path) -> None:
     figure.savefig(path)
     plt.close(figure)
+
+
+def _paper(plt: Any, out: Path) -> None:
+    """Loops and errors of both methods in the paper's form (its Figs. 1, 5 and 6): 5 nm noise, one start within 10 %."""
+    figure, axes = plt.subplots(2, 3, figsize=(12.5, 6.4), layout="constrained")
+    for row, wave in zip(axes, WAVES, strict=True):
+        c = case(wave, noise=0.005)
+        models = {"RLS": identify(c.record, "rls", basis="powers").model}
+        for name, weights in WEIGHTS.items():
+            models[f"gradient, {name}"] = gradient_correction(c, 0, basis="powers", weights=weights)
+        row[0].plot(c.record.u, c.record.y, ".", ms=1.5, color="0.6", label="record")
+        lines = (INK["RLS"], INK["gradient correction"], "#7d3c98")
+        for (name, model), ink in zip(models.items(), lines, strict=True):
+            run = np.asarray(simulate(model, c.record.u)[0])
+            row[0].plot(c.record.u, run, color=ink, lw=1, label=name)
+            axis = row[1] if name == "RLS" else row[2]
+            axis.plot(1e3 * (run - c.y), color=ink, lw=1, label=name)
+        span = c.span
+        row[0].set(
+            xlabel="input / V", ylabel="output / µm", title=wave, ylim=(c.y.min() - 0.3 * span, c.y.max() + 0.5 * span)
+        )
+        row[1].set(xlabel="sample k", ylabel="free-run error / nm", title="RLS")
+        row[2].set(xlabel="sample k", ylabel="free-run error / nm", title="gradient correction")
+        row[2].set_yscale("symlog", linthresh=100)
+        for axis in row:
+            axis.legend(fontsize=7, markerscale=5)
+    _save(plt, figure, out / "paper.png")
 
 
 def _loops(plt: Any, out: Path) -> None:
@@ -226,9 +254,7 @@ def write(
             for name, part in parts.items()
         },
     }
-    for name, value in values.items():
-        text = text.replace("{{" + name + "}}", value)
-    (folder / "RESULTS.md").write_text(text, encoding="utf-8")
+    (folder / "RESULTS.md").write_text(results.fill(text, values), encoding="utf-8")
     for name in SHOWN:
         if (results.out / name).is_file() and results.out.resolve() != folder.resolve():
             shutil.copy(results.out / name, folder / name)

@@ -11,10 +11,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from measured import Measured
-from tracking import Trio
 
 import hystfit as hf
+from hystfit.control import LoopResult
 from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
+
+INK = {"FF": "C0", "table FF": "C4", "FB": "C1", "line+FB": "C3", "FF+FB": "C2", "table FF+FB": "C5"}
 
 
 def _save(figure: Any, out: Path, name: str) -> None:
@@ -59,43 +61,41 @@ def properties(out: Path, wiped: list[hf.Record], loops: hf.Record) -> None:
     _save(figure, out, "properties")
 
 
-def predictions(out: Path, pairs: list[tuple[hf.Record, np.ndarray]]) -> None:
+def predictions(out: Path, pairs: list[tuple[hf.Record, dict[str, np.ndarray]]]) -> None:
     """Predicted and measured outputs, and their difference (paper's Figs. 13 to 15)."""
     figure, axes = plt.subplots(2, len(pairs), figsize=(6 * len(pairs), 6), layout="constrained")
-    for (record, y), (top, bottom) in zip(pairs, axes.T, strict=True):
+    for (record, outputs), (top, bottom) in zip(pairs, axes.T, strict=True):
         top.plot(record.u, record.y, label="device")
-        top.plot(record.u, y, "--", label="Preisach model")
+        for name, y in outputs.items():
+            top.plot(record.u, y, "--", label=f"Preisach, {name}")
+            bottom.plot(record.t, y - record.y, label=name)
         top.set(xlabel="voltage [V]", ylabel="displacement [um]", title=record.name)
-        top.legend()
-        bottom.plot(record.t, y - record.y)
         bottom.set(xlabel="time [s]", ylabel="error [um]")
+        for axis in (top, bottom):
+            axis.legend()
     _save(figure, out, "predictions")
 
 
-def tracked(out: Path, trios: list[Trio], last: Any) -> None:
-    """References, errors and inputs (paper's Figs. 17 to 24)."""
-    figure, axes = plt.subplots(3, 3, figsize=(15, 9), layout="constrained", sharex="col")
+def tracked(out: Path, runs: dict[str, dict[str, LoopResult]]) -> None:
+    """References, errors and inputs (paper's Figs. 17 to 24), one column for each trajectory and plant."""
+    figure, axes = plt.subplots(3, len(runs), figsize=(5 * len(runs), 9), layout="constrained", sharex="col")
     thin = slice(None, None, 200)
-    titles = ("S8-S10: major loop, plant -8 %", "S11-S13: minor loops, plant -8 %")
-    for trio, column, title in zip(trios, axes.T, titles, strict=False):
-        column[0].plot(trio.ff.t[thin], trio.ff.reference[thin], "k", lw=2, label="reference")
-        for run, label in ((trio.ff, "feed-forward"), (trio.fb, "feedback"), (trio.both, "both")):
-            column[0].plot(run.t[thin], run.y[thin], "--", label=label)
-            column[1].plot(run.t[thin], run.error[thin], lw=0.8, label=f"{label}: max {run.max_error():.2f} um")
-        column[2].plot(trio.both.t[thin], trio.both.u[thin], lw=0.5, label="both")
-        column[2].plot(trio.ff.t[thin], trio.ff.u[thin], label="feed-forward")
-        column[0].set(title=title, ylabel="displacement [um]")
-    column = axes.T[2]
-    column[0].plot(last.t[thin], last.reference[thin], "k", lw=2, label="reference")
-    column[0].plot(last.t[thin], last.y[thin], "--", label="both")
-    column[1].plot(last.t[thin], last.error[thin], lw=0.8, label=f"both: max {last.max_error():.2f} um")
-    column[2].plot(last.t[thin], last.u[thin], lw=0.5, label="both")
-    column[0].set(title="S14: wiping-out, plant -8 %")
-    for column in axes.T:
+    for (name, arms), column in zip(runs.items(), axes.T, strict=True):
+        first = next(iter(arms.values()))
+        column[0].plot(first.t[thin], first.reference[thin], "k", lw=2, label="reference")
+        for arm, run in arms.items():
+            ink = INK[arm]
+            column[0].plot(run.t[thin], run.y[thin], "--", color=ink, label=arm)
+            column[1].plot(
+                run.t[thin], run.error[thin], lw=0.8, color=ink, label=f"{arm}: max {run.max_error():.2f} um"
+            )
+            if arm in ("FF+FB", "FB", "FF"):
+                column[2].plot(run.t[thin], run.u[thin], lw=0.6, color=ink, label=arm)
+        column[0].set(title=name, ylabel="displacement [um]")
         column[1].set(ylabel="error [um]")
         column[2].set(ylabel="voltage [V]", xlabel="time [s]")
         for axis in column:
-            axis.legend(fontsize=8)
+            axis.legend(fontsize=7)
     _save(figure, out, "tracking")
 
 

@@ -42,6 +42,11 @@ def static_model(record: hf.Record) -> hf.Preisach:
     return fit_preisach(record, blank(), smoothness=(1e-6,), offsets="shared").model
 
 
+def table_model(record: hf.Record) -> hf.TabulatedPreisach:
+    """The paper's table on levels of 15 V, eqs. (2) to (5)."""
+    return hf.fit(hf.TabulatedPreisach.of(CURVES), record).model
+
+
 def with_relaxation(records: list[hf.Record], tau: tuple[float, ...] = (0.1, 1.0, 10.0)) -> hf.Series:
     """Preisach followed by relaxation: for given weights the relaxation is inverted in the output and the cells follow from a convex
     solve; an outer least squares finds the weights.

@@ -3,13 +3,14 @@ also predicts held-out measured reversal curves and minor loops.
 
     python experiments/preisach/run.py [--quick] [--out FOLDER]
 
-Writes figures and results.json to out/ and all numbers to RESULTS.md (the quick form to report.md in out/). Exit status: see
+Writes figures and results.json to out/, and the page RESULTS.md with its figures here (the quick form to out/). Exit status: see
 experiments/common.py.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -19,19 +20,25 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import figures
 import numpy as np
 from common import Results, arguments, table
-from identify import reversal_record, static_model, with_relaxation
+from identify import reversal_record, static_model, table_model, with_relaxation
 from measured import measured
-from plant import STRONGER, Thunder, actuator, legs, measure
-from tracking import Trio, feedforward, loop_design, robust_damping, track, trio
+from plant import PLANTS, RELAXATION, STRONGER, actuator, legs, measure
+from tracking import arms, feedforward, loop_design, robust_damping, track
 
 import hystfit as hf
-from hystfit.models.preisach import congruency
+from hystfit.control import Design, LoopResult
+from hystfit.models.preisach import EverettTable, congruency
 from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT
 
 HERE = Path(__file__).resolve().parent
 MAJOR, MINOR, WIPED = (0.0, 100.0, 0.0), (0.0, 100.0, 20.0, 80.0, 40.0), (0.0, 80.0, 40.0, 100.0, 20.0)
 RAISED = (0.0, 100.0, 2.0)
-DRIFT = 0.92
+QUIET = (
+    ("S8-10 major", "unchanged"),
+    ("S11-13 minor", "changed in shape"),
+)  # also without sensor noise in the quick form
+DRAWN = (*QUIET, ("S14 wiping-out", "unchanged"))
+SHOWN = ("properties.png", "predictions.png", "tracking.png")
 
 
 def predict(model: hf.models.AbstractHysteresis, record: hf.Record) -> np.ndarray:
@@ -45,55 +52,50 @@ def errors(model: hf.models.AbstractHysteresis, record: hf.Record) -> tuple[floa
     return 100 * float(np.abs(e).max() / span), 100 * float(np.sqrt(np.mean(e**2)) / span)
 
 
-def reversal_curves(results: Results) -> tuple[hf.Record, hf.Preisach]:
-    """S1: curves of 12 heights; rising branches coincide, and the table is monotone."""
+def reversal_curves(results: Results) -> tuple[hf.Record, hf.Preisach, hf.TabulatedPreisach]:
+    """S1: curves of 12 heights; rising branches coincide, and the table read off them is monotone."""
     record = reversal_record(actuator(), 0.01, 2.0, seed=1)
-    model = static_model(record)
-    legs_of = np.split(record.y, np.arange(100, record.y.size - 1, 100) + 1)
-    rises = [leg for leg in legs_of[::2]]
-    tops = [leg[-1] for leg in rises]
+    cells, tabulated = static_model(record), table_model(record)
+    rises = np.split(record.y, np.arange(100, record.y.size - 1, 100) + 1)[::2]
     u_rises = np.split(record.u, np.arange(100, record.u.size - 1, 100) + 1)[::2]
     apart = [np.interp(u, u_rises[-1], rises[-1]) - y for u, y in zip(u_rises[:-1], rises[:-1], strict=True)]
     results.add("S1: rising branches apart, % of range", 100 * max(np.abs(a).max() for a in apart) / np.ptp(record.y))
-    results.add("S1: least step of the branch tops, um", float(np.min(np.diff(tops))))
-    results.add("S1: least weight of the cells, um", float(np.min(np.asarray(model.w))))
-    results.add("S1: fit of the curves, RMS % of range", errors(model, record)[1])
-    return record, model
+    measured_table = EverettTable.from_descending([record], np.asarray(cells.levels))
+    results.add("S1: least step of the measured table, % of range", -100 * float(measured_table.turned().max()))
+    results.add("S1: cells on the curves, RMS % of range", errors(cells, record)[1])
+    results.add("S1: table on the curves, RMS % of range", errors(tabulated, record)[1])
+    return record, cells, tabulated
 
 
 def lag(results: Results, model: hf.Preisach) -> hf.Record:
-    """S2: at 1 Hz the output lags the input, and the static model fails."""
+    """S2: at 1 Hz the output lags the input, and the static model fails; also with the stronger relaxation of `STRONGER`."""
     t, u = legs((0, 150, 0, 150, 0), 1.0, 1000.0)
-    record = measure(actuator(relaxation=STRONGER), t, u, name="1 Hz")
     second = t > 1.0
-    late = t[second][np.argmax(record.y[second])] - t[second][np.argmax(u[second])]
-    results.add("S2: output peak after input peak at 1 Hz, deg", 360 * late)
-    results.add("S2: input at the output's peak, V", u[second][np.argmax(record.y[second])])
-    results.add("S2: static model at 1 Hz, max % of range", errors(model, record)[0])
+    for part, relaxation in (("S2", RELAXATION), ("S2 with a_1 = 0.35", STRONGER)):
+        record = measure(actuator(relaxation=relaxation), t, u, name="1 Hz")
+        peak = np.argmax(record.y[second])
+        late = t[second][peak] - t[second][np.argmax(u[second])]
+        results.add(f"{part}: output peak after input peak at 1 Hz, deg", 360 * late)
+        results.add(f"{part}: input below its peak at the output's peak, V", u.max() - u[second][peak])
+        results.add(f"{part}: static model at 1 Hz, max % of range", errors(model, record)[0])
     return record
 
 
 def wiping_out(results: Results) -> list[hf.Record]:
-    """S3, S4: histories wiped out by 180 V, in time and in the input-output plane, with and without relaxation."""
-    kept = []
-    for label, relaxation in (("on", actuator().parts[1]), ("off", None)):
-        plant = Thunder() if relaxation is None else hf.Series(Thunder(), relaxation)
-        long, short = (measure(plant, *legs(extrema, 0.01, 10.0)) for extrema in WIPING_OUT)
-        kept += [long, short] if relaxation is not None else []
-        tails = [record.y[-501:] for record in (long, short)]  # from 180 V on
-        span = np.ptp(long.y)
-        results.add(
-            f"S3: outputs apart from 180 V on, relaxation {label}, % of range",
-            100 * np.abs(tails[0] - tails[1]).max() / span,
-        )
-        late = measure(plant, *_delayed(WIPING_OUT[0]))
-        down = np.arange(180.0, 120.0, -1.0)
-        falls = [np.interp(-down, -r.u[-501:], r.y[-501:]) for r in (late, short)]
-        results.add(
-            f"S4: falls of a delayed signal apart, relaxation {label}, % of range",
-            100 * np.abs(falls[0] - falls[1]).max() / span,
-        )
-    return kept
+    """S3, S4: histories wiped out by 180 V, in time, and in the input-output plane after a delay."""
+    long, short = (measure(actuator(), *legs(extrema, 0.01, 10.0)) for extrema in WIPING_OUT)
+    span = np.ptp(long.y)
+    apart = np.abs(long.y[-501:] - short.y[-501:]).max()  # from 180 V on
+    results.add("S3: outputs apart from 180 V on, % of range", 100 * apart / span)
+    late = measure(actuator(), *_delayed(WIPING_OUT[0]))
+    for words, at in (
+        ("rises from 150 to 180 V", np.arange(150.0, 180.5)),
+        ("falls from 180 to 120 V", np.arange(180.0, 119.5, -1.0)),
+    ):
+        branch = slice(-501, None) if at[0] > at[-1] else slice(None, -500)
+        values = [_on_branch(r.u[branch], r.y[branch], at) for r in (late, short)]
+        results.add(f"S4: {words} apart, % of range", 100 * np.abs(values[0] - values[1]).max() / span)
+    return [long, short]
 
 
 def _delayed(extrema: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -102,39 +104,67 @@ def _delayed(extrema: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(u.size) / 10.0, u
 
 
-def minor_loops(results: Results, model: hf.Preisach) -> hf.Record:
-    """S5: loops between 80 and 120 V after different histories."""
-    t, u = legs(CONGRUENCY, 0.01, 10.0)
-    truth = measure(actuator().parts[0], t, u)
-    same = measure(model, t, u)
-    for name, record in (("truth", truth), ("model", same)):
-        pairs = [c for c in congruency(record) if abs(c.low - 80) < 1 and abs(c.high - 120) < 1]
-        results.add(f"S5: loops of 80 to 120 V apart, {name}, % of loop", max(c.percent_of_loop for c in pairs))
+def _on_branch(u: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Output at inputs on the last monotonic branch of a record.
+
+    Args:
+        u, y: record that ends with the branch, shape (T,).
+        at: inputs within the branch.
+    """
+    sign = np.sign(u[-1] - u[-2])
+    start = u.size - 1 - int(np.argmax(sign * np.diff(u)[::-1] < 0)) if (sign * np.diff(u) < 0).any() else 0
+    return np.interp(sign * at, sign * u[start:], y[start:])
+
+
+def minor_loops(results: Results) -> hf.Record:
+    """S5: loops between 80 and 120 V after different histories, shifted to the same mean or to the same start."""
+    truth = measure(actuator().parts[0], *legs(CONGRUENCY, 0.01, 10.0))
+    pairs = [c for c in congruency(truth) if abs(c.low - 80) < 1 and abs(c.high - 120) < 1]
+    results.add("S5: loops of 80 to 120 V apart, same mean, % of loop", max(c.percent_of_loop for c in pairs))
+    legs_of = np.split(truth.y, np.arange(500, truth.y.size - 1, 500) + 1)
+    before, after = (leg - leg[0] for leg in (legs_of[3], legs_of[7]))  # 80 to 120 V, before and after 180 V
+    results.add(
+        "S5: rises from 80 to 120 V apart, same start, % of loop", 100 * abs(before - after).max() / np.ptp(before)
+    )
     return truth
 
 
-def prediction(results: Results, model: hf.Preisach) -> list[hf.Record]:
-    """S6, S7: a sine, and reversals of higher order."""
+def prediction(results: Results, models: dict[str, hf.Preisach]) -> list[hf.Record]:
+    """S6, S7: a sine, and reversals of higher order, by the cells and by the table."""
     records = []
     for name, extrema in (("S6", (0, 150, 0)), ("S7", HIGHER_ORDER)):
         record = measure(actuator(), *legs(extrema, 0.01, 10.0), name=name)
-        largest, rms = errors(model, record)
-        results.add(f"{name}: prediction, max % of range", largest)
-        results.add(f"{name}: prediction, RMS % of range", rms)
+        for word, model in models.items():
+            largest, rms = errors(model, record)
+            results.add(f"{name}: prediction by the {word}, max % of range", largest)
+            results.add(f"{name}: prediction by the {word}, RMS % of range", rms)
         records.append(record)
     return records
 
 
-def report(results: Results, name: str, found: Trio) -> None:
-    """Numbers of a trio."""
-    for label, run in (("FF", found.ff), ("FB", found.fb), ("FF+FB", found.both)):
-        results.add(f"{name}: {label} max, um", run.max_error())
-        results.add(f"{name}: {label} RMS, um", run.rms_error())
-    results.add(f"{name}: RMS of FF+FB over FB", found.both.rms_error() / found.fb.rms_error())
+def report(results: Results, name: str, runs: dict[str, LoopResult], since: float) -> None:
+    """Numbers of runs on one reference, from a time on [s].
+
+    Args:
+        results: takes them.
+        name: of the reference and the plant.
+        runs: by arm.
+        since: start of the samples that count.
+    """
+    rms = {}
+    for arm, run in runs.items():
+        error = run.error[run.t >= since]
+        rms[arm] = float(np.sqrt(np.mean(error**2)))
+        results.add(f"{name}: {arm} max, um", float(np.abs(error).max()))
+        results.add(f"{name}: {arm} RMS, um", rms[arm])
+    for arm in rms:
+        for other in ("FB", "line+FB") if arm.endswith("FF+FB") else ():
+            if other in rms:
+                results.add(f"{name}: RMS of {arm} over {other}", rms[arm] / rms[other])
 
 
-def tracking(results: Results, model: hf.Preisach) -> tuple[list[Trio], object]:
-    """S8 to S14: the loop's design and the tracked trajectories."""
+def loop(results: Results, model: hf.Preisach) -> tuple[Design, float]:
+    """The loop's design, and the secant gain that it and the straight line have."""
     secant = 100.0 / float(hf.invert(model, np.linspace(0, 100, 50)).u[-1])
     made, paper, ours = loop_design(secant)
     results.add("loop: secant gain at 100 um, um/V", secant)
@@ -144,20 +174,40 @@ def tracking(results: Results, model: hf.Preisach) -> tuple[list[Trio], object]:
     results.add("loop: damping ratio, closed", made.damping)
     results.add("loop: phase margin at 10 kHz, deg", made.margins.phase)
     results.add("loop: least damping over plants", robust_damping(made, ours.omega, secant))
-    trios = []
-    for name, extrema in (("S8-10 major, plant -8 %", MAJOR), ("S11-13 minor, plant -8 %", MINOR)):
-        found = trio(extrema, model, made, DRIFT)
-        report(results, name, found)
-        trios.append(found)
-    results.add(
-        "S8 major, plant unchanged: FF max, um", track(MAJOR, feedforward(model, MAJOR, 0.01)[0], None).max_error()
-    )
-    wiped = track(WIPED, feedforward(model, WIPED, 0.01)[0], made, gain=DRIFT)
-    results.add("S14 wiping-out, plant -8 %: FF+FB max, um", wiped.max_error())
-    if not results.quick:
-        for name, extrema in (("S8-10 major, plant unchanged", MAJOR), ("S11-13 minor, plant unchanged", MINOR)):
-            report(results, name, trio(extrema, model, made, 1.0))
-    return trios, wiped
+    return made, secant
+
+
+def tracking(results: Results, model: hf.Preisach, tabulated: hf.Preisach) -> dict[str, dict[str, LoopResult]]:
+    """S8 to S14: the tracked trajectories.
+
+    The rise to 100 um is common to all of them; S11 to S14 are judged after it, where they differ.
+    """
+    made, secant = loop(results, model)
+    models, rise = {"": model, "table ": tabulated}, 50.0
+    every = ("FF", "table FF", "FB", "line+FB", "FF+FB", "table FF+FB")
+    chosen = {
+        ("S8-10 major", "unchanged"): every,
+        ("S8-10 major", "-8 %"): ("FF", "FB", "line+FB", "FF+FB"),
+        ("S8-10 major", "changed in shape"): ("FF", "FB", "line+FB", "FF+FB"),
+        ("S11-13 minor", "unchanged"): ("FF", "FB", "line+FB", "FF+FB"),
+        ("S11-13 minor", "changed in shape"): ("FF", "FB", "line+FB", "FF+FB"),
+        ("S14 wiping-out", "unchanged"): ("FB", "line+FB", "FF+FB"),
+    }
+    kept = {}
+    for trajectory, extrema in (("S8-10 major", MAJOR), ("S11-13 minor", MINOR), ("S14 wiping-out", WIPED)):
+        for plant, changed in PLANTS.items():
+            names = chosen.get((trajectory, plant), ()) if results.quick else every
+            if not names:
+                continue
+            runs = arms(extrema, models, secant, made, changed, names)
+            name, since = f"{trajectory}, plant {plant}", 0.0 if extrema == MAJOR else rise
+            report(results, name, runs, since)
+            if (trajectory, plant) in DRAWN:
+                kept[name] = runs
+            if not results.quick or (trajectory, plant) in QUIET:
+                quiet = arms(extrema, models, secant, made, changed, ("line+FB", "FF+FB"), noise=0.0)
+                report(results, f"{name}, no sensor noise", quiet, since)
+    return kept
 
 
 def frequency(results: Results, curves: hf.Record, model: hf.Preisach) -> dict[str, list[float]]:
@@ -203,19 +253,19 @@ def page(results: Results) -> str:
     tracked: dict[str, dict[str, float]] = {}
     for name, value in results.numbers.items():
         part, what = name.split(": ", 1)
-        parts.setdefault(part, []).append([what, value, results.verdict(name)])
-        if what.endswith((" max, um", " RMS, um")) and part.startswith(("S8-10", "S11-13")):
-            tracked.setdefault(part, {})[what] = value
-    columns = [f"{how} {size}, um" for how in ("FF", "FB", "FF+FB") for size in ("max", "RMS")]
-    rows = [[part, *(values[column] for column in columns)] for part, values in tracked.items()]
-    text = f"# Numbers of experiments/preisach, {'quick' if results.quick else 'full'} form\n\n"
-    text += (
-        "Written by `run.py`. Device, controller and unavailable signals are surrogates (README).\n\n## Tracking\n\n"
-    )
-    text += table(["trajectory", *columns], rows)
-    for part, lines in parts.items():
-        text += f"\n## {part}\n\n" + table(["number", "value", "expected"], lines)
-    return text
+        parts.setdefault(part, []).append([what, value, results.verdict(name), results.origin(name)])
+        if what.endswith(" RMS, um") and ", plant " in part:
+            tracked.setdefault(part, {})[what.removesuffix(" RMS, um")] = value
+    columns = ["FF", "table FF", "FB", "line+FB", "FF+FB", "table FF+FB"]
+    rows = [[part, *(values.get(column) for column in columns)] for part, values in tracked.items()]
+    values = {
+        "form": " --quick" if results.quick else "",
+        "tracking": table(["RMS error, um", *columns], rows),
+        "numbers": "\n".join(
+            f"### {part}\n\n" + table(["number", "value", "expected", "data"], lines) for part, lines in parts.items()
+        ),
+    }
+    return results.fill((HERE / "page.md").read_text(encoding="utf-8"), values)
 
 
 def main() -> None:
@@ -223,23 +273,27 @@ def main() -> None:
     hf.enable_x64()
     args = arguments(__doc__.splitlines()[0])
     results = Results(HERE, args.quick, args.out)
-    curves, model = reversal_curves(results)
+    curves, model, tabulated = reversal_curves(results)
     fast = lag(results, model)
     wiped = wiping_out(results)
-    loops = minor_loops(results, model)
-    predicted = prediction(results, model)
+    loops = minor_loops(results)
+    models = {"cells": model, "table": tabulated}
+    predicted = prediction(results, models)
     rows = frequency(results, curves, model)
-    trios, last = tracking(results, model)
+    runs = tracking(results, model, tabulated)
     records = None if args.quick else measured(results)
     if records is not None:
         figures.measured(results.out, records)
     figures.identification(results.out, curves, model, fast)
     figures.properties(results.out, wiped, loops)
-    figures.predictions(results.out, [(record, predict(model, record)) for record in predicted])
-    figures.tracked(results.out, trios, last)
+    figures.predictions(results.out, [(r, {word: predict(m, r) for word, m in models.items()}) for r in predicted])
+    figures.tracked(results.out, runs)
     figures.frequencies(results.out, rows)
-    target = results.out / "report.md" if args.quick or args.out or results.skipped else HERE / "RESULTS.md"
-    target.write_text(page(results), encoding="utf-8")
+    complete = not (args.quick or args.out or results.skipped)
+    (HERE if complete else results.out).joinpath("RESULTS.md").write_text(page(results), encoding="utf-8")
+    if complete:
+        for name in SHOWN:
+            shutil.copy(results.out / name, HERE / name)
     results.finish()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from plant import LIMITS, NOISE, actuator, legs
@@ -14,15 +14,6 @@ from hystfit.models import AbstractHysteresis
 RATE = 10_000.0
 SLOW = 500.0  # samples per second of the inverse, with linear voltage in between
 FULL = 100.0  # um
-
-
-@dataclasses.dataclass(frozen=True)
-class Trio:
-    """Feed-forward alone, feedback alone, and both on one reference."""
-
-    ff: LoopResult
-    fb: LoopResult
-    both: LoopResult
 
 
 def sweep() -> tuple[np.ndarray, np.ndarray, float]:
@@ -69,28 +60,58 @@ def track(
     ahead: np.ndarray | None,
     made: Design | None,
     *,
-    gain: float = 1.0,
+    changed: Mapping[str, float] | None = None,
     frequency: float = 0.01,
+    noise: float = NOISE,
 ) -> LoopResult:
-    """One run on the whole plant, with `gain` relative to the identified plant."""
+    """One run on the whole plant.
+
+    Args:
+        extrema: of the reference [um].
+        ahead: feed-forward voltage at the loop's rate; None for none.
+        made: the feedback; None for none.
+        changed: parameters of the plant that have changed since the identification.
+        frequency: of the reference [Hz].
+        noise: of the sensor [um].
+    """
     controller = None if made is None else Controller.of(made.controller, RATE)
     return run_loop(
-        actuator(gain=gain),
+        actuator(**(changed or {})),
         reference(extrema, frequency),
         RATE,
         feedforward=ahead,
         controller=controller,
         limits=LIMITS,
-        noise=NOISE,
+        noise=noise,
         seed=7,
     )
 
 
-def trio(extrema: tuple[float, ...], model: AbstractHysteresis, made: Design, gain: float) -> Trio:
-    """All three on one reference."""
-    ahead, _ = feedforward(model, extrema, 0.01)
-    return Trio(
-        track(extrema, ahead, None, gain=gain),
-        track(extrema, None, made, gain=gain),
-        track(extrema, ahead, made, gain=gain),
-    )
+def arms(
+    extrema: tuple[float, ...],
+    models: Mapping[str, AbstractHysteresis],
+    secant: float,
+    made: Design,
+    changed: Mapping[str, float],
+    names: Sequence[str],
+    noise: float = NOISE,
+) -> dict[str, LoopResult]:
+    """Runs on one reference: FF and FF+FB by the inverse of each model, FB alone, and FB with the straight line r / secant.
+
+    Args:
+        extrema: of the reference [um].
+        models: by the word in front of the arm, such as "table ".
+        secant: gain of the straight line [um/V].
+        made: the feedback.
+        changed: see `track`.
+        names: which of the arms to run.
+        noise: of the sensor [um].
+    """
+    ahead = {f"{word}FF": feedforward(model, extrema, 0.01)[0] for word, model in models.items()}
+    ahead["line"] = reference(extrema, 0.01) / secant
+    out = {}
+    for name in names:
+        forward, _, back = name.partition("+")
+        forward, back = (None, "FB") if name == "FB" else (ahead[forward], back)
+        out[name] = track(extrema, forward, made if back else None, changed=changed, noise=noise)
+    return out

@@ -14,6 +14,7 @@ from hystfit.stage import Actuator, Sensor, axis_plant, perturbed, piezo, upsamp
 LIMITS = (-20.0, 120.0)
 FINER = 10
 ALL_AT_ONCE = {"c": 1.005, "mu": 0.99, "tau": 1.03, "delta": 0.97, "gamma": 1.10}
+FAR_OFF = {"c": 1.05, "mu": 0.9, "tau": 1.2, "delta": 0.85, "gamma": 1.1}
 FAR = {"c": 1.2, "mu": 0.7, "tau": 1.5, "delta": 0.6}
 
 
@@ -118,3 +119,8 @@ def with_mode(model: Series) -> Series:
 def axis() -> Series:
     """The axis without its resonance."""
     return axis_plant(mode=None)
+
+
+def on_axis(actuator: Series) -> Series:
+    """An identified actuator behind the lever of the axis, without resonance."""
+    return axis_plant(actuator, mode=None)

@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import figures
 import identification
+import measured
+import three_axes
 import tracking
 from common import Results, arguments
 
@@ -30,16 +32,22 @@ def main() -> None:
     options = arguments(__doc__.splitlines()[0])
     hf.enable_x64()
     results = Results(HERE, options.quick, options.out)
-    parts = {"Loops (M1, M2) and creep (M3)": identification.loops_and_creep(results)}
+    loops, circles = identification.loops_and_creep(results)
+    parts = {"Loops (M1, M2) and creep (M3)": loops}
     parts["Identification (M4)"], kept = identification.filter_and_least_squares(results, 3 if options.quick else 20)
     parts["Methods on one record"] = identification.methods(results, 2 if options.quick else 30)
-    parts["Creep in stages"] = identification.creep_in_stages(results)
+    parts["Far starts"] = identification.far_starts(results)
+    parts["Stopping on-line"] = identification.online(results)
+    parts["Creep in stages"], identified = identification.in_stages(results)
     identification.one_amplitude(results)
-    parts["Sines (M5, M6)"], example = tracking.sines(results, options.quick)
-    parts["Staircase (M7, M8)"], runs = tracking.ladder(results)
-    parts["Three axes (M9)"], poses = tracking.three_axes(results)
+    parts["Sines (M5, M6)"], example = tracking.sines(results, options.quick, identified)
+    parts["Staircase (M7, M8)"], runs = tracking.ladder(results, identified)
+    parts["Three axes (M9)"], poses = three_axes.three_axes(results)
     parts["Adaptive feed-forward"] = tracking.adaptive(results)
-    figures.all_of_them(results.out, kept, example, runs, poses)
+    if not options.quick:
+        parts["Adaptive feed-forward on three axes"] = three_axes.adaptive_stage(results)
+        parts["Measured piezo stack"] = measured.measured(results)
+    figures.all_of_them(results.out, circles, kept, example, runs, poses)
     text = "\n".join(f"## {title}\n\n{body}" for title, body in parts.items())
     target = results.out / "report.md" if options.quick or options.out else HERE / "RESULTS.md"
     target.write_text(

@@ -7,12 +7,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Severity, Status
+from hystfit.results.quantities import QUANTITIES
+from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.result import FitResult
-from hystfit.sampling.derived import loop_quantities, steady_cycles, units
 
 Number = float | None
 
@@ -112,12 +111,6 @@ def _finite(value: Number) -> Number:
 
 def _quantities(result: FitResult) -> tuple[dict[str, Number], dict[str, str]]:
     """Quantities of the fitted model, and their units."""
-    low, high = result.input_range
-    u = steady_cycles(low, high)
-    interval = result.data[0].sampling_interval
-    y = result.model.free_run(u, None if result.model.rate_independent else np.full(u.size, interval or 1.0))
-    loop = loop_quantities(y[None], low, high) if np.isfinite(y).all() and np.ptp(y) > 0 else {}
-    values = {name: _finite(float(value[0])) for name, value in loop.items()}
-    label = {name: unit for name, unit in units(result.data).items() if name in values}
-    derived = result.derived
+    values, derived = quantity_values(result), result.derived
+    label = {name: QUANTITIES[name].units(result.data) for name in values}
     return values | {p.name: _finite(p.value) for p in derived}, label | {p.name: p.unit for p in derived}

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from hystfit.cli.options import STDOUT, Output
-from hystfit.cli.write import finish, record_columns, show, write_csv
+from hystfit.cli.write import finish, record_columns, show, write_csv, write_netcdf
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
 
@@ -98,30 +99,49 @@ def datasets(name: str | None = None, /, *, output: Output = STDOUT) -> int:
     from hystfit.data.record import Dataset
 
     table = record_columns(Dataset.of(known.load(name)))
-    return finish_table(text, content, output, f"{name.replace('/', '_')}.csv", table)
+    return finish_table(text, content, output, name.replace("/", "_"), table)
 
 
-def finish_table(text: str, content: dict[str, Any], output: Output, name: str, columns: Mapping[str, Any]) -> int:
-    """Write columns as CSV with ten significant digits, print the text or JSON, and return exit status 0.
+def finish_table(
+    text: str,
+    content: dict[str, Any],
+    output: Output,
+    name: str,
+    columns: Mapping[str, Any],
+    truth: Mapping[str, Any] | None = None,
+) -> int:
+    """Write columns as CSV with ten significant digits (or as netCDF), print the text or JSON, and return exit status 0.
 
     Args:
         text: the result for people.
         content: of result.json, which is written where `out` is a folder.
-        output: `out` is the CSV file itself where it ends in a suffix, else a folder.
-        name: of the CSV file in a folder.
+        output: `out` is the file itself where it ends in a suffix, .nc for netCDF, else a folder.
+        name: of the CSV file in a folder, without suffix.
         columns: equally long columns by heading.
+        truth: columns of a second CSV file: truth.csv in a folder, NAME.truth.csv beside a file.
 
     Raises:
         HystfitError: it cannot be written.
     """
     out = output.out
     if out is None or out.is_dir() or not out.suffix:
-        save = lambda folder: write_csv(folder / name, columns, ".10g")
+
+        def save(folder: Path) -> None:
+            write_csv(folder / f"{name}.csv", columns, ".10g")
+            if truth is not None:
+                write_csv(folder / "truth.csv", truth, ".10g")
+
         return finish(text, content, output, save)
     from hystfit.results.folders import writing
 
     if not out.parent.is_dir():
         raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
     with writing(out.parent) as scratch:
-        write_csv(scratch / out.name, columns, ".10g")
+        if out.suffix == ".nc":
+            write_netcdf(scratch / out.name, columns)
+        else:
+            write_csv(scratch / out.name, columns, ".10g")
+        if truth is not None:
+            write_csv(scratch / f"{out.stem}.truth.csv", truth, ".10g")
+            text += f"\nTrue parameters in {out.with_suffix('.truth.csv')}"
     return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))

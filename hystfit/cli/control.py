@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hystfit.control.inverse import Inverse
     from hystfit.data.record import Record
     from hystfit.results.result import FitResult
+    from hystfit.results.webpage import Page
 
 
 def invert(
@@ -32,7 +33,8 @@ def invert(
     """Compute the input that makes a fitted model follow a reference, with a status for every sample.
 
     From a folder of `hystfit sample --out`, it also computes 90 % bands over the posterior draws: of the input, and of the
-    tracking error of the input computed for the fit. With --out, the folder holds inverse.csv.
+    tracking error of the input computed for the fit. With --out, the folder holds inverse.csv and a page
+    (report.html).
 
     Args:
         reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
@@ -80,7 +82,15 @@ def invert(
     if bands is not None:
         lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
-    return finish("\n".join(lines), content, output, save)
+
+    def page() -> Page:
+        from hystfit.cli.pages import inverse_figure, invert_page
+
+        remarks = [lines[1], *(line for line in lines if line.startswith("  - "))]
+        figure = inverse_figure(target, inverse, bands, units["input"] or "")
+        return invert_page(f"{result.name} inverted for {target.name}", content, remarks, figure)
+
+    return finish("\n".join(lines), content, output, save, page=page)
 
 
 def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
@@ -152,20 +162,40 @@ def _write_inverse(
 
 
 def export(
-    fitdir: FitFolder, /, *, c: Path, name: str = "hysteresis", limits: Limits = None, trust: Trust = False
+    fitdir: FitFolder,
+    /,
+    *,
+    c: Path | None = None,
+    s_function: bool = False,
+    mat: Path | None = None,
+    name: str = "hysteresis",
+    limits: Limits = None,
+    trust: Trust = False,
 ) -> int:
-    """Write a fitted model and its inverse as C99 with fixed memory, and a test program.
+    """Write a fitted model and its inverse as C99 with fixed memory, and a test program; or the fit as a MATLAB file.
 
     Args:
         c: folder for the C files.
+        s_function: with --c, also a level-2 C MEX S-function of the model for Simulink.
+        mat: .mat file for parameters, errors and predictions.
         name: prefix of files and functions.
     """
     from hystfit.control.export import export_c
 
+    if c is None and (mat is None or s_function):
+        raise DataError(
+            "name the folder for the C code: --c FOLDER" + ("" if s_function else ", or a MATLAB file: --mat FILE")
+        )
     span = input_limits(limits)
     result = open_fit(fitdir, Output(out=c), trust)
-    files = export_c(result, c, name=name, limits=span)
+    if mat is not None:
+        print(f"Written to {result.save_mat(mat)}")
+    if c is None:
+        return 0
+    files = export_c(result, c, name=name, limits=span, s_function=s_function)
     print(written(c, [file.name for file in files]).lstrip())
     print(_limits_line(result, span).strip())
     print(f"Try it: cc -std=c99 -O2 {files[1]} {files[2]} -lm -o {name}")
+    if s_function:
+        print(f"In MATLAB: mex {name}_sfun.c {name}.c")
     return 0

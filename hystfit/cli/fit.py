@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.options import (
     DEFAULT_READING,
+    NO_SETTINGS,
     NO_SPLIT,
     STDOUT,
     Loop,
     Output,
     Purpose,
     Reading,
+    SequentialSettings,
     Split,
     lists,
     named_values,
@@ -27,6 +30,7 @@ from hystfit.inference.noise.registry import NOISES
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
     from hystfit.results.result import FitResult
+    from hystfit.results.webpage import Page
 
 
 @lists(methods=ESTIMATORS, sequential=IDENTIFIERS, noises=NOISES)
@@ -43,6 +47,7 @@ def fit(
     at: list[str] | None = None,
     starts: int = 8,
     seed: int = 0,
+    sequential: SequentialSettings = NO_SETTINGS,
     reading: Reading = DEFAULT_READING,
     split: Split = NO_SPLIT,
     output: Output = STDOUT,
@@ -68,9 +73,11 @@ def fit(
     output.check("hystfit.fit")
     if at and start == "model":
         raise ParameterError("--at replaces starting values estimated from the data: leave out --start model")
+    if (settings := sequential.given()) and not is_sequential(method):
+        raise ParameterError(f"--{next(iter(settings))} is a setting of a sequential method: add --method rls, say")
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
-        "start": named_values(at) if at else start,
+        "start": named_values(at) if at else start, **settings,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):
@@ -126,7 +133,7 @@ def compare(
 ) -> int:
     """Fit several models and rank them by their cross-validation error.
 
-    With --out, the folder holds the ranking (comparison.txt) and the fit of the winner (winner/).
+    With --out, the folder holds the ranking (comparison.txt, report.html) and the fit of the winner (winner/).
 
     Args:
         models: names, repeated or separated by commas; default: a selection that suits what hystfit check finds, of which models that
@@ -155,4 +162,9 @@ def compare(
         (folder / "winner").mkdir()
         _save_fit(winner, folder / "winner", test, split)
 
-    return finish(text, content, output, save, status=winner.status)
+    def page() -> Page:
+        from hystfit.cli.pages import compare_page
+
+        return compare_page(dataclasses.replace(comparison, winner=winner))
+
+    return finish(text, content, output, save, status=winner.status, page=page)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from cyclopts import Group, Parameter
 
@@ -14,6 +15,7 @@ from hystfit.errors import DataError, ParameterError
 F = TypeVar("F", bound=Callable[..., int])
 FILE = Group("Reading the file", sort_key=1)
 SPLIT = Group("Training and test samples", sort_key=2)
+SEQUENTIAL = Group("Settings of rls and gradient-correction", sort_key=3)
 Text = Annotated[str | None, Parameter(group=FILE)]
 Part = Annotated[str | None, Parameter(group=SPLIT)]
 Flag = Annotated[bool, Parameter(group=SPLIT)]
@@ -29,6 +31,7 @@ Loop = Annotated[
     ),
 ]
 Number = Annotated[float | None, Parameter(group=FILE)]
+Setting = Annotated[float | None, Parameter(group=SEQUENTIAL)]
 Limits = Annotated[
     str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fitted input")
 ]
@@ -120,6 +123,46 @@ class Split:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
+class SequentialSettings:
+    """Settings of the methods rls and gradient-correction; each has those that its option names.
+
+    Args:
+        basis: regressors scaled to the record (legendre), or the paper's own powers of the input.
+        passes: number of runs over the samples.
+        forgetting: factor lambda of rls, 0 to 1.
+        prior: variance of the parameters before the first sample, of rls.
+        weights: of gradient-correction, one positive number a parameter (alpha f, alpha, g), separated by commas.
+        mu: relative step of gradient-correction, 0 to 2.
+        step: constant step of gradient-correction, instead of the one that --mu and --floor normalize.
+        floor: added to the power that normalizes the step of gradient-correction.
+    """
+
+    basis: Annotated[Literal["legendre", "powers"] | None, Parameter(group=SEQUENTIAL)] = None
+    passes: Annotated[int | None, Parameter(group=SEQUENTIAL)] = None
+    forgetting: Setting = None
+    prior: Setting = None
+    weights: Annotated[str | None, Parameter(group=SEQUENTIAL)] = None
+    mu: Setting = None
+    step: Setting = None
+    floor: Setting = None
+
+    def given(self) -> dict[str, Any]:
+        """Settings that differ from the defaults, as keywords.
+
+        Raises:
+            ParameterError: weights that are no numbers.
+        """
+        chosen = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        if self.weights is not None:
+            try:
+                chosen["weights"] = [float(text) for text in self.weights.split(",")]
+            except ValueError:
+                raise ParameterError(f"--weights needs numbers separated by commas, got {self.weights!r}") from None
+        return {name: value for name, value in chosen.items() if value is not None}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
 class Output:
     """Where the result goes.
 
@@ -149,7 +192,7 @@ class Output:
         check_writable(self.out)
 
 
-DEFAULT_READING, NO_SPLIT, STDOUT = Reading(), Split(), Output()
+DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), SequentialSettings()
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hystfit.data.record import Record
-    from hystfit.stage.stage import Measured
+    from hystfit.stage import Actuator, Population, Stage
 
 _RATE = 100.0  # samples/s of a signal that has no time
 
@@ -34,13 +35,16 @@ def simulate(
     seed: int = 0,
     axes: int = 1,
     drive: str | None = None,
+    population: int | None = None,
+    spread: list[str] | None = None,
     trust: Trust = False,
     output: Output = STDOUT,
     **shape: str,
 ) -> int:
     """Simulate a record: the piezo stage, a model, or a fit, driven by a signal.
 
-    --out is the CSV file to write, or a folder for data.csv.
+    --out is the CSV or netCDF (.nc) file to write, or a folder for data.csv. The file of a population has a column "device" (read
+    it with --by device); the true parameters are beside it (truth.csv, or NAME.truth.csv).
 
     Args:
         what: stage, the name of a model, or a folder written by `hystfit fit --out`.
@@ -50,6 +54,8 @@ def simulate(
         seed: random seed of the noise and of random signals.
         axes: 1 for one actuator of the stage, 3 for the whole stage: three voltages, strain gauges, and the platform's x, y and theta.
         drive: with --axes 3, the actuators that the signal drives: in-turn (one after another, the default), together, or 1, 2 or 3 alone.
+        population: number of devices of the stage whose parameters scatter, all driven by the signal.
+        spread: relative standard deviation of a parameter over the population, as NAME=VALUE; repeatable, or separated by commas.
         shape: parameter of the signal, such as --frequency 2 --low -20 --high 100 --duration 5 --rate 200.
     """
     if output.out is None and not output.json:
@@ -62,24 +68,33 @@ def simulate(
         raise ParameterError(f"--axes is 1, or 3 for the stage; got {axes} for {what}")
     if axes == 1 and drive is not None:
         raise ParameterError(f"--drive {drive} needs --axes 3: with one axis there is one actuator")
-    from hystfit.data.record import Dataset
+    if population is None and spread:
+        raise ParameterError("--spread needs --population N: the number of devices that scatter")
+    if population is not None and what != "stage":
+        raise ParameterError(f"--population is of the stage; got {what}")
+    import numpy as np
+
     from hystfit.results.result import provenance
 
     t, u, curve, used = _drive(signal, shape, what, seed)
     values = named_values(set or [])
-    if axes == 1:
-        record = _respond(what, t, u, values, noise, seed, signal, trust)
-        data, notes, extra = [record], record.notes, {}
-        columns = record_columns(Dataset.of(record)) | ({} if curve is None else {"curve": curve})
-        reach = {"u": record.u, "y": record.y}
+    extra: dict[str, Any] = {} if axes == 1 else {"axes": 3, "drive": drive or "in-turn"}
+    truth = None
+    if population is not None:
+        sizes = named_values([part for item in spread or [] for part in item.split(",")])
+        extra |= {"population": population, "spread": sizes}
+        devices = _population(population, sizes, values, noise, seed, axes)
+        data, columns = _together(devices, t, u, axes, drive or "in-turn", noise, seed)
+        truth = {"device": range(1, population + 1)}
+        heads = {name: f"{name} [{unit}]" if unit else name for name, unit in devices.units.items()}
+        truth |= {heads[name]: values for name, values in devices.truth.items()}
+    elif axes == 1:
+        data, columns = _one(_respond(what, t, u, values, noise, seed, signal, trust))
     else:
-        drive = drive or "in-turn"
-        measured = _measure(t, u, drive, values, noise, seed)
-        data = [
-            measured.record(axis, 0) for axis in ("x", "y", "theta")
-        ]  # an angle has other units than a displacement
-        columns = reach = measured.columns()
-        notes, extra = measured.notes, {"axes": 3, "drive": drive}
+        data, columns = _channels(_stage(values), t, u, drive or "in-turn", noise, seed)
+    if curve is not None:
+        columns["curve"] = np.tile(curve, population or 1)
+    notes = list(dict.fromkeys(note for record in data for note in record.notes))
     content = {
         "schema": "hystfit.simulate/1",
         "model": what,
@@ -87,28 +102,120 @@ def simulate(
         "signal": {"name": signal, **used},
         **extra,
         "samples": len(data[0]),
-        "range": {name: [float(v.min()), float(v.max())] for name, v in reach.items()},
+        "range": {name: [float(np.min(v)), float(np.max(v))] for name, v in _reach(data, columns, axes).items()},
         "notes": [note.to_dict() for note in notes],
         "provenance": provenance(data, seed),
     }
     ranges = Table(["", "lowest", "highest"], [[name, *reach] for name, reach in content["range"].items()])
-    text = "\n".join([f"{what}, {signal}: {len(data[0])} samples", *ranges.lines("  "), *items(notes)])
-    return finish_table(text, content, output, "data.csv", columns)
+    many = "" if population is None else f"{population} devices of "
+    text = "\n".join([f"{what}, {signal}: {many}{len(data[0])} samples", *ranges.lines("  "), *items(notes)])
+    return finish_table(text, content, output, "data", columns, truth)
 
 
-def _measure(
-    t: np.ndarray, u: np.ndarray, drive: str, values: dict[str, float | None], noise: float | None, seed: int
-) -> Measured:
-    """All channels of the stage, with parameters of its actuators changed and one noise for all sensors."""
-    from hystfit.stage import Sensor, Stage, piezo
+def _reach(data: Sequence[Record], columns: Mapping[str, Any], axes: int) -> dict[str, Any]:
+    """Quantities whose range is reported."""
+    import numpy as np
 
-    stage = Stage.of(_changed(piezo(), values) if values else None)
+    if axes == 1:
+        return {"u": np.concatenate([r.u for r in data]), "y": np.concatenate([r.y for r in data])}
+    return {name: values for name, values in columns.items() if name != "device"}
+
+
+def _one(record: Record) -> tuple[list[Record], dict[str, Any]]:
+    from hystfit.data.record import Dataset
+
+    return [record], record_columns(Dataset.of(record))
+
+
+def _channels(
+    stage: Stage, t: Any, u: Any, drive: str, noise: float | None, seed: int
+) -> tuple[list[Record], dict[str, Any]]:
+    """Poses as records, and all channels as columns, with one noise for all sensors.
+
+    Args:
+        stage: three actuators and the platform.
+        t, u: times [s] and the signal [V], shape (T,).
+        drive: which actuators the signal drives.
+        noise: standard deviation at all sensors [um]; None for those of the stage.
+        seed: of the noise.
+    """
+    from hystfit.stage import Sensor
+
     sensors = None
     if noise is not None:
         arm = float(stage.kinematics.arm)
         length, angle = Sensor(noise), Sensor(noise / arm, 0.001 / arm)  # an angle is measured by lengths on the arm
         sensors = {"x": length, "y": length, "theta": angle, "gauge": length}
-    return stage.measure(*_voltages(t, u, drive), seed=seed, sensors=sensors)
+    measured = stage.measure(*_voltages(t, u, drive), seed=seed, sensors=sensors)
+    # records of their own: an angle has other units than a displacement
+    return [measured.record(axis, 0) for axis in ("x", "y", "theta")], measured.columns()
+
+
+def _population(
+    count: int,
+    spread: dict[str, float | None],
+    values: dict[str, float | None],
+    noise: float | None,
+    seed: int,
+    axes: int,
+) -> Population[Any]:
+    """Devices whose parameters scatter.
+
+    Args:
+        count: number of devices.
+        spread: relative standard deviation by name.
+        values: parameters changed in all of them.
+        noise: see `simulate`.
+        seed: of the scatter.
+        axes: 1 for actuators, 3 for stages.
+    """
+    if missing := [name for name, size in spread.items() if size is None]:
+        raise ParameterError(f"--spread {missing[0]} needs a value: --spread {missing[0]}=0.03")
+    device = _actuator(values, noise) if axes == 1 else _stage(values)
+    return device.population(count, spread=spread, seed=seed)
+
+
+def _together(
+    devices: Population[Any], t: Any, u: Any, axes: int, drive: str, noise: float | None, seed: int
+) -> tuple[list[Record], dict[str, Any]]:
+    """Records of all devices, and their columns one device after the other.
+
+    Args:
+        devices: actuators or stages.
+        t, u: times [s] and the signal [V], shape (T,).
+        axes: 1 or 3.
+        drive, noise: see `_channels`.
+        seed: of the noise.
+    """
+    import numpy as np
+
+    from hystfit.data.record import Dataset
+    from hystfit.stage.population import seeds_of
+
+    if axes == 1:
+        data = list(devices.records(t, u, seed=seed))
+        tables = [record_columns(Dataset.of(record)) for record in data]
+    else:
+        runs = [
+            _channels(stage, t, u, drive, noise, own)
+            for stage, own in zip(devices, seeds_of(seed, len(devices)), strict=True)
+        ]
+        data, tables = [record for records, _ in runs for record in records], [table for _, table in runs]
+    numbers = np.repeat(np.arange(1.0, len(devices) + 1), [len(table["t_s"]) for table in tables])
+    return data, {"device": numbers} | {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def _actuator(values: dict[str, float | None], noise: float | None) -> Actuator:
+    from hystfit.stage import Actuator, Sensor, piezo
+
+    model = _changed(piezo(), values) if values else piezo()
+    return Actuator(model) if noise is None else Actuator(model, sensor=Sensor(noise=noise))
+
+
+def _stage(values: dict[str, float | None]) -> Stage:
+    from hystfit.stage import Stage, piezo
+
+    return Stage.of(_changed(piezo(), values) if values else None)
 
 
 def _voltages(t: np.ndarray, u: np.ndarray, drive: str) -> tuple[np.ndarray, np.ndarray]:
@@ -188,14 +295,10 @@ def _respond(
     from hystfit.data.record import Record
     from hystfit.models.registry import make_model
     from hystfit.results.saved import load_fit
-    from hystfit.stage import Actuator, Sensor
 
     name, units = f"{what}-{signal}", {}
     if what == "stage":
-        actuator = Actuator() if noise is None else Actuator(sensor=Sensor(noise=noise))
-        if values:
-            actuator = Actuator(model=_changed(actuator.model, values), sensor=actuator.sensor)
-        return actuator.record(t, u, seed=seed, name=name)
+        return _actuator(values, noise).record(t, u, seed=seed, name=name)
     if Path(what).is_dir():
         result = load_fit(what, trust=trust)
         model, units = result.model, {f"{k}_unit": v for k, v in result.data.units.items()}

@@ -11,11 +11,13 @@ from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
 from hystfit.cli.write import finish, named, progress, save_figure, write_csv
 from hystfit.inference.noise.registry import NOISES
+from hystfit.registry import attribute
 from hystfit.sampling.registry import SAMPLERS
 
 if TYPE_CHECKING:
     from hystfit.inference.noise import AbstractNoise
     from hystfit.results.result import FitResult
+    from hystfit.results.webpage import Page
 
 
 @lists(samplers=SAMPLERS, noises=NOISES)
@@ -39,8 +41,8 @@ def sample(
     """Sample the posterior of a saved fit.
 
     Exit status 1: the chains have not converged, the fit is not usable, or its model lacks something that the residuals show (drift, a
-    misfit that recurs every loop). With --out, the folder holds posterior.nc, the fit, pictures and the running chains (run/): the same
-    command resumes after an interruption, and continues a finished run with more --draws.
+    misfit that recurs every loop). With --out, the folder holds posterior.nc, the fit, a page (report.html), pictures and the running
+    chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
         sampler: {samplers}, or my_file.py:MySampler. emcee takes up to ten parameters; nested takes several modes.
@@ -77,7 +79,7 @@ def sample(
         for kind in ("corner", "trace", "rank", "bands"):
             save_figure(posterior.plot(kind), folder / f"{kind}.png")
 
-    return finish(str(posterior), posterior.to_dict(), output, save)
+    return finish(str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior))
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
@@ -111,7 +113,7 @@ def profile(
 ) -> int:
     """Confidence limits of the parameters of a saved fit by profile likelihood.
 
-    Exit status 1: a parameter has no limit on at least one side. With --out, the folder holds profiles.png.
+    Exit status 1: a parameter has no limit on at least one side. With --out, the folder holds profiles.png and a page (report.html).
 
     Args:
         parameter: which parameter, or array of weights such as w; repeatable; default: all free ones but weights.
@@ -124,7 +126,7 @@ def profile(
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
     save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
-    return finish(str(profiles), profiles.to_dict(), output, save)
+    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles))
 
 
 def errors(
@@ -164,8 +166,8 @@ def calibrate(
 ) -> int:
     """Check by simulation whether the error bars of a saved fit hold. Exit status 1: they do not, or there are too few replicates.
 
-    The model, the input and the residuals of the fit define the simulated data. With --out, the folder holds calibration.png and
-    the finished replicates (run/), from which the same command resumes.
+    The model, the input and the residuals of the fit define the simulated data. With --out, the folder holds calibration.png, a page
+    (report.html) and the finished replicates (run/), from which the same command resumes.
 
     Args:
         noise: {noises}: simulates the data, as large as the residuals of the fit.
@@ -200,7 +202,7 @@ def calibrate(
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
     save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
-    return finish(str(calibration), content, output, save)
+    return finish(str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration))
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
@@ -226,7 +228,7 @@ def design(
 ) -> int:
     """Propose the next input within the limits of the actuator, which reduces the errors most.
 
-    Exit status 1: the fitted record has no loop. With --out, the folder holds input.csv.
+    Exit status 1: the fitted record has no loop. With --out, the folder holds input.csv and a page (report.html).
 
     Args:
         low: lowest input; default: that of the fit.
@@ -245,4 +247,13 @@ def design(
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
-    return finish(str(proposal), proposal.to_dict(), output, save)
+    return finish(str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal))
+
+
+def _page(name: str, content: Any) -> Page:
+    """A page of `hystfit.cli.pages`, closed figures and all."""
+    import matplotlib.pyplot as plt
+
+    page = attribute(f"hystfit.cli.pages:{name}")(content)
+    plt.close("all")
+    return page

@@ -13,10 +13,11 @@ VERBS = {
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
     "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
     "check": ("check:check", "Check the quality of a record and which models it can determine."),
+    "forc": ("reversals:forc", "Draw the FORC diagram of reversal curves, and give its numbers."),
     "explore": ("explore:explore", "Move the parameters of a model by sliders beside a measured loop, in the browser."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
     "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),
-    "export": ("control:export", "Write a fitted model and its inverse as C code."),
+    "export": ("control:export", "Write a fitted model and its inverse as C code, or the fit for MATLAB."),
     "sample": ("uncertainty:sample", "Sample the posterior of a fit, with convergence diagnostics."),
     "profile": ("uncertainty:profile", "Confidence limits of the parameters of a fit by profile likelihood."),
     "errors": (
@@ -27,8 +28,13 @@ VERBS = {
     "design": ("uncertainty:design", "Propose the next input, which reduces the errors most."),
     "report": ("predict:report", "Print the report of a saved fit and draw its pictures again."),
     "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
+    "run": (
+        "run_file:run",
+        "Run the steps of a study from one file; steps that are done with unchanged inputs are not run again.",
+    ),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
+    "completion": ("completion:completion", "Complete verbs and options by the tabulator key in bash, zsh or fish."),
 }
 # A value that is not quoted is left alone: records are called by column=value, too.
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")

@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
+from hystfit.errors import MissingExtraError
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
+    from hystfit.results.webpage import Page
 
 
 def finish(
@@ -27,6 +29,7 @@ def finish(
     save: Callable[[Path], object] | None = None,
     *,
     status: str = "",
+    page: Callable[[], Page] | None = None,
 ) -> int:
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
@@ -35,6 +38,7 @@ def finish(
         content: of result.json.
         output: folder and form of the output.
         save: writes the other files into the folder that it is called with.
+        page: makes report.html; None where there is none, or `save` writes it.
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
@@ -44,6 +48,8 @@ def finish(
             dump_json(scratch / "result.json", content)
             if save is not None:
                 save(scratch)
+            if page is not None:
+                (scratch / "report.html").write_text(page().render(), encoding="utf-8")
             names = sorted(path.name for path in scratch.iterdir())
         text += written(output.out, names)
     show(text, content, output.json)
@@ -94,6 +100,21 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") 
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+
+
+def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
+    """Columns by heading as netCDF variables over the dimension "sample".
+
+    Raises:
+        MissingExtraError: xarray or h5netcdf is not installed.
+    """
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray
+    except ImportError as error:
+        raise MissingExtraError(str(error.name), "frames", "a netCDF file") from error
+    table = xarray.Dataset({name: ("sample", list(values)) for name, values in columns.items()})
+    table.to_netcdf(path, engine="h5netcdf")
 
 
 def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[str, Any]:

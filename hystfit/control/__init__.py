@@ -1,6 +1,7 @@
 """Inverses, feedback, loops and C code for what was fitted."""
 
 from hystfit.control.export import export_c as export_c
+from hystfit.control.feedback import AbstractController as AbstractController
 from hystfit.control.feedback import Controller as Controller
 from hystfit.control.feedback import Design as Design
 from hystfit.control.feedback import assess as assess
@@ -11,6 +12,7 @@ from hystfit.control.inverse import invert as invert
 from hystfit.control.lead import lead as lead
 from hystfit.control.loop import LoopResult as LoopResult
 from hystfit.control.loop import run_loop as run_loop
+from hystfit.control.online_inverse import AbstractRunningInverse as AbstractRunningInverse
 from hystfit.control.online_inverse import InverseStep as InverseStep
 from hystfit.control.online_inverse import Status as Status
 from hystfit.control.plant import LinearPlant as LinearPlant

@@ -23,7 +23,12 @@ _FOLDER = Path(__file__).with_name("c")
 
 
 def export_c(
-    model: AbstractHysteresis | FitResult, folder: str | Path, *, name: str = "hysteresis", limits: Limits | None = None
+    model: AbstractHysteresis | FitResult,
+    folder: str | Path,
+    *,
+    name: str = "hysteresis",
+    limits: Limits | None = None,
+    s_function: bool = False,
 ) -> tuple[Path, ...]:
     """Write a model and its inverse as C99: `name`.h, `name`.c and `name`_main.c, a test harness.
 
@@ -35,9 +40,10 @@ def export_c(
         folder: made where it does not exist.
         name: prefix of files and functions, a C identifier.
         limits: between which the inverse holds its input; None for the range of the fitted input, as `InverseStep.of`.
+        s_function: also write `name`_sfun.c, a level-2 C MEX S-function of the forward model for Simulink.
 
     Returns:
-        The three files.
+        The files.
 
     Raises:
         ModelError: a model without C code, or a name that is no C identifier.
@@ -85,6 +91,8 @@ def export_c(
     api = _fill(_template("api.c"), words)
     texts = {f"{name}.h": _fill(_template("header.h"), words), f"{name}.c": f"{head}\n{body}\n{api}"}
     texts[f"{name}_main.c"] = _fill(_template("harness.c"), words)
+    if s_function:
+        texts[f"{name}_sfun.c"] = _fill(_template("s_function.c"), words)
     for file, text in texts.items():
         (out / file).write_text(text, encoding="utf-8")
     return tuple(out / file for file in texts)

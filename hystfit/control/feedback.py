@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from typing import Any
 
@@ -167,7 +168,29 @@ def _oscillating(poles: np.ndarray) -> float:
     return damping(pairs) if pairs.size else damping(poles)
 
 
-class Controller(eqx.Module):
+class AbstractController(eqx.Module):
+    """A feedback that a loop runs: of one error, or of several at once (arrays of shape (k,))."""
+
+    @abc.abstractmethod
+    def init(self) -> Array:
+        """State at rest."""
+
+    @abc.abstractmethod
+    def ask(self, state: Array, error: Array) -> Array:
+        """Its output for an error."""
+
+    @abc.abstractmethod
+    def step(self, state: Array, error: Array, taken: Any = 0.0) -> Array:
+        """Its next state.
+
+        Args:
+            state: before the sample.
+            error: reference less output [y].
+            taken: input given less input asked for, which limits changed [u].
+        """
+
+
+class Controller(AbstractController):
     """A linear controller at a rate, with anti-windup:  x' = A x + B e + L (given - asked),  asked = C x + D e.
 
     Tustin's rule (a trapezoid for every integral). L = B / D makes the state what it would be had the error been the one that

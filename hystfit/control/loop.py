@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
-from hystfit.control.feedback import Controller
-from hystfit.control.online_inverse import InverseStep, Limits
+from hystfit.control.feedback import AbstractController
+from hystfit.control.online_inverse import AbstractRunningInverse, Limits
 from hystfit.errors import DataError, ParameterError
-from hystfit.models.base import AbstractHysteresis, Resume
+from hystfit.models.base import Resume
 
 
 class Loop(eqx.Module):
@@ -25,25 +25,41 @@ class Loop(eqx.Module):
     straight line from u_(k-1) to u_k; `delay` samples of the sensor come on top.
 
     Attributes:
-        plant: any model: hysteresis, creep or relaxation and resonance in a `Series`.
+        plant: any model: hysteresis, creep or relaxation and resonance in a `Series`; or a stage of several inputs and outputs.
         controller: of the feedback; None for none.
         inverse: of the feed-forward run along; None where the feed-forward is given as an array.
-        low, high: between which the input is held.
-        resolution: of the sensor, 0 for none.
+        low, high: between which every input is held.
+        resolution: of the sensor, 0 for none, shape () or (k,).
         dt: time between samples [s].
         delay: of the sensor, in samples.
         applied: the inverse remembers the input that was given, feedback included; else what it asked for itself.
+        finer: integration steps of the plant per sample.
     """
 
-    plant: AbstractHysteresis
-    controller: Controller | None
-    inverse: InverseStep | None
+    plant: Any
+    controller: AbstractController | None
+    inverse: AbstractRunningInverse | None
     low: Float[Array, ""]
     high: Float[Array, ""]
-    resolution: Float[Array, ""]
+    resolution: Float[Array, "..."]
     dt: Float[Array, ""]
     delay: int = eqx.field(static=True, default=0)
     applied: bool = eqx.field(static=True, default=False)
+    finer: int = eqx.field(static=True, default=1)
+
+    def move(self, state: Array, u0: Array, u1: Array) -> tuple[Array, Array]:
+        """State and output of the plant after the input went from u0 to u1 in `finer` equal steps.
+
+        Args:
+            state: of the plant before the sample.
+            u0, u1: input at the previous and at this sample.
+        """
+        if self.finer == 1:
+            return self.plant.step(state, u0, u1, self.dt)
+        part, dt = (u1 - u0) / self.finer, self.dt / self.finer
+        once = lambda state, k: self.plant.step(state, u0 + k * part, u0 + (k + 1) * part, dt)
+        state, outputs = jax.lax.scan(once, state, jnp.arange(self.finer))
+        return state, outputs[-1]
 
 
 class _Carry(eqx.Module):
@@ -72,9 +88,8 @@ def _run(loop: Loop, start: _Carry, samples: tuple[Array, Array, Array]) -> tupl
         if loop.controller is not None and carry.controller is not None:
             controller = loop.controller.step(carry.controller, error, u - asked)
         if loop.inverse is not None and carry.memory is not None and loop.applied:
-            old = carry.memory
-            memory = Resume(loop.inverse.solver.advance(old.state, old.u, u, loop.dt)[0], u)
-        state, y = loop.plant.step(carry.plant, carry.u, u, loop.dt)
+            memory = loop.inverse.moved(carry.memory, u, loop.dt)
+        state, y = loop.move(carry.plant, carry.u, u)
         read = y + noise
         fine = jnp.where(loop.resolution > 0, loop.resolution, 1.0)
         read = jnp.where(loop.resolution > 0, jnp.round(read / fine) * fine, read)
@@ -89,8 +104,9 @@ class LoopResult:
     """What a loop did.
 
     Attributes:
-        t, reference, u, y, feedforward: of every sample, shape (T,); y without sensor noise.
-        saturated: samples in which the input was at a limit.
+        t: times [s], shape (T,).
+        reference, u, y, feedforward: of every sample, shape (T,), or (T, k) of a plant with k axes; y without sensor noise.
+        saturated: how often an input was at a limit.
         notes: what to mind.
     """
 
@@ -104,48 +120,51 @@ class LoopResult:
 
     @property
     def error(self) -> np.ndarray:
-        """Reference less output, shape (T,)."""
+        """Reference less output, of their shape."""
         return self.reference - self.y
 
-    def max_error(self, skip: float = 0.0) -> float:
-        """Largest |error| from the time `skip` [s] on."""
-        return float(np.max(np.abs(self.error[self.t >= skip])))
+    def max_error(self, skip: float = 0.0) -> Any:
+        """Largest |error| from the time `skip` [s] on; of each axis, shape (k,), where there are several."""
+        return np.max(np.abs(self.error[self.t >= skip]), axis=0)
 
-    def rms_error(self, skip: float = 0.0) -> float:
-        """RMS error from the time `skip` [s] on."""
-        return float(np.sqrt(np.mean(self.error[self.t >= skip] ** 2)))
+    def rms_error(self, skip: float = 0.0) -> Any:
+        """RMS error from the time `skip` [s] on; of each axis, shape (k,), where there are several."""
+        return np.sqrt(np.mean(self.error[self.t >= skip] ** 2, axis=0))
 
 
 def run_loop(
-    plant: AbstractHysteresis,
+    plant: Any,
     reference: Any,
     rate: float,
     *,
     feedforward: Any = None,
-    controller: Controller | None = None,
+    controller: AbstractController | None = None,
     limits: Limits = (-np.inf, np.inf),
-    noise: float = 0.0,
-    resolution: float = 0.0,
+    noise: Any = 0.0,
+    resolution: Any = 0.0,
     delay: int = 0,
     applied: bool = False,
-    u0: float = 0.0,
+    u0: Any = 0.0,
     seed: int = 0,
+    finer: int = 1,
 ) -> LoopResult:
     """Run a loop over a reference.
 
     Args:
-        plant: any model, at rest on u0 before.
-        reference: wanted output, shape (T,).
+        plant: any model, or a `Stage` of three inputs and three axes, at rest on u0 before.
+        reference: wanted output, shape (T,); (T, 3) of a stage.
         rate: samples per second.
-        feedforward: input for every sample, shape (T,), such as `invert(...).u`; or an `InverseStep` to run along; None for none.
-        controller: of the feedback, sampled at the same rate; None for none.
+        feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) to run
+            along; None for none.
+        controller: of the feedback, sampled at the same rate (`Decoupled` of a stage); None for none.
         limits: lowest and highest input.
-        noise: standard deviation of the sensor's white noise, in output units.
-        resolution: of the sensor, in output units.
+        noise: standard deviation of the sensor's white noise, in output units; one number, or one for each axis.
+        resolution: of the sensor, in output units, likewise.
         delay: of the sensor, in samples, beside the one sample that computing takes.
         applied: let a running inverse remember the input that was given, feedback and limits included.
         u0: input before the first sample.
         seed: of the noise.
+        finer: integration steps of the plant per sample; the input is linear between samples.
 
     Raises:
         DataError: shapes that do not fit, numbers out of range.
@@ -154,41 +173,44 @@ def run_loop(
     """
     require_x64()
     wanted = np.asarray(reference, dtype=float)
-    if wanted.ndim != 1 or wanted.size == 0 or not np.isfinite(wanted).all():
-        raise DataError(f"the reference must be finite and of shape (T,) with T > 0, got shape {wanted.shape}")
-    if not (rate > 0 and delay >= 0 and noise >= 0 and resolution >= 0 and limits[0] < limits[1]):
+    if wanted.ndim not in (1, 2) or wanted.size == 0 or not np.isfinite(wanted).all():
         raise DataError(
-            f"a loop needs rate > 0, delay, noise and resolution >= 0 and low < high; got {rate}, {delay}, {noise}, {resolution}, {limits}"
+            f"the reference must be finite and of shape (T,) or (T, k) with T > 0, got shape {wanted.shape}"
         )
-    inverse = feedforward if isinstance(feedforward, InverseStep) else None
+    sound = rate > 0 and delay >= 0 and finer >= 1 and limits[0] < limits[1]
+    if not (sound and np.all(np.asarray(noise) >= 0) and np.all(np.asarray(resolution) >= 0)):
+        raise DataError(
+            "a loop needs rate > 0, delay, noise and resolution >= 0, finer >= 1 and low < high; "
+            f"got {rate}, {delay}, {noise}, {resolution}, {finer}, {limits}"
+        )
+    inverse = feedforward if isinstance(feedforward, AbstractRunningInverse) else None
     ahead = (
         np.zeros_like(wanted) if feedforward is None or inverse is not None else np.asarray(feedforward, dtype=float)
     )
     if ahead.shape != wanted.shape:
         raise DataError(f"the feed-forward must have the shape of the reference {wanted.shape}, got {ahead.shape}")
     number = lambda value: jnp.asarray(value, dtype=jnp.result_type(float))
-    loop = Loop(
-        plant, controller, inverse, *(number(x) for x in (*limits, resolution, 1 / rate)), delay=delay, applied=applied
-    )
-    start = _rest(loop, number(u0), number(wanted[0]))
-    random = noise * np.random.default_rng(seed).standard_normal(wanted.size) if noise else np.zeros(wanted.size)
+    numbers = (number(x) for x in (*limits, resolution, 1 / rate))
+    loop = Loop(plant, controller, inverse, *numbers, delay=delay, applied=applied, finer=finer)
+    start = _rest(loop, jnp.broadcast_to(number(u0), wanted.shape[1:]), number(wanted[0]))
+    random = noise * np.random.default_rng(seed).standard_normal(wanted.shape)
     _, (u, y, given) = _run(loop, start, (jnp.asarray(wanted), jnp.asarray(ahead), jnp.asarray(random)))
     u, y, given = (np.asarray(value) for value in (u, y, given))
     if not np.isfinite(y).all():
         raise ParameterError(
-            f"the loop ran away at {np.argmax(~np.isfinite(y)) / rate:.3g} s: lower the gains, sample faster, or give limits"
+            f"the loop ran away at {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s: lower the gains, sample faster, or give limits"
         )
     saturated = int(np.count_nonzero((u <= limits[0]) | (u >= limits[1])))
-    return LoopResult(np.arange(wanted.size) / rate, wanted, u, y, given, saturated, _notes(u, saturated, limits))
+    return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, given, saturated, _notes(u, saturated, limits))
 
 
 def _rest(loop: Loop, u0: Array, reference: Array) -> _Carry:
     state = loop.plant.init(u0)
-    _, y = loop.plant.step(state, u0, u0, jnp.zeros_like(u0))
+    _, y = loop.plant.step(state, u0, u0, jnp.zeros(()))
     return _Carry(
         plant=state,
         u=u0,
-        readings=jnp.full((loop.delay + 1,), y),
+        readings=jnp.broadcast_to(y, (loop.delay + 1, *y.shape)),
         controller=None if loop.controller is None else loop.controller.init(),
         memory=None if loop.inverse is None else loop.inverse.init(u0),
         reference=y + 0.0 * reference,  # before the first sample the reference is where the plant rests
@@ -199,7 +221,7 @@ def _notes(u: np.ndarray, saturated: int, limits: Limits) -> tuple[str, ...]:
     notes = []
     if saturated > 0.01 * u.size:
         notes.append(f"the input is at a limit {limits} in {100 * saturated / u.size:.0f} % of the samples")
-    jumps = np.count_nonzero(np.abs(np.diff(u)) > 0.5 * (limits[1] - limits[0]))
+    jumps = np.count_nonzero(np.abs(np.diff(u, axis=0)) > 0.5 * (limits[1] - limits[0]))
     if jumps > 0.01 * u.size:
         notes.append("the input jumps from limit to limit: the loop is unstable, or its gain amplifies noise")
     return tuple(notes)

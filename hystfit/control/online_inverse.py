@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -43,7 +44,35 @@ class Answer(NamedTuple):
     status: Int[Array, ""]
 
 
-class InverseStep(eqx.Module):
+class AbstractRunningInverse(eqx.Module):
+    """A feed-forward that a loop runs along: of one input, or of several at once (arrays of shape (k,))."""
+
+    @abc.abstractmethod
+    def init(self, u0: Any = 0.0) -> Resume:
+        """The memory at rest on an input."""
+
+    @abc.abstractmethod
+    def step(self, memory: Resume, target: Any, dt: Any = 0.0) -> tuple[Resume, Answer]:
+        """The memory after one sample of the reference, and the input for it.
+
+        Args:
+            memory: state and last input.
+            target: wanted output.
+            dt: time since the last sample [s].
+        """
+
+    @abc.abstractmethod
+    def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
+        """The memory where another input was given than asked for.
+
+        Args:
+            memory: before the sample.
+            u: input that was given.
+            dt: time since the last sample [s].
+        """
+
+
+class InverseStep(AbstractRunningInverse):
     """An inverse fed sample by sample: `memory = init(u0)`, then `memory, answer = step(memory, target, dt)`.
 
     The memory is that of the model itself, moved by the input that is really given: a reference out of reach is met as well as
@@ -132,6 +161,11 @@ class InverseStep(eqx.Module):
             status = jnp.where(missed & edge, Status.SATURATED, status)
         status = jnp.where(known, status, Status.OUT_OF_RANGE)
         return Resume(state, u), Answer(u, y, status)
+
+    def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
+        """See the base class."""
+        dt = jnp.asarray(dt, dtype=memory.u.dtype)
+        return Resume(self.solver.advance(memory.state, memory.u, u, dt)[0], u)
 
     def run(self, memory: Resume, targets: Float[Array, " T"], dt: Float[Array, " T"]) -> tuple[Resume, Answer]:
         """All samples of a reference in one scan.

@@ -28,6 +28,7 @@ class Uncertainty:
 
     Attributes:
         covariance: of the free parameters in physical units, shape (p, p); NaN where it means nothing.
+        joint: the same with the parameters that the data do not determine, whose variances are large; 0 on a bound, NaN where inactive.
         determined: whether the data determine each parameter, shape (p,), bool.
         inactive: parameters without any influence on these data, shape (p,), bool.
         directions: parameters that the data cannot separate, a text for each such direction.
@@ -41,6 +42,7 @@ class Uncertainty:
     """
 
     covariance: np.ndarray
+    joint: np.ndarray
     determined: np.ndarray
     inactive: np.ndarray
     directions: tuple[str, ...]
@@ -112,6 +114,7 @@ def uncertainty(
             rows[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on]
         )
     inner = _determined(problem, x, square, variance, live, None if estimate.penalty is None else unit * ridge, inside)
+    inner["joint"][at_bound], inner["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(
         **inner,
         inactive=inactive,
@@ -148,7 +151,8 @@ def _determined(
     covariance, determined = np.full((x.size, x.size), np.nan), live.copy()
     if not live.any():
         return {
-            "covariance": covariance, "determined": determined, "directions": (), "reaching": (), "rank": 0, "condition": None
+            "covariance": covariance, "joint": covariance.copy(), "determined": determined, "directions": (), "reaching": (), "rank": 0,
+            "condition": None,
         }  # fmt: skip
     names = [name for name, on in zip(problem.space.names, live, strict=True) if on]
     relative = relative_size(problem.space, x)[live]
@@ -166,15 +170,20 @@ def _determined(
     open_axes = np.hstack([axes[:, spreads > _OPEN**2], free / np.linalg.norm(free, axis=0)])
     full = back @ root
     full = full @ full.T if inside is None else inside[np.ix_(live, live)]
+    joint, at = np.full_like(covariance, np.nan), np.flatnonzero(live)
+    joint[np.ix_(at, at)] = full
+    if not kept.all():  # with large variances in the directions that the data do not determine
+        root = back @ (np.sqrt(variance) * vectors / np.maximum(values, _RANK * values[0]) / size[:, None])
+        joint[np.ix_(at, at)] = root @ root.T
     touched = (np.abs(open_axes) > _TOUCHED).any(axis=1)
     near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
     touched |= near
     full[touched], full[:, touched] = np.nan, np.nan
-    at = np.flatnonzero(live)
     covariance[np.ix_(at, at)] = full
     determined[at[touched]] = False
     return {
         "covariance": covariance,
+        "joint": joint,
         "determined": determined,
         "directions": tuple(describe(axis, names) for axis in open_axes.T),
         "reaching": tuple(names[k] for k in np.flatnonzero(near)),

@@ -385,6 +385,7 @@ def conclude(
         notes=(*reasons, *notes, *notes_of(problem, model, estimate, errors)),
         parameters=parameters_of(problem, x, errors),
         covariance=errors.covariance,
+        joint=errors.joint,
         train=train,
         test=None,
         sigma=errors.sigma,

@@ -132,7 +132,7 @@ def _settled(change: np.ndarray, value: np.ndarray, rtol: float, atol: float) ->
 
 def _factor(rows: np.ndarray) -> np.ndarray:
     """Factor R of [J, r] = Q R, padded to shape (k, p + 1, p + 1)."""
-    triangle = np.linalg.qr(rows, mode="r")
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     missing = rows.shape[2] - triangle.shape[1]
     return np.pad(triangle, ((0, 0), (0, missing), (0, 0))) if missing else triangle
 

@@ -18,6 +18,7 @@ ESTIMATORS = Registry(
         "projected-gradient": f"{_HERE}.bounded:projected_gradient",
         "convex": f"{_HERE}.convex:Convex",
         "preisach": f"{_HERE}.smooth_weights:SmoothWeights",
+        "everett-table": f"{_HERE}.table_reading:TableReading",
     },
 )
 

@@ -10,6 +10,8 @@ from .duhem_regression import DuhemRegressor as DuhemRegressor
 from .gradient_correction import GradientCorrection as GradientCorrection
 from .identification import Identification as Identification
 from .identification import as_fit as as_fit
+from .online import BlockVerdict as BlockVerdict
+from .online import identify_online as identify_online
 from .registry import IDENTIFIERS as IDENTIFIERS
 from .remedies import bias_compensated as bias_compensated
 from .remedies import decimate as decimate

@@ -170,7 +170,17 @@ class AbstractIdentifier(eqx.Module):
             raise ParameterError(f"at least one pass is needed, got {passes}")
         data = Dataset.of(data)
         stream = Sample.stream(list(data), passes)
-        state, info = run_stream(self, self.init(), stream)
+        return self.conclude(data, stream, *run_stream(self, self.init(), stream))
+
+    def conclude(self, data: Dataset, stream: Sample, state: Any, info: Info) -> Identification:
+        """The identification from a finished run.
+
+        Args:
+            data: the records.
+            stream: their samples in the order of the run, leaves of shape (T,).
+            state: of the identifier after them.
+            info: of every update, leaves of shape (T, ...).
+        """
         history, errors = np.asarray(info.theta), np.asarray(info.error)
         models = self._models(history[-1], data)
         space = free_only(models[0], (*self.names, *self.solved), data) if models else None

@@ -79,6 +79,7 @@ def noise_bias(regressor: DuhemRegressor, rows: Rows, theta: np.ndarray, weight:
         theta: its least-squares solution, shape (p,).
         weight: of each row, shape (K,); None weights all alike.
     """
+    regressor, rows, theta = regressor.scaled(rows, theta)
     weight = np.ones(rows.target.size) if weight is None else weight
     explicit, k = regressor.scheme == "explicit", regressor.m
     lever = float(regressor.half / regressor.step)

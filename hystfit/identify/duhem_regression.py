@@ -6,12 +6,14 @@ With x = (v - center) / half, W = (w - shift) / size, a = |dv| / step and d = dv
 
 theta = [alpha f_i, alpha, g_j] in these units, P_i the Legendre polynomials and x taken at the middle of the step
 (Zhou and Wang 2013, eqs. (4) and (5), with the sign of the regressor of alpha put right). All columns are of order one, so that
-single precision and orders well above the paper's can be used.
+single precision and orders well above the paper's can be used. `basis="powers"` takes the paper's own columns instead, powers of
+v with w and dv in the data's units: theta is then the paper's, and the columns differ by orders of magnitude.
 """
 
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
@@ -32,6 +34,7 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 
 STARTS = ("zero", "model", "data")
+BASES = ("legendre", "powers")
 _LEAST_RATE = 1e-6  # scaled alpha (per half range of the input) below which f = (alpha f) / alpha is meaningless
 _RANK = 1e-9  # of the largest singular value of the columns at unit length
 
@@ -40,8 +43,8 @@ class Rows(NamedTuple):
     """Regressors and responses of K steps.
 
     Attributes:
-        phi: shape (K, p), scaled.
-        target: shape (K,), scaled.
+        phi: shape (K, p), in the units of the regressor's basis.
+        target: shape (K,), likewise.
         travel: |dv| of each row in units of `step`, shape (K,).
         at: number of the sample at which each row ends, shape (K,).
     """
@@ -62,6 +65,7 @@ class DuhemRegressor(eqx.Module):
         m, n: numbers of coefficients of f and g.
         scheme: "midpoint" evaluates the output in the regressor at the middle of the step, as the midpoint scheme of the model
             does; "explicit" at its beginning. The noise of midpoint regressors is uncorrelated with that of the response.
+        basis: "legendre", scaled; or "powers" of the input, with all columns and theta in the data's units, as in the paper.
     """
 
     center: Float[Array, ""]
@@ -72,8 +76,11 @@ class DuhemRegressor(eqx.Module):
     m: int = eqx.field(static=True)
     n: int = eqx.field(static=True)
     scheme: str = eqx.field(static=True, default="midpoint")
+    basis: str = eqx.field(static=True, default="legendre")
 
     def __check_init__(self) -> None:
+        if self.basis not in BASES:
+            raise ParameterError(f"basis must be one of {', '.join(BASES)}, got {self.basis!r}")
         if self.scheme not in ("midpoint", "explicit"):
             raise ModelError(
                 f"the {self.scheme!r} scheme is not linear in the parameters: identify with Duhem(scheme='midpoint') or "
@@ -81,10 +88,16 @@ class DuhemRegressor(eqx.Module):
             )
 
     @classmethod
-    def of(cls, model: AbstractHysteresis, records: Sequence[Record]) -> DuhemRegressor:
+    def of(cls, model: AbstractHysteresis, records: Sequence[Record], *, basis: str = "legendre") -> DuhemRegressor:
         """Scaled to the ranges of records, with the orders and the scheme of a model.
 
+        Args:
+            model: a `Duhem`.
+            records: with an input that moves.
+            basis: see the attributes.
+
         Raises:
+            ParameterError: an unknown basis.
             ModelError: not a Duhem model, or its scheme is "exact".
             DataError: the input never moves.
         """
@@ -99,7 +112,7 @@ class DuhemRegressor(eqx.Module):
             raise DataError("the input never moves: there is nothing to identify")
         values = (*input_range(records), *output_range(records), np.sqrt(np.mean(steps**2)))
         arrays = (jnp.asarray(value, dtype=jnp.result_type(float)) for value in values)
-        return cls(*arrays, m=model.f.shape[0], n=model.g.shape[0], scheme=model.scheme)
+        return cls(*arrays, m=model.f.shape[0], n=model.g.shape[0], scheme=model.scheme, basis=basis)
 
     @property
     def p(self) -> int:
@@ -116,20 +129,36 @@ class DuhemRegressor(eqx.Module):
         Returns:
             phi of shape (..., p) and target of the common shape.
         """
-        d = (u1 - u0) / self.step
-        x = (0.5 * (u0 + u1) - self.center) / self.half
-        w = (0.5 * (y0 + y1) if self.scheme == "midpoint" else y0) - self.shift
-        basis = [jnp.ones_like(x), x]
-        for i in range(1, max(self.m, self.n) - 1):
-            basis.append(((2 * i + 1) * x * basis[i] - i * basis[i - 1]) / (i + 1))
+        v, w = 0.5 * (u0 + u1), 0.5 * (y0 + y1) if self.scheme == "midpoint" else y0
+        if self.basis == "powers":
+            d, terms = u1 - u0, [v**i for i in range(max(self.m, self.n))]
+        else:
+            d, w, x = (u1 - u0) / self.step, (w - self.shift) / self.size, (v - self.center) / self.half
+            terms = [jnp.ones_like(x), x]
+            for i in range(1, max(self.m, self.n) - 1):
+                terms.append(((2 * i + 1) * x * terms[i] - i * terms[i - 1]) / (i + 1))
         a = jnp.abs(d)
-        columns = [a * b for b in basis[: self.m]] + [-a * w / self.size] + [d * b for b in basis[: self.n]]
-        return jnp.stack(columns, axis=-1), (y1 - y0) * (self.half / (self.size * self.step))
+        columns = [a * b for b in terms[: self.m]] + [-a * w] + [d * b for b in terms[: self.n]]
+        return jnp.stack(columns, axis=-1), (y1 - y0) / self.target_unit
 
     @property
     def target_unit(self) -> Float[Array, ""]:
         """Output of one unit of the target [y]."""
-        return self.size * self.step / self.half
+        return jnp.ones_like(self.size) if self.basis == "powers" else self.size * self.step / self.half
+
+    def scaled(self, rows: Rows, theta: np.ndarray) -> tuple[DuhemRegressor, Rows, np.ndarray]:
+        """The scaled regressor, rows and theta of the same regression.
+
+        Args:
+            rows: of this regressor.
+            theta: of this regressor, shape (p,).
+        """
+        if self.basis == "legendre":
+            return self, rows, theta
+        regressor = dataclasses.replace(self, basis="legendre")
+        unit = float(regressor.target_unit)
+        rows = rows._replace(phi=rows.phi @ self._to_powers() / unit, target=rows.target / unit)
+        return regressor, rows, regressor.from_powers(theta)
 
     def rows(self, data: Record | Dataset) -> Rows:
         """All steps, one record after another, whose ends count and whose input moved."""
@@ -158,17 +187,20 @@ class DuhemRegressor(eqx.Module):
         return rows
 
     def theta(self, model: Duhem) -> np.ndarray:
-        """Scaled parameters of a model, shape (p,); its polynomials may be expanded on another input range."""
+        """theta of a model, shape (p,); its polynomials may be expanded on another input range."""
         f, g = (_padded(c, k) for c, k in zip(model.powers(), (self.m, self.n), strict=True))
         center, half, shift, size = (float(v) for v in (self.center, self.half, self.shift, self.size))
         f, g = powers_to_legendre(f, center, half) / size, powers_to_legendre(g, center, half) * half / size
         f[0] -= shift / size
         rate = float(model.alpha) * half
-        return np.concatenate([rate * f, [rate], g])
+        theta = np.concatenate([rate * f, [rate], g])
+        return self._to_powers() @ theta if self.basis == "powers" else theta
 
     def physical(self, theta: np.ndarray) -> np.ndarray:
         """[alpha, f, g] of the model, shape (..., p), from theta of that shape; f is NaN where alpha is not positive."""
         theta = np.asarray(theta, dtype=float)
+        if self.basis == "powers":
+            theta = np.linalg.solve(self._to_powers(), theta.T).T
         half, shift, size = (float(v) for v in (self.half, self.shift, self.size))
         rate = theta[..., self.m : self.m + 1]
         f = size * theta[..., : self.m] / np.where(rate > _LEAST_RATE, rate, np.nan)
@@ -191,10 +223,14 @@ class DuhemRegressor(eqx.Module):
 
     def powers(self, theta: np.ndarray) -> np.ndarray:
         """The paper's parameters [alpha f_0.., alpha, g_0..] of 1, v, v^2, ..., shape (..., p), from theta."""
+        if self.basis == "powers":
+            return np.asarray(theta, dtype=float)
         return np.asarray(theta, dtype=float) @ self._to_powers().T
 
     def from_powers(self, values: np.ndarray) -> np.ndarray:
         """theta from the paper's parameters."""
+        if self.basis == "powers":
+            return np.asarray(values, dtype=float)
         return np.linalg.solve(self._to_powers(), np.asarray(values, dtype=float).T).T
 
     def _to_powers(self) -> np.ndarray:
@@ -295,7 +331,7 @@ class LinearIdentifier(AbstractIdentifier):
             return Status.DIVERGED, [Note(Code.DIVERGED, text, Severity.ERROR)]
         if np.isfinite(self.regressor.physical(theta)).all():
             return Status.OK, []
-        rate = theta[self.regressor.m] / float(self.regressor.half)
+        rate = self.regressor.physical(theta)[0]
         text = (
             f"the identified rate alpha = {rate:.4g} is not positive, which is no hysteresis; possible causes are a delay between "
             "input and output, noise larger than the increments, and too short a record"

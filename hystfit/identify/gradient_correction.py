@@ -34,7 +34,7 @@ class GradientState(NamedTuple):
     """State of the recursion.
 
     Attributes:
-        theta: shape (p,), scaled.
+        theta: shape (p,), in the units of the basis.
         last: (u, y) of the previous sample; NaN before the first.
         count: rows used so far (the index of time-varying weights).
     """
@@ -48,8 +48,8 @@ class GradientCorrection(LinearIdentifier):
     """Weighted normalized gradient steps; costs 2 p multiplications a sample, and converges slowly.
 
     Attributes:
-        regressor: the scaled Duhem equation.
-        theta0: start, shape (p,), scaled.
+        regressor: the one-step Duhem equation.
+        theta0: start, shape (p,), in the units of the basis.
         weights: Lambda, shape (p,), or (K, p) for weights that vary with the row; the last row of weights is kept.
         mu: relative step size, in (0, 2): c = mu / (floor + phi^T Lambda phi).
         floor: epsilon. Without it noise is amplified without bound at turning points, where phi vanishes.
@@ -72,6 +72,7 @@ class GradientCorrection(LinearIdentifier):
         data: Record | Dataset | Sequence[Record],
         *,
         start: str = "data",
+        basis: str = "legendre",
         weights: Sequence[float] | np.ndarray | None = None,
         mu: float = 1.0,
         floor: float = 1.0,
@@ -83,6 +84,7 @@ class GradientCorrection(LinearIdentifier):
             model: a `Duhem`, which gives the orders and the scheme.
             data: the records.
             start: theta0 is "zero" (which needs many passes), the values of the "model", or read from the "data".
+            basis: of the regressors, "legendre" or the paper's "powers".
             weights: Lambda; None takes one over the mean square of each regressor in the records.
             mu, floor, step: see the attributes.
 
@@ -95,7 +97,7 @@ class GradientCorrection(LinearIdentifier):
         if not 0 <= floor < np.inf:
             raise ParameterError(f"floor must not be negative, got {floor:g}; 1 suits scaled regressors")
         data = Dataset.of(data)
-        regressor = DuhemRegressor.of(model, list(data))
+        regressor = DuhemRegressor.of(model, list(data), basis=basis)
         rows = regressor.enough_rows(data)
         if weights is None:
             lambdas = 1.0 / np.maximum(np.mean(rows.phi**2, axis=0), np.finfo(float).tiny)

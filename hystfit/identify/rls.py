@@ -26,7 +26,7 @@ class RlsState(NamedTuple):
     """State of the recursion.
 
     Attributes:
-        theta: shape (p,), scaled.
+        theta: shape (p,), in the units of the basis.
         root: S with P = S S^T in the square-root form, P itself in the symmetric one, shape (p, p).
         last: (u, y) of the previous sample; NaN before the first.
     """
@@ -40,11 +40,11 @@ class Rls(LinearIdentifier):
     """Recursive least squares on one-step equations, which minimizes sum of lambda^(K-k) (target - phi . theta)^2 + prior.
 
     Attributes:
-        regressor: the scaled Duhem equation.
-        theta0: start, shape (p,), scaled.
+        regressor: the one-step Duhem equation.
+        theta0: start, shape (p,), in the units of the basis.
         forgetting: lambda, in (0, 1]; 1 weights all samples alike. Forgetting pauses without excitation, so the covariance cannot
             wind up.
-        prior: P_0 = prior * identity, on scaled regressors.
+        prior: P_0 = prior * identity, in the units of the basis.
         form: "square-root" (Potter's update of a factor of P, which stays positive definite in single precision) or "symmetric"
             (P itself, made symmetric after every step).
 
@@ -67,6 +67,7 @@ class Rls(LinearIdentifier):
         data: Record | Dataset | Sequence[Record],
         *,
         start: str = "zero",
+        basis: str = "legendre",
         forgetting: float = 1.0,
         prior: float = 1e8,
         form: str = "square-root",
@@ -77,6 +78,7 @@ class Rls(LinearIdentifier):
             model: a `Duhem`, which gives the orders and the scheme.
             data: the records.
             start: theta0 is "zero", the values of the "model", or read from the "data".
+            basis: of the regressors, "legendre" or the paper's "powers".
             forgetting, prior, form: see the attributes.
 
         Raises:
@@ -90,7 +92,7 @@ class Rls(LinearIdentifier):
         if form not in ("square-root", "symmetric"):
             raise ParameterError(f"form must be square-root or symmetric, got {form!r}")
         data = Dataset.of(data)
-        regressor = DuhemRegressor.of(model, list(data))
+        regressor = DuhemRegressor.of(model, list(data), basis=basis)
         regressor.enough_rows(data)
         theta0 = starting_theta(regressor, model, list(data), start)
         return cls(regressor, theta0, forgetting, prior, form)  # type: ignore[arg-type]

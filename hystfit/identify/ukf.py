@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -15,23 +14,17 @@ from jaxtyping import Array, Bool, Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify import tuning
+from hystfit.identify import filter_verdict, tuning
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, free_only, run_stream
 from hystfit.identify.sigma_points import Unscented, triangular
 from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import warn
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.space import ParameterSpace
-from hystfit.quality.loops import reversals
 
 _STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the records
-_NIS_BAND = 0.2  # how far the mean normalized innovation squared of a consistent filter may lie from 1
-_NIS_SIGMAS = 3.0  # standard deviations of that mean which are allowed where its samples are few
-_SETTLED = 1e-3  # largest relative change of a parameter over the last tenth of the record
-_FOLLOWS = 0.01  # simulation error beyond the noise, RMS in parts of the output's range
 
 
 class UkfState(NamedTuple):
@@ -309,97 +302,30 @@ class Ukf(AbstractIdentifier):
 
     def judge(self, run: Run) -> Judgment:
         """Whether the simulation follows the record and the innovations are as large as predicted; other findings as notes."""
-        state, theta, notes = run.state, run.history[-1], _skipped(run.state)
+        state, theta = run.state, run.history[-1]
+        notes = filter_verdict.skipped(int(state.tally[2]), int(state.tally[3]))
         if not np.isfinite(theta).all() or not np.isfinite(np.asarray(state.root)).all():
             text = "mean or covariance of the filter is not finite: use alpha=1, a smaller prior, or a better start"
             return Judgment(Status.DIVERGED, [*notes, Note(Code.DIVERGED, text, Severity.ERROR)])
         equation_error = float(np.sqrt(np.mean(self.one_step(theta, run.data) ** 2)))
-        innovations = _innovations(float(state.tally[5]), float(self.memory))
+        innovations = filter_verdict.innovations(float(state.tally[5]), float(self.memory))
         notes.append(innovations)
-        if (unsettled := self._unsettled(run.history)) is not None:
+        x = self.physical(run.history[[-max(2, len(run.history) // 10), -1]])
+        change = filter_verdict.relative_change(x[0], x[1], np.asarray(self.coordinates.scale))
+        if (unsettled := filter_verdict.unsettled(self.names, change)) is not None:
             notes.append(unsettled)
         if run.free_run is None:
             return Judgment(Status.DIVERGED, notes, equation_error)
         measured = np.concatenate([record.y[record.used] for record in run.data])
-        excess = math.sqrt(max(0.0, run.free_run.rmse**2 - float(self.noise) ** 2)) / float(np.ptp(measured))
-        notes.append(
-            Note(
-                Code.SIMULATION_ERROR,
-                f"the simulation error beyond the noise is {100 * excess:.2g} % of the range (RMS)",
-            )
-        )
-        undetermined = self._undetermined(run.data, follows=excess <= _FOLLOWS)
-        if undetermined is not None:
+        excess = filter_verdict.excess(run.free_run.rmse, float(self.noise), float(np.ptp(measured)))
+        text = f"the simulation error beyond the noise is {100 * excess:.2g} % of the range (RMS)"
+        notes.append(Note(Code.SIMULATION_ERROR, text))
+        resting = np.asarray(self.resting)[self.states :]
+        shape = [n for n, rests in zip(self.names, resting, strict=True) if rests and not n.startswith("offset")]
+        follows = excess <= filter_verdict.FOLLOWS
+        if (undetermined := filter_verdict.undetermined(shape, run.data, follows=follows)) is not None:
             return Judgment(Status.UNDETERMINED, [*notes, undetermined], equation_error)
-        if excess > _FOLLOWS:
+        if not follows:
             return Judgment(Status.NOT_CONVERGED, notes, equation_error)
         consistent = innovations.severity is Severity.INFO
         return Judgment(Status.OK if consistent else Status.INCONSISTENT, notes, equation_error)
-
-    def _unsettled(self, history: np.ndarray) -> Note | None:
-        """A note on parameters that change over the last tenth of the record."""
-        x = self.physical(history[[-max(2, len(history) // 10), -1]])
-        change = np.abs(x[1] - x[0]) / np.maximum(np.abs(x[1]), np.asarray(self.coordinates.scale))
-        rows = [(name, part) for name, part in zip(self.names, change, strict=True) if part > _SETTLED]
-        if not rows:
-            return None
-        listed = ", ".join(f"{name} by {100 * part:.2g} %" for name, part in rows)
-        return warn(Code.NOT_SETTLED, f"parameters still change over the last tenth of the record: {listed}")
-
-    def _undetermined(self, data: Dataset, *, follows: bool) -> Note | None:
-        """A note where the input has too few amplitudes to separate the parameters of the hysteresis."""
-        resting = np.asarray(self.resting)[self.states :]
-        shape = [n for n, rests in zip(self.names, resting, strict=True) if rests and not n.startswith("offset")]
-        count = loop_count(data)
-        if len(shape) < 2 or count > 2:
-            return None
-        described = f"{count} loop{'s' if count > 1 else ''} of one amplitude" if count else "no loop"
-        return warn(
-            Code.NOT_DETERMINED,
-            f"the data cannot separate {', '.join(shape)}: the input has {described}. The model "
-            f"{'predicts' if follows else 'does not predict even'} this input; for others excite several amplitudes "
-            "(signal amplitude-sweep)",
-        )
-
-
-def loop_count(data: Dataset) -> int:
-    """Number of different loops of the inputs: pairs of neighboring turning points that differ by 5 % of the range."""
-    low, high = min(r.u.min() for r in data), max(r.u.max() for r in data)
-    span = max(high - low, 1e-300)
-    pairs: list[np.ndarray] = []
-    for record in data:
-        turns = (record.u[reversals(record.u, 0.02 * span)] - low) / span
-        for pair in np.sort(np.stack([turns[:-1], turns[1:]], axis=1), axis=1):
-            if all(np.max(np.abs(pair - other)) > 0.05 for other in pairs):
-                pairs.append(pair)
-    return len(pairs)
-
-
-def _skipped(state: UkfState) -> list[Note]:
-    missing, rejected = int(state.tally[2]), int(state.tally[3])
-    notes = []
-    if missing:
-        text = f"samples without a measurement: {missing}; the model was driven through them by its input"
-        notes.append(Note(Code.SKIPPED_SAMPLES, text))
-    if rejected:
-        text = f"samples rejected because the prediction of the sigma points was not finite: {rejected}"
-        notes.append(warn(Code.SKIPPED_SAMPLES, text))
-    return notes
-
-
-def _innovations(average: float, memory: float) -> Note:
-    """A note on the mean normalized innovation squared over the last samples, a warning where it is outside its band.
-
-    Args:
-        average: exponentially weighted mean.
-        memory: its time constant, samples; the mean of white Gaussian innovations then has a standard deviation of memory^-1/2.
-    """
-    width = max(_NIS_BAND, _NIS_SIGMAS / math.sqrt(max(memory, 1.0)))
-    text = f"mean normalized innovation squared over the last tenth: {average:.3g} (1 +- {width:.2g} for a consistent filter)"
-    if average > 1 + width:
-        text += "; the filter is overconfident: increase noise or walk, or use a model with more freedom"
-    elif average < 1 - width:
-        text += "; the filter is underconfident: decrease noise or walk"
-    consistent = abs(average - 1) <= width
-    text += ". The covariance of the filter is no error bar: fit by least squares from here for standard errors"
-    return Note(Code.INNOVATIONS, text, Severity.INFO if consistent else Severity.WARNING)

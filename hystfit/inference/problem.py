@@ -25,6 +25,7 @@ from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.one_device import check_one_device
 from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import to_device
@@ -208,7 +209,7 @@ class Problem:
 
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
-        if self.model.estimator == "preisach":
+        if self.model.short_cut and self.model.estimator is not None:
             length = self.objective.batch.u.shape[1]
             jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
             return self.residuals(x), jacobian * self.used[..., None]
@@ -276,7 +277,9 @@ def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
     Raises:
         DataError: no samples count, a constant input or output.
         ModelError: the model depends on time and a record has none.
+        ParameterError: the model holds several devices.
     """
+    check_one_device(model)
     for record in data:
         if not record.used.any():
             raise DataError(f"record {record.name!r}: no sample counts in the window")

@@ -20,6 +20,7 @@ from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii as PrandtlIshlin
 from hystfit.models.preisach.model import Preisach as Preisach
 from hystfit.models.preisach.parametric import ParametricPreisach as ParametricPreisach
 from hystfit.models.preisach.signed import SignedPreisach as SignedPreisach
+from hystfit.models.preisach.tabulated import TabulatedPreisach as TabulatedPreisach
 from hystfit.models.rate import SaturatingRate as SaturatingRate
 from hystfit.models.rate import Viscous as Viscous
 from hystfit.models.relaxation import Relaxation as Relaxation

@@ -22,6 +22,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.default_start import searched_start
 from hystfit.models.description import described
 from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.one_device import check_one_device
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -188,6 +189,14 @@ class AbstractHysteresis(eqx.Module):
     def derived(self) -> tuple[Derived, ...]:
         """Quantities that follow from its parameters, which a fit reports with their standard errors."""
         return ()
+
+    def plays(self) -> tuple[PlayWeights, ...]:
+        """Weights of plays or stops by threshold, for pictures; none by default."""
+        return ()
+
+    def plane(self) -> Any:
+        """The `Preisach` whose density describes the model, for pictures; None where there is none."""
+        return None
 
     @property
     def needs(self) -> Needs | None:
@@ -431,6 +440,22 @@ def check_rest(rest: str) -> None:
         raise ModelError(f"rest must be level or first, got {rest!r}")
 
 
+class PlayWeights(NamedTuple):
+    """Weights of the plays or stops of one envelope.
+
+    Attributes:
+        label: of the envelope and operator.
+        threshold: half width of each, rising [u], shape (n,).
+        weight: of each [y], shape (n,).
+        names: of the parameters that are the weights.
+    """
+
+    label: str
+    threshold: np.ndarray
+    weight: np.ndarray
+    names: tuple[str, ...]
+
+
 class Resume(NamedTuple):
     """Where a simulation stopped, to go on from: state of the model and the last input."""
 
@@ -461,6 +486,7 @@ def simulate(
 
     Raises:
         ModelError: no time for a model that needs it, shapes that do not fit, or a run of a model that is not causal to resume.
+        ParameterError: the model holds several devices.
         PrecisionError: double precision is off.
     """
     if resume is not None and not model.causal:
@@ -469,7 +495,11 @@ def simulate(
         )
     u, dt = _driven(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
-    return _compiled(model)(model, u, dt, resume, unroll)
+    try:
+        return _compiled(model)(model, u, dt, resume, unroll)
+    except (TypeError, ValueError):
+        check_one_device(model)
+        raise
 
 
 def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:

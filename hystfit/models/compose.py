@@ -16,7 +16,17 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Derived, Led, SearchStep, drive, run, simulate
+from hystfit.models.base import (
+    AbstractHysteresis,
+    AbstractStepInverse,
+    Derived,
+    Led,
+    PlayWeights,
+    SearchStep,
+    drive,
+    run,
+    simulate,
+)
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix
@@ -81,6 +91,14 @@ class AbstractComposition(AbstractHysteresis):
         """Those of all parts."""
         of_part = lambda k, value: lambda model: value(model.parts[k])
         return tuple(d._replace(value=of_part(k, d.value)) for k, part in enumerate(self.parts) for d in part.derived())
+
+    def plays(self) -> tuple[PlayWeights, ...]:
+        """Those of all parts."""
+        return tuple(one for part in self.parts for one in part.plays())
+
+    def plane(self) -> Any:
+        """That of the first part that has one."""
+        return next((plane for part in self.parts if (plane := part.plane()) is not None), None)
 
     @property
     def estimator(self) -> str | None:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, SearchStep
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, PlayWeights, SearchStep
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series, rising_series
@@ -108,6 +108,19 @@ class PrandtlIshlinskii(AbstractHysteresis):
             )
         if self.hardening.shape not in ((0,), self.r.shape):
             raise ModelError(f"hardening must have no weight or one a play, got shape {self.hardening.shape}")
+
+    def plays(self) -> tuple[PlayWeights, ...]:
+        """The weights of each envelope."""
+        threshold = np.asarray(self.r) * float(self.high - self.low)
+        return tuple(
+            PlayWeights(
+                f"{self.operator}s of {kind}" if len(self.envelopes) > 1 else f"{self.operator}s",
+                threshold,
+                np.asarray(row),
+                tuple(f"w[{e},{j}]" for j in range(threshold.size)),
+            )
+            for e, (kind, row) in enumerate(zip(self.envelopes, np.asarray(self.w), strict=True))
+        )
 
     @classmethod
     def of(

@@ -22,6 +22,7 @@ from hystfit.models.oscillator import BoucWenOscillator
 from hystfit.models.prandtl_ishlinskii import PrandtlIshlinskii
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.signed import SignedPreisach
+from hystfit.models.preisach.tabulated import TabulatedPreisach
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.relaxation import Relaxation
 from hystfit.params.param import leaves_of
@@ -136,6 +137,11 @@ MODELS: dict[str, Entry] = {
         "core",
         "the same with masses of either sign: closer to the curves, no inverse",
         compared_on=("reversal-curves",),
+    ),
+    "everett-table": Entry(
+        TabulatedPreisach.of,
+        "core",
+        "Preisach table read off curves that rise to peaks and fall back, without a solve (Song et al. 2005)",
     ),
     "prandtl-ishlinskii": Entry(
         PrandtlIshlinskii.of, "core", "weighted plays; output lags (piezo, magnetics); convex solve"

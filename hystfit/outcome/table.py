@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 
@@ -25,6 +25,10 @@ def rounded(value: float, stderr: float | None) -> tuple[str, str]:
     if decimals < 0:
         return f"{round(value, decimals):z.0f}", f"{round(stderr, decimals):.0f}"
     return f"{value / 10**scale:z.{decimals}f}{tail}", f"{stderr / 10**scale:.{decimals}f}{tail}"
+
+
+_LONG = 28  # characters of a text from which it may take several lines
+_CLASS = {True: ' class="long"', False: ' class="number"'}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,13 +87,25 @@ class Table:
             for row in rows
         ]
 
-    def html(self) -> str:
-        """An HTML table; numbers are flush right by the class "number"."""
-        mark = lambda column: "" if column.left else ' class="number"'
+    def html(self, links: Mapping[str, str] | None = None) -> str:
+        """An HTML table; numbers are flush right by the class "number", and "long" cells may take several lines.
+
+        Each cell names its column, for narrow screens on which a row becomes a list. Cells of the first column whose text is in `links`
+        lead to that address.
+        """
+        shown = lambda k, text: (
+            f'<a href="{links[text]}">{html.escape(text)}</a>'
+            if links and k == 0 and text in links
+            else html.escape(text)
+        )
+        mark = lambda column, text="": "" if column.left and len(text) < _LONG else _CLASS[column.left]
         head = "".join(f"<th{mark(column)}>{html.escape(column.head)}</th>" for column in self.columns)
         body = "".join(
             "<tr>"
-            + "".join(f"<td{mark(c)}>{html.escape(text)}</td>" for c, text in zip(self.columns, row, strict=True))
+            + "".join(
+                f'<td{mark(c, text)} data-head="{html.escape(c.head)}">{shown(k, text)}</td>'
+                for k, (c, text) in enumerate(zip(self.columns, row, strict=True))
+            )
             + "</tr>\n"
             for row in self.cells()
         )

@@ -13,7 +13,8 @@ from jax import dtypes
 
 from hystfit.config import compile_whole_loops
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 compile_whole_loops()  # before JAX computes: every model is made of arrays from here
 
 

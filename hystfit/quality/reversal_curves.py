@@ -55,7 +55,7 @@ def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
     curves = [record if record.used.all() else record.take(record.used) for record in used]
     if len(curves) < 2:
         raise DataError(
-            f"two reversal curves or more are needed, got {len(curves)}: read the file with its curve column (--by, or by=)"
+            f"two reversal curves or more are needed, got {len(curves)}: read the file with its curve column (by=)"
         )
     rises = [bool(np.sum(np.sign(np.diff(r.u))) > 0) for r in curves]
     if len(set(rises)) > 1:

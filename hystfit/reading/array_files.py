@@ -170,4 +170,5 @@ KINDS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
     ".mat": _matlab,
     ".h5": _hdf5,
     ".hdf5": _hdf5,
+    ".nc": _hdf5,  # netCDF-4
 }

@@ -14,6 +14,8 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError
 from hystfit.inference.autocorrelation import autocorrelation
 from hystfit.params.units import axis_label
+from hystfit.quality.loops import cycles
+from hystfit.results.accuracy import lasting
 from hystfit.results.labels import column_label, legible, make_legible
 
 if TYPE_CHECKING:
@@ -24,9 +26,17 @@ if TYPE_CHECKING:
 # Okabe and Ito's colors, which can also be distinguished with color-vision deficiency.
 MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"
 DARK = "#8a5a00"  # of HELD_OUT, for text
+CYCLES = {"first": MODEL, "last": "#009e73", "largest error": "#d55e00"}  # of many, those that a picture shows
 MANY = 12  # weights of one array above which they share one row
 _POINTS, _LOOP_POINTS, _RASTER = 4000, 40_000, 6000
 _BEYOND = 2.0  # times the largest residual fitted, beyond which a few residuals not fitted are not drawn
+_OUTLIER, _FEW_OUTLIERS = (
+    3.0,
+    0.005,
+)  # times the 99.5 % quantile, beyond which residuals fitted are not drawn; part of them at most
+_MANY_CYCLES = 4  # above which the loop shows some of them
+_TURN = 0.3  # of the input's range: stroke of a cycle
+_STRETCH = 0.1  # of a record: length of the worst stretch; two cycles where there are many
 
 
 def fit(
@@ -42,7 +52,9 @@ def fit(
     Args:
         result: the fit.
         kind: "loop" (output over input), "series" (output over time), "residuals" (over time), "residuals-input" (over
-            the input), "autocorrelation" (of the residuals) or "parameters" (their relative standard errors).
+            the input), "worst" (output over time around the largest lasting error), "cycle-errors" (residuals of the first, last and
+            worst cycle over the input), "autocorrelation" (of the residuals), "parameters" (their relative standard errors), "weights"
+            (of plays or stops over their thresholds) or "density" (over the Preisach plane).
         ax: axes to draw on; new ones where None.
         data: other records than those fitted, such as test data.
         refit_offset: shift the prediction of each of those to its mean.
@@ -59,8 +71,8 @@ def fit(
 
         ax = plt.subplots(layout="constrained")[1]
     assert ax is not None
-    if kind == "parameters":
-        return _parameters(result, ax)
+    if kind in _OF_RESULT:
+        return KINDS[kind](result, ax)
     KINDS[kind](_traces(result, data, refit_offset), ax)
     ax.spines[["top", "right"]].set_visible(False)
     make_legible(ax)
@@ -75,12 +87,12 @@ class _Trace:
         self.seen = record.used & fitted
         self.held = np.isfinite(record.y) & ~record.used if fitted else record.used
         self.axis = (np.arange(len(record)) if record.t is None else record.t - record.t[0] * (start > 0)) + start
-        self.residual = predicted - record.y
+        self.residual = record.y - predicted
         self.columns = {  # name, unit and role
             "u": (record.u_name, record.u_unit, "input"),
             "y": (record.y_name, record.y_unit, "output"),
         }
-        self.residual_label = legible(axis_label("model - measured", record.y_unit))
+        self.residual_label = legible(axis_label("measured - model", record.y_unit))
         self.axis_label = "sample" if record.t is None else legible(f"time [{record.t_unit}]")
 
 
@@ -118,7 +130,28 @@ def _line(ax: Axes, x: np.ndarray, y: np.ndarray, label: str, color: str, width:
     ax.plot(x, y, color=color, lw=width, label=None if label in known else label, rasterized=x.size > _RASTER)
 
 
+def _some_of(trace: _Trace) -> dict[str, tuple[int, slice]]:
+    """Number and samples of the first, the last and the worst cycle of many; empty where there are few."""
+    found = cycles(trace.u, _TURN * float(np.ptp(trace.u)))
+    counted = trace.seen if trace.seen.any() else trace.held
+    found = found[[bool(counted[a : c + 1].any()) for a, _, c in found]] if len(found) else found
+    if len(found) <= _MANY_CYCLES:
+        return {}
+    size = np.where(counted, trace.residual, np.nan)
+    errors = [float(np.nanmean(size[a : c + 1] ** 2)) for a, _, c in found]
+    at = {"first": 0, "last": len(found) - 1, "largest error": int(np.argmax(errors))}
+    return {name: (k + 1, slice(int(found[k, 0]), int(found[k, 2]) + 1)) for name, k in at.items()}
+
+
+def shows_cycles(result: FitResult) -> bool:
+    """Whether pictures of a fit show some of its many cycles."""
+    return len(result.data) == 1 and bool(_some_of(_traces(result, None, False)[0]))
+
+
 def _loop(traces: list[_Trace], ax: Axes) -> None:
+    if len(traces) == 1 and (shown := _some_of(traces[0])):
+        _some_cycles(traces[0], shown, ax)
+        return
     share = max(1, _LOOP_POINTS // len(traces))
     for trace in traces:
         at = thin(share, trace.u, trace.y, trace.predicted)
@@ -130,6 +163,48 @@ def _loop(traces: list[_Trace], ax: Axes) -> None:
     column_label(ax, "x", *traces[0].columns["u"])
     column_label(ax, "y", *traces[0].columns["y"])
     ax.legend(frameon=False)
+
+
+def _some_cycles(trace: _Trace, shown: dict[str, tuple[int, slice]], ax: Axes) -> None:
+    """Measured (thick) and model (thin) of some cycles."""
+    for name, (number, part) in shown.items():
+        at = part.start + thin(_POINTS, trace.u[part], trace.y[part], trace.predicted[part])
+        ax.plot(trace.u[at], trace.y[at], color=CYCLES[name], lw=4, alpha=0.3, solid_capstyle="butt")
+        ax.plot(trace.u[at], trace.predicted[at], color=CYCLES[name], lw=0.9, label=f"cycle {number} ({name})")
+    column_label(ax, "x", *trace.columns["u"])
+    column_label(ax, "y", *trace.columns["y"])
+    ax.legend(frameon=False, title="measured: thick, model: thin", fontsize="small", title_fontsize="small")
+
+
+def _cycle_errors(traces: list[_Trace], ax: Axes) -> None:
+    """Residuals of some cycles over the input."""
+    trace = traces[0]
+    shown = _some_of(trace) or {"first": (1, slice(0, trace.u.size))}
+    for name, (number, part) in shown.items():
+        at = part.start + thin(_POINTS, trace.u[part], trace.residual[part])
+        ax.plot(trace.u[at], trace.residual[at], color=CYCLES[name], lw=0.9, label=f"cycle {number} ({name})")
+    ax.axhline(0.0, color="black", lw=0.7)
+    column_label(ax, "x", *trace.columns["u"])
+    ax.set_ylabel(trace.residual_label)
+    ax.legend(frameon=False, fontsize="small")
+
+
+def _worst(traces: list[_Trace], ax: Axes) -> None:
+    """Output over time around the largest error that lasts."""
+    errors = [lasting(np.where(t.seen | t.held, t.residual, 0.0)) for t in traces]
+    trace, error = max(zip(traces, errors, strict=True), key=lambda pair: float(pair[1].max()))
+    middle, size = int(np.argmax(error)), error.size
+    turns = [part.stop - part.start for _, part in _some_of(trace).values()]
+    half = max(20, turns[-1] if turns else int(_STRETCH * size / 2))
+    part = slice(max(middle - half, 0), min(middle + half + 1, size))
+    at = part.start + thin(_POINTS, trace.y[part], trace.predicted[part])
+    ax.plot(trace.axis[at], trace.y[at], color=MEASURED, lw=2.6, label="measured")
+    ax.plot(trace.axis[at], trace.predicted[at], color=MODEL, lw=0.9, label="model")
+    ax.axvline(trace.axis[middle], color="#d55e00", lw=0.8, ls="--", label="largest lasting error")
+    column_label(ax, "y", *trace.columns["y"])
+    ax.set_xlabel(_axis(traces))
+    ax.margins(x=0.01)
+    ax.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
 
 
 def _series(traces: list[_Trace], ax: Axes) -> None:
@@ -179,14 +254,27 @@ def _residuals_input(traces: list[_Trace], ax: Axes) -> None:
 
 
 def _frame(ax: Axes, traces: list[_Trace]) -> None:
-    """Limit the axis to the residuals fitted, where a few others are so large that they would flatten them."""
+    """Limit the axis where a few residuals are so large that they would flatten the others, and say how many are not shown."""
     seen, held = (np.abs(np.concatenate([t.residual[getattr(t, k)] for t in traces])) for k in ("seen", "held"))
+    usual = _OUTLIER * float(np.quantile(seen, 1 - _FEW_OUTLIERS)) if seen.size else 0.0
+    outliers = np.concatenate([seen, held])
+    outliers = outliers[outliers > usual]
+    if usual > 0 and (seen > usual).any() and outliers.size <= 0.01 * (seen.size + held.size):
+        ax.set_ylim(-1.1 * usual, 1.1 * usual)
+        _say_outside(
+            ax,
+            f"{outliers.size} {'outlier lies' if outliers.size == 1 else 'outliers lie'} outside (up to {outliers.max():.3g})",
+        )
+        return
     limit = _BEYOND * np.max(seen, initial=0.0)
     beyond = held > limit
     if limit > 0 and 0 < beyond.sum() <= 0.05 * held.size:
         ax.set_ylim(-limit, limit)
-        text = f"{beyond.sum()} samples not fitted lie outside (up to {held.max():.3g})"
-        ax.text(0.99, 0.98, text, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
+        _say_outside(ax, f"{beyond.sum()} samples not fitted lie outside (up to {held.max():.3g})")
+
+
+def _say_outside(ax: Axes, text: str) -> None:
+    ax.text(0.99, 0.98, text, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
 
 
 def _autocorrelation(traces: list[_Trace], ax: Axes) -> None:
@@ -215,9 +303,14 @@ KINDS: dict[str, Callable[..., Any]] = {
     "series": _series,
     "residuals": _residuals,
     "residuals-input": _residuals_input,
+    "worst": _worst,
+    "cycle-errors": _cycle_errors,
     "autocorrelation": _autocorrelation,
     "parameters": lambda result, ax: _parameters(result, ax),
+    "weights": lambda result, ax: _weights(result, ax),
+    "density": lambda result, ax: _density(result, ax),
 }
+_OF_RESULT = ("parameters", "weights", "density")  # drawn from the fit alone, whatever its records
 
 
 def grouped(parameters: Sequence[ParameterEstimate], many: int = MANY) -> list[tuple[str, list[ParameterEstimate]]]:
@@ -267,6 +360,42 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
     return ax
+
+
+def _weights(result: FitResult, ax: Axes) -> Axes:
+    """Weights of plays or stops over their thresholds, with standard errors where they have one."""
+    found, unit = result.model.plays(), result.data.units
+    if not found:
+        return _absent(ax, f"{result.name} has no plays")
+    errors = {p.name: p.stderr for p in result.parameters}
+    for plays, color in zip(found, itertools.cycle(CYCLES.values())):
+        spread = [errors.get(name) or 0.0 for name in plays.names]
+        ax.errorbar(plays.threshold, plays.weight, yerr=spread, fmt="o-", ms=4, lw=0.8, color=color, label=plays.label)
+        zero = plays.weight == 0
+        ax.plot(plays.threshold[zero], plays.weight[zero], "o", ms=4, mec=color, mfc="white")
+    ax.axhline(0.0, color="black", lw=0.7)
+    ax.set(xlabel=axis_label("threshold (half width)", unit["u"]), ylabel=axis_label("weight", unit["y"]))
+    ax.legend(frameon=False, fontsize="small", title="open: zero", title_fontsize="small")
+    return ax
+
+
+def _absent(ax: Axes, text: str) -> Axes:
+    ax.set(xlabel=text, xticks=[], yticks=[])
+    return ax
+
+
+def _density(result: FitResult, ax: Axes) -> Axes:
+    """Density over the Preisach plane; hatched where the fitted samples switch no cell."""
+    from hystfit.results.preisach_plots import plot_density
+
+    plane = result.model.plane()
+    if plane is None:
+        return _absent(ax, f"{result.name} has no Preisach density")
+    at = [k for k, name in enumerate(result.free_names) if re.fullmatch(r"w\[\d+\]", name)]
+    reach = None
+    if result.joint is not None and len(at) == plane.w.size:
+        reach = np.isfinite(np.diag(result.joint)[at]).astype(float)
+    return plot_density(plane, ax, reach, units=result.data.units)
 
 
 def _why(family: Sequence[ParameterEstimate]) -> str:

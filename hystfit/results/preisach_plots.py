@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,37 +11,72 @@ from hystfit.data.record import Dataset, Record
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.forc import ForcDiagram
 from hystfit.models.preisach.model import Preisach
+from hystfit.params.units import axis_label
 from hystfit.results.labels import column_label
 
+_CONTOURS = 5
 
-def plot_density(model: Preisach, ax: Any = None, reach: np.ndarray | None = None) -> Any:
+
+def plot_density(
+    model: Preisach, ax: Any = None, reach: np.ndarray | None = None, *, units: Mapping[str, str] | None = None
+) -> Any:
     """Weight density of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data do not reach.
 
     Args:
         model: with cells.
         ax: matplotlib axes; new ones if None.
         reach: part of each weight's cells that the data switched, as a fit returns it.
+        units: of the input "u" and the output "y".
     """
+    u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     ax = _axes(ax)
     levels, n = np.asarray(model.levels), model.n
     i, j = cells(n)
     if model.elements == "relays":
         alpha, beta = (np.asarray(t) for t in model.thresholds())
-        dots = ax.scatter(beta, alpha, c=np.asarray(model.masses()), s=12, cmap="magma_r")
-        ax.figure.colorbar(dots, ax=ax, label="weight")
-        return _label(ax)
+        dots = ax.scatter(beta, alpha, c=np.asarray(model.masses()), s=12, cmap="BuPu")
+        ax.figure.colorbar(dots, ax=ax, label=axis_label("weight", y))
+        return _label(ax, u)
     width = np.diff(levels)
     area = width[i] * width[j] * np.where(i == j, 0.5, 1.0)
     square = np.full((n, n), np.nan)
     square[i, j] = np.asarray(model.masses()) / area
     top = np.nanpercentile(np.abs(square), 99.5) or 1.0
     signed = bool((square[i, j] < -1e-3 * top).any())
-    shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top} if signed else {"cmap": "magma_r", "vmin": 0, "vmax": top}
+    shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top} if signed else {"cmap": "BuPu", "vmin": 0, "vmax": top}
     mesh = ax.pcolormesh(levels, levels, square, shading="flat", rasterized=True, **shades)
-    ax.figure.colorbar(mesh, ax=ax, label="weight density")
+    ax.figure.colorbar(mesh, ax=ax, label=axis_label("weight density", _per_area(y, u)))
+    middle = 0.5 * (levels[1:] + levels[:-1])
+    _contours(ax, middle[None, :] + 0 * square, middle[:, None] + 0 * square, square, top)
     if reach is not None:
         _hatch(ax, model, reach)
-    return _label(ax)
+    return _label(ax, u)
+
+
+def _per_area(y: str, u: str) -> str:
+    """Unit of a density over the plane; "" where a unit is unknown."""
+    return f"{y}/({u})^2" if y and u and not u.isalpha() else f"{y}/{u}^2" if y and u else ""
+
+
+def per_unit(y: str, u: str) -> str:
+    """Unit of a density over an axis; "" where a unit is unknown."""
+    return "" if not (y and u) else f"{y}/{u}" if u.isalpha() else f"{y}/({u})"
+
+
+def _contours(ax: Any, x: np.ndarray, y: np.ndarray, density: np.ndarray, top: float) -> None:
+    """Contours of a smoothed density at even parts of its largest value, where there are cells enough."""
+    from scipy.ndimage import gaussian_filter
+
+    known = np.isfinite(density)
+    if min(density.shape) < 12:
+        return
+    blurred = gaussian_filter(np.where(known, density, 0.0), 1.0)
+    share = gaussian_filter(known.astype(float), 1.0)
+    smooth = np.ma.masked_where(~known, blurred / np.maximum(share, 1e-9))
+    if smooth.max() > 0.2 * top:
+        ax.contour(
+            x, y, smooth, levels=top * np.arange(1, _CONTOURS + 1) / (_CONTOURS + 1), colors="0.35", linewidths=0.5
+        )
 
 
 def _hatch(ax: Any, model: Preisach, reach: np.ndarray) -> None:
@@ -56,26 +91,38 @@ def _hatch(ax: Any, model: Preisach, reach: np.ndarray) -> None:
         ax.add_patch(Rectangle((low, bottom), right - low, high - bottom, fill=False, hatch="////", lw=0, ec="0.6"))
 
 
-def _label(ax: Any) -> Any:
-    ax.set(xlabel="switch-down threshold beta", ylabel="switch-up threshold alpha", aspect="equal")
+def _label(ax: Any, unit: str) -> Any:
+    ax.set(
+        xlabel=axis_label("switch-down threshold beta", unit),
+        ylabel=axis_label("switch-up threshold alpha", unit),
+        aspect="equal",
+    )
     return ax
 
 
-def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None) -> Any:
-    """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative."""
+def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[str, str] | None = None) -> Any:
+    """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative.
+
+    Args:
+        diagram: the distribution.
+        ax: matplotlib axes; new ones if None.
+        units: of the input "u" and the output "y".
+    """
     ax = _axes(ax)
+    u, unit = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
     x, y = diagram.coercivity, diagram.interaction
     reversal, field = _edges(diagram.reversal)[:, None], _edges(diagram.field)[None, :]
     shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
     mesh = ax.pcolormesh(0.5 * (field - reversal), 0.5 * (field + reversal), diagram.density, rasterized=True, **shades)
-    ax.figure.colorbar(mesh, ax=ax, label="FORC distribution")
+    ax.figure.colorbar(mesh, ax=ax, label=axis_label("FORC distribution", _per_area(unit, u)))
+    _contours(ax, x, y, diagram.density, top)
     shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
     if shown.any():
         far, half = np.quantile([x[shown], np.abs(y[shown])], 0.99, axis=1)  # isolated points at the edge are noise
         ax.set(xlim=(0, 1.2 * far), ylim=(-1.2 * half, 1.2 * half))
     ax.axhline(0, color="0.5", lw=0.6)
-    ax.set(xlabel="coercivity (H - Hr) / 2", ylabel="interaction (H + Hr) / 2")
+    ax.set(xlabel=axis_label("coercivity (H - Hr) / 2", u), ylabel=axis_label("interaction (H + Hr) / 2", u))
     return ax
 
 

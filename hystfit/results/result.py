@@ -27,6 +27,7 @@ from hystfit.reading.in_memory import excitation_of, records_of
 from hystfit.registry import attribute, near
 from hystfit.results.accuracy import verdict_dict
 from hystfit.results.metrics import Metrics
+from hystfit.results.quantities import QuantityEstimate
 
 SCHEMA = "hystfit.fit/3"
 COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
@@ -93,6 +94,8 @@ class FitResult:
         notes: what is not determined, which bounds were reached, what was chosen.
         parameters: free and fixed ones.
         covariance: of the free parameters, shape (p, p), NaN where it means nothing; `free_names` is their order.
+        joint: the same with the parameters that the data do not determine, for quantities that combine them; 0 on a bound, NaN
+            without influence. None of sequential methods.
         train: metrics on the fitted samples; `test` on others, None where none were given.
         sigma: standard deviation of the residuals [y].
         correlation_time: integrated autocorrelation time of the residuals, samples.
@@ -129,6 +132,7 @@ class FitResult:
     provenance: dict[str, Any]
     test_baselines: Baselines | None = None
     left_out: float | None = None
+    joint: np.ndarray | None = None
 
     @property
     def data(self) -> Dataset:
@@ -159,6 +163,14 @@ class FitResult:
     def derived(self) -> tuple[ParameterEstimate, ...]:
         """Quantities that follow from the parameters (stiffnesses of the oscillator), with standard errors to first order."""
         return _view("derived_estimates:derived_estimates")(self)
+
+    @functools.cached_property
+    def quantities(self) -> tuple[QuantityEstimate, ...]:
+        """Quantities of the trade (coercivity, remanence, loss a cycle, hysteresis in percent, ...), with standard errors.
+
+        Which ones there are follows from the units of the records and from the model: see `hystfit.results.quantities`.
+        """
+        return _view("quantity_estimates:quantity_estimates")(self)
 
     @property
     def usable(self) -> bool:
@@ -231,6 +243,22 @@ class FitResult:
         rows = [{"name": p.name, **p.to_dict(), "doc": p.doc} for p in self.parameters]
         numbers = dict.fromkeys(("value", "stderr", "lower", "upper"), float)
         return pandas.DataFrame(rows).set_index("name").astype(numbers)
+
+    def to_xarray(self) -> Any:
+        """Parameters, covariance and predictions as an xarray data set; see `hystfit.results.exchange`.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        return _view("exchange:to_xarray")(self)
+
+    def save_mat(self, path: str | Path) -> Path:
+        """Write parameters, errors and predictions as a MATLAB file; see `hystfit.results.exchange`.
+
+        Raises:
+            HystfitError: the file cannot be written.
+        """
+        return _view("exchange:write_mat")(self, path)
 
     def with_notes(self, *notes: Note, first: bool = False) -> FitResult:
         """The same result with further notes, at the end or first."""
@@ -361,6 +389,7 @@ class FitResult:
             "notes": [note.to_dict() for note in self.notes],
             "parameters": {p.name: p.to_dict() for p in self.parameters},
             "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
+            "quantities": {q.name: q.to_dict() for q in self.quantities},
             "free_names": list(self.free_names),
             "covariance": _matrix(self.covariance) if len(self.covariance) <= COVARIANCE_AS_TEXT else None,
             "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},

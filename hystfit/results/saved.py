@@ -21,7 +21,7 @@ from hystfit.outcome.note import warn
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
 from hystfit.results.report import write_into
-from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult
+from hystfit.results.result import SCHEMA, FitResult
 from hystfit.results.stored_fit import result_of
 from hystfit.results.stored_values import Stored, parse
 from hystfit.results.user_code import checksums
@@ -45,8 +45,9 @@ def write_fit(result: FitResult, folder: Path) -> None:
     code = checksums(result.models, result.noise.name)
     dump_json(folder / "result.json", result.to_dict())
     dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models], "code": code})
-    large = len(result.covariance) > COVARIANCE_AS_TEXT
-    extra = {"covariance": result.covariance[np.triu_indices(len(result.covariance))]} if large else {}
+    p, extra = len(result.covariance), {}
+    if result.joint is not None:
+        extra = {"joint": result.joint[np.triu_indices(p)], "known": np.isfinite(np.diag(result.covariance))}
     save_records(folder / "records.npz", result.data, extra)
     seal(folder, _FILES)
 
@@ -98,18 +99,19 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
         raise DataError(f"{place} does not hold records as hystfit saves them: {error}") from error
 
 
-def _covariance_in(content: bytes) -> np.ndarray | None:
-    """The covariance that is kept beside the records, as its upper triangle; None where result.json has it."""
+def _covariance_in(content: bytes) -> tuple[np.ndarray, np.ndarray] | None:
+    """The covariance that is kept beside the records, as its upper triangle, of the parameters that have errors and of all."""
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        if "covariance" not in stored:
+        if "joint" not in stored:
             return None
-        upper = np.asarray(stored["covariance"], dtype=float)
-    p = int(np.sqrt(2 * upper.size))
-    if upper.shape != (p * (p + 1) // 2,):
+        upper, known = np.asarray(stored["joint"], dtype=float), np.asarray(stored["known"])
+    p = known.size
+    if known.shape != (p,) or known.dtype != bool or upper.shape != (p * (p + 1) // 2,):
         raise DataError("records.npz: the covariance is no triangle of numbers; restore the file, or fit again")
     full = np.empty((p, p))
     full[np.triu_indices(p)] = upper
-    return np.where(np.tri(p, k=-1, dtype=bool), full.T, full)
+    full = np.where(np.tri(p, k=-1, dtype=bool), full.T, full)
+    return np.where(np.outer(known, known), full, np.nan), full
 
 
 def _labels_of(stored: Stored) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
 from hystfit.quality.baselines import Baselines
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
+from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
 from hystfit.results.stored_values import Stored, is_number
 from hystfit.results.user_code import allow, noise_file
 
@@ -24,7 +24,7 @@ _CLOSE = 1e-9  # relative, of a parameter in result.json to that of the model
 
 
 def result_of(
-    stored: Stored, described: Stored, data: Dataset, covariance: np.ndarray | None, *, trust: bool
+    stored: Stored, described: Stored, data: Dataset, covariance: tuple[np.ndarray, np.ndarray] | None, *, trust: bool
 ) -> FitResult:
     """The result that its files describe, with every value of its type and all of them consistent.
 
@@ -32,7 +32,8 @@ def result_of(
         stored: result.json.
         described: model.json.
         data: the records.
-        covariance: kept beside them, shape (p, p); None where result.json has it.
+        covariance: kept beside them, of the parameters that have errors and of all, each (p, p), the first read from result.json where that
+            has it; None of sequential methods.
         trust: run files of the user's.
 
     Raises:
@@ -42,13 +43,14 @@ def result_of(
         raise DataError(f"{stored.place}: schema {schema!r}, expected {SCHEMA!r}")
     block, names = stored.part("problem"), stored.texts("free_names")
     noise = _noise_of(block.part("noise"))
-    if covariance is not None and len(covariance) != len(names):
+    if covariance is not None and len(covariance[0]) != len(names):
         raise DataError(f"{stored.place}: the covariance in records.npz is that of another fit; fit again")
     models, notes = _models_of(described, noise, trust)
     problem = _problem_of(block, names, models[0], data)
     space = problem.space
     if len(models) not in (1, len(data)):
         raise DataError(f"{described.place}: {len(models)} models for {len(data)} records")
+    large = len(space) > COVARIANCE_AS_TEXT
     x = space.vector(models if len(models) > 1 else models[0])
     docs = {name: info.doc for name, _, info in space.fixed()}
     docs |= {name: info.doc for name, info in zip(space.names, space.infos, strict=True)}
@@ -70,7 +72,8 @@ def result_of(
         status=stored.member("status", Status),
         notes=(*stored.notes("notes"), *notes),
         parameters=parameters,
-        covariance=_covariance(stored, len(space)) if covariance is None else covariance,
+        covariance=_covariance(stored, len(space)) if covariance is None or not large else covariance[0],
+        joint=None if covariance is None else covariance[1],
         train=train,
         test=_metrics(metrics.optional_part("test")),
         sigma=residuals.number("sigma"),

@@ -17,6 +17,7 @@ from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, fragment
 from hystfit.registry import attribute
+from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
@@ -217,18 +218,19 @@ class Posterior:
         return edges[0], edges[1], edges[2]
 
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
-        """Posterior draws of derived quantities, each (count,): see `hystfit.sampling.derived.QUANTITIES`."""
+        """Posterior draws of derived quantities, each (count,): see `hystfit.results.quantities.QUANTITIES`."""
         return _view("derived:derive")(self, quantities, count)
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:
         """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
         finite = lambda v: float(v) if np.isfinite(v) else None
-        rows, unit, about = [], _view("derived:units")(self.result.data), _view("derived:QUANTITIES")
+        rows = []
         for name, values in self.derived().items():
             low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
-            row = {"name": name, "unit": unit[name], "median": finite(median), "lower": finite(low)}
-            rows.append(row | {"upper": finite(high), "about": about[name]})
+            one = QUANTITIES[name]
+            row = {"name": name, "unit": one.units(self.result.data), "median": finite(median), "lower": finite(low)}
+            rows.append(row | {"upper": finite(high), "about": one.doc})
         return rows
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:

@@ -49,7 +49,7 @@ def _corner(posterior: Posterior) -> Any:
         raise MissingExtraError("corner", "bayes", "a corner plot") from error
     flat = posterior.draws.reshape(-1, len(posterior.names))
     at = _of_corner(posterior, flat)
-    labels = _labels(posterior)
+    labels, size = _labels(posterior), 8 + 0.8 * len(at)  # the figure grows with the panels, and is shown at one width
     figure = corner.corner(
         flat[:, at],
         labels=[labels[k] for k in at],
@@ -58,13 +58,17 @@ def _corner(posterior: Posterior) -> Any:
         range=[0.998] * len(at),
         bins=25,
         smooth=1.0,
+        max_n_ticks=3,
+        label_kwargs={"fontsize": size},
     )
     panels = np.array(figure.axes).reshape(len(at), len(at))
     for ax, k in zip(np.diag(panels), at, strict=True):
-        ax.set_title(f"{posterior.names[k]}\n{_title(flat[:, k])}", fontsize=10)
+        ax.set_title(f"{posterior.names[k]}\n{_title(flat[:, k])}", fontsize=size)
+    for ax in panels.ravel():
+        ax.tick_params(labelsize=0.8 * size)
     part = f"{len(at)} of {len(labels)} parameters; " if len(at) < len(labels) else ""
     text = "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %"
-    figure.suptitle(part + text, fontsize=11)
+    figure.suptitle(part + text, fontsize=size, x=0.98, ha="right")
     return figure
 
 
@@ -122,7 +126,7 @@ def _shown(posterior: Posterior) -> str:
 
 
 def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
-    """The loop, and below it the deviations from the median of the draws, which are too small to be seen in the loop."""
+    """The loop, and below it the deviations from the median of the draws over time, which are too small to be seen in the loop."""
     import matplotlib.pyplot as plt
 
     record = posterior.result.data[0]
@@ -130,15 +134,18 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     low, _, high = posterior.bands(record, level, count)
     inner = posterior.bands(record, level, count, kind="credible")
     middle = inner[1]
-    figure, (loop, rest) = plt.subplots(2, 1, figsize=(7, 7), sharex=True, layout="constrained")
+    figure, (loop, rest) = plt.subplots(2, 1, figsize=(7, 7), layout="constrained")
+    axis = np.arange(len(record)) if record.t is None else record.t
     loop.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
     loop.plot(record.u[on], middle[on], color="#0072b2", lw=0.8, label="median of the draws")
-    rest.plot(record.u[on], (record.y - middle)[on], ".", ms=2, color="#a6a6a6")
-    for edges, color in (((low, high), "#d55e00"), ((inner[0], inner[2]), "#0072b2")):
-        for edge in edges:
-            rest.plot(record.u[on], (edge - middle)[on], color=color, lw=0.6)
+    for edges, color in (((low, high), "#e69f00"), ((inner[0], inner[2]), "#0072b2")):
+        lower, upper = (np.where(on, edge - middle, np.nan) for edge in edges)
+        rest.fill_between(axis, lower, upper, color=color, alpha=0.45, lw=0)
+    rest.plot(axis[on], (record.y - middle)[on], ".", ms=1.5, color="#4d4d4d")
     column_label(loop, "y", record.y_name, record.y_unit, "output")
-    column_label(rest, "x", record.u_name, record.u_unit, "input")
+    column_label(loop, "x", record.u_name, record.u_unit, "input")
+    rest.set_xlabel("sample" if record.t is None else axis_label("time", record.t_unit))
+    rest.margins(x=0.01)
     rest.set_ylabel(axis_label("deviation from the median", record.y_unit))
     if len(posterior.result.data) > 1:
         loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)

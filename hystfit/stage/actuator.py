@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
+from hystfit.models.one_device import check_one_device
 from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
+from hystfit.stage.population import Population, single_models
 
 
 def piezo(
@@ -107,15 +108,41 @@ class Actuator:
     Attributes:
         model: voltage [V] to displacement [um]; any hystfit model.
         amplifier, sensor: before and after it.
+
+    Raises:
+        ParameterError: the model holds several devices.
     """
 
     model: AbstractHysteresis = dataclasses.field(default_factory=piezo)
     amplifier: Amplifier = Amplifier()
     sensor: Sensor = Sensor()
 
+    def __post_init__(self) -> None:
+        check_one_device(self.model)
+
+    def population(self, count: int, *, spread: Mapping[str, float], seed: int) -> Population[Actuator]:
+        """Actuators whose parameters scatter about those of this one; see `hystfit.stage.population`.
+
+        Args:
+            count: number of actuators.
+            spread: relative standard deviation by parameter name.
+            seed: of the scatter.
+
+        Raises:
+            ParameterError: see `hystfit.stage.population`.
+        """
+        models, truth, units = single_models(self.model, count, spread=spread, seed=seed)
+        return Population(tuple(dataclasses.replace(self, model=model) for model in models), truth, units)
+
     def displacement(self, t: Any, u: Any) -> np.ndarray:
-        """Noise-free displacement [um] for commands u [V] at times t [s], shape (T,); at rest before the first."""
+        """Noise-free displacement [um] for commands u [V] at times t [s], shape (T,); at rest before the first.
+
+        Raises:
+            DataError: shapes differ, or times decrease.
+        """
         t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
+        if t.shape != u.shape or t.ndim != 1 or not (np.diff(t) >= 0).all():
+            raise DataError(f"t and u must have one shape (T,), t rising; got {t.shape} and {u.shape}")
         return np.asarray(simulate(self.model, self.amplifier.drive(u), jnp.diff(jnp.asarray(t), prepend=t[0]))[0])
 
     def record(self, t: Any, u: Any, *, seed: int, every: int = 1, name: str = "stage") -> Record:
@@ -129,11 +156,11 @@ class Actuator:
             name: of the record.
 
         Raises:
-            DataError: shapes differ, or `every` is not positive.
+            DataError: shapes differ, times decrease, or `every` is not positive.
         """
         t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
-        if t.shape != u.shape or t.ndim != 1 or every < 1:
-            raise DataError(f"t and u must have one shape (T,), every >= 1; got {t.shape}, {u.shape}, every {every}")
+        if every < 1:
+            raise DataError(f"every must be at least 1, got {every}")
         y = self.displacement(t, u)[::every]
         reached = np.asarray(self.amplifier.drive(u))
         beyond = np.count_nonzero(reached != u)
@@ -151,38 +178,3 @@ class Actuator:
         if not beyond:
             return record
         return record.noted(Code.PREPARED, f"{beyond} commands beyond the limits of the amplifier")
-
-
-def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int) -> Any:
-    """`count` devices whose parameters scatter about those of a model: one model with a leading axis on every parameter.
-
-    Simulate them with `jax.vmap`. Parameters with a lower bound scatter log-normally, the others normally.
-
-    Args:
-        model: any model.
-        count: number of devices.
-        spread: relative standard deviation by parameter name (fixed parameters too).
-        seed: of the scatter.
-
-    Raises:
-        ParameterError: no device, an unknown name, a negative scatter, or one that leaves the bounds of a parameter.
-    """
-    require_x64()
-    if count < 1 or any(not 0 <= size < np.inf for size in spread.values()):
-        raise ParameterError(
-            f"a population needs at least one device and a scatter of 0 or more; got {count} and {dict(spread)}"
-        )
-    space = ParameterSpace.of(model, free=list(spread))
-    sizes = np.zeros(len(space))
-    for name, size in spread.items():
-        leaf, positions = space.find(name)
-        sizes[[k for k, source in enumerate(space.sources) if source[0] == leaf and source[1] in positions]] = size
-    center = space.vector(model)
-    lower, upper = np.array([info.bounds for info in space.infos]).T
-    noise = sizes * np.random.default_rng(seed).standard_normal((count, center.size))
-    x = np.where(np.isfinite(lower), center * np.exp(noise), center * (1 + noise))
-    if not ((x >= lower) & (x <= upper)).all():
-        raise ParameterError(
-            f"a scatter of {dict(spread)} leaves the bounds of {type(model).__name__}: make it smaller"
-        )
-    return jax.vmap(space.coordinates.assemble)(jnp.asarray(x))

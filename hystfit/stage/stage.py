@@ -16,10 +16,12 @@ from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
+from hystfit.models.one_device import check_one_device
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo
 from hystfit.stage.kinematics import AXES, UNITS, Kinematics
+from hystfit.stage.population import Population, seeds_of, single_models
 
 RATE = 10_000.0  # samples/s of the simulated controller
 MODES = {"x": (630.0, 0.02), "y": (630.0, 0.02), "theta": (900.0, 0.02)}  # Hz and damping ratio
@@ -119,8 +121,31 @@ class Stage(eqx.Module):
             )
         for part in (*devices, *second, kinematics):
             ParameterSpace.of(part)  # raises outside the bounds
+        for device in devices:
+            check_one_device(device)
         limits = (jnp.asarray(float(v)) for v in (amplifier.low, amplifier.high))
         return cls(_stack(devices), kinematics, _stack(second), *limits)
+
+    def population(self, count: int, *, spread: Mapping[str, float], seed: int) -> Population[Stage]:
+        """Stages whose actuators scatter about those of this one, each on its own; see `hystfit.stage.population`.
+
+        Args:
+            count: number of stages.
+            spread: relative standard deviation by parameter name of an actuator.
+            seed: of the scatter.
+
+        Raises:
+            ParameterError: see `hystfit.stage.population`.
+        """
+        places = [jax.tree.map(lambda leaf, k=k: leaf[k], self.actuators) for k in range(3)]
+        seeds = zip(places, seeds_of(seed, 3), strict=True)
+        scattered = [single_models(model, count, spread=spread, seed=own) for model, own in seeds]
+        named = lambda part: {
+            f"{name}@{k + 1}": v for k, found in enumerate(scattered) for name, v in found[part].items()
+        }
+        devices = [_stack(models) for models in zip(*(models for models, _, _ in scattered), strict=True)]
+        stages = tuple(dataclasses.replace(self, actuators=three) for three in devices)
+        return Population(stages, named(1), named(2))
 
     def init(self, u0: Float[Array, " 3"]) -> Float[Array, " state"]:
         """State at rest on voltages, without history: states of the actuators and modes, static pose of the previous sample."""
@@ -220,6 +245,23 @@ class Stage(eqx.Module):
         measured = self.measure(t, u, seed=seed, sensors=sensors)
         strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
         return {axis: measured.record(axis, int(strongest[k])) for k, axis in enumerate(AXES)}
+
+    def record(self, t: Any, u: Any, *, seed: int, axis: str = "x", name: str = "stage") -> Record:
+        """Measured pose of one axis, over the voltage of the actuator that moves it most.
+
+        Args:
+            t: times [s], shape (T,).
+            u: commanded voltages [V], shape (T, 3).
+            seed: of the sensor noise.
+            axis: x, y or theta.
+            name: of the record.
+
+        Raises:
+            ParameterError: no such axis.
+        """
+        if axis not in AXES:
+            raise ParameterError(f"an axis is {', '.join(AXES)}, got {axis!r}")
+        return self.records(t, u, seed=seed)[axis].replace(name=name)
 
     def sensors(self) -> dict[str, Sensor]:
         """Default sensors: 5 nm of noise and 1 nm of resolution at the probes and the gauges."""

@@ -130,7 +130,7 @@ class Profiles:
         }
 
     def plot(self) -> Any:
-        """One panel a parameter; returns the matplotlib figure."""
+        """One panel a parameter, with its limits and the quadratic that its standard error implies; returns the matplotlib figure."""
         import matplotlib.pyplot as plt
 
         columns = min(3, len(self.profiles))
@@ -141,15 +141,32 @@ class Profiles:
         for ax in axes.ravel()[len(self.profiles) :]:
             ax.axis("off")
         for ax, p in zip(axes.ravel(), self.profiles.values(), strict=False):
-            ax.plot(p.x, p.statistic, ".-", color="#0072b2")
+            ax.plot(p.x, p.statistic, ".-", color="#0072b2", label="profile")
             ax.axhline(chi2.ppf(self.level, 1), color="#a6a6a6", lw=0.8, label=f"{100 * self.level:.0f} %")
+            error = self.result[p.name].stderr
+            if error:
+                along = np.linspace(p.x[0], p.x[-1], 200)
+                ax.plot(along, ((along - p.value) / error) ** 2, "--", lw=0.9, color="#d55e00", label="quadratic")
+            for limit in (p.lower, p.upper):
+                if limit is not None:
+                    ax.axvline(limit, color="#009e73", lw=0.9, label="limits" if limit == p.lower else None)
+            if not p.closed:
+                ends = [end for end in (p.open_lower, p.open_upper) if end is not None]
+                ax.set_title(f"open to {' and '.join(ends)}", fontsize=8)
             ax.locator_params(axis="x", nbins=4)
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:
             row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
-        axes[0, 0].legend(fontsize=8, frameon=False)
+        shown = dict(zip(*reversed(_handles(axes.ravel())), strict=True))
+        figure.legend(shown.values(), shown.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
         make_legible(figure)
         return figure
+
+
+def _handles(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
+    """Lines with a label, and their labels, of all panels."""
+    pairs = [ax.get_legend_handles_labels() for ax in axes]
+    return [h for handles, _ in pairs for h in handles], [label for _, labels in pairs for label in labels]
 
 
 def profile(

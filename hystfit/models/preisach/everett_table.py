@@ -16,6 +16,7 @@ from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.staircase import compile_input
 
 Admissibility = Literal["monotone", "positive"]
+_NEAR = 0.05  # of the levels' range: an input so close to the lowest level has come back to it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,27 +66,29 @@ class EverettTable:
     def from_descending(cls, curves: Sequence[Record], levels: np.ndarray) -> EverettTable:
         """From curves that rise from levels[0] to a peak and fall back: X = output at the peak less that on the way down.
 
-        Between peaks, X is interpolated linearly in the peak. The curves' remanence is taken off, so that each starts at the same output.
+        A record may hold several such curves, one after another. Between peaks, X is interpolated linearly in the peak. The memory is
+        empty at both ends of a curve: X(peak, levels[0]) is its rise, and what it has not lost at its end is left out.
 
         Raises:
-            DataError: no peaks, or levels outside those measured.
+            DataError: no peaks, curves that reverse in between, or levels outside those measured.
         """
         peaks, rows = [], []
-        for r in curves:
+        for r in (piece for record in curves for piece in _single_peaks(record, levels)):
             top = int(np.argmax(r.u))
             down_u, down_y = r.u[top:], r.y[top:]
-            if down_u.size < 2 or down_u[-1] > levels[0] + 0.05 * np.ptp(levels):
-                raise DataError(f"curve {r.name!r} does not fall back to {levels[0]:g} after its peak")
             order = np.argsort(down_u, kind="stable")
             peaks.append(float(r.u[top]))
-            rows.append(r.y[top] - np.interp(levels, down_u[order], down_y[order]))
+            row = r.y[top] - np.interp(levels, down_u[order], down_y[order])
+            if r.u[0] <= levels[0] + _NEAR * np.ptp(levels):
+                row[0] = r.y[top] - r.y[0]
+            rows.append(row)
         order = np.argsort(peaks)
         peaks, table = np.array(peaks)[order], np.array(rows)[order]
         if levels[-1] > peaks[-1] + 1e-6 * np.ptp(levels):
             raise DataError(f"the largest level {levels[-1]:g} was never reached: the highest peak is {peaks[-1]:g}")
         with_zero = np.append(levels[0], peaks), np.vstack([np.zeros(levels.size), table])
         X = np.stack([np.interp(levels, with_zero[0], with_zero[1][:, j]) for j in range(levels.size)], axis=1)
-        base = float(np.mean([r.y[0] for r in curves]))
+        base = float(np.mean([r.y[r.used][0] for r in curves]))
         return cls(levels, X, base)
 
     @classmethod
@@ -110,13 +113,19 @@ class EverettTable:
         second = self.X[1:, :-1] - self.X[:-1, :-1] - self.X[1:, 1:] + self.X[:-1, 1:]
         return 0.5 * second[cells(n)]
 
-    def faults(self) -> tuple[str, ...]:
-        """What keeps the table from being one of a Preisach model, one sentence each; none where it is."""
+    def turned(self) -> np.ndarray:
+        """By how much each step of the table goes the wrong way, in parts of its largest value; negative where it goes the right way.
+
+        Down a column X rises with alpha, along a row it falls with beta, from 0 on the diagonal.
+        """
         i, j = cells(self.levels.size - 1)
         size = float(np.abs(self.X).max()) or 1.0
-        # Down a column X rises with alpha, along a row it falls with beta, from 0 on the diagonal.
-        turned = np.concatenate([-(self.X[i + 1, j] - self.X[i, j]), self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
-        masses, found = self.masses() / size, []
+        return np.concatenate([self.X[i, j] - self.X[i + 1, j], self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
+
+    def faults(self) -> tuple[str, ...]:
+        """What keeps the table from being one of a Preisach model, one sentence each; none where it is."""
+        size = float(np.abs(self.X).max()) or 1.0
+        turned, masses, found = self.turned(), self.masses() / size, []
         if (turned > 1e-9).any():
             found.append(
                 f"the table is not monotone at {np.sum(turned > 1e-9)} of {turned.size} steps (by up to {turned.max():.2g} of the "
@@ -169,6 +178,32 @@ class EverettTable:
             float(np.sqrt(np.mean(change**2))), float(np.abs(change).max()), int((np.abs(change) > 1e-7).sum())
         )
         return EverettTable(self.levels, X, self.base), moved
+
+
+def _single_peaks(record: Record, levels: np.ndarray) -> list[Record]:
+    """The curves of a record, cut where its input is back at the lowest level.
+
+    Raises:
+        DataError: a curve that does not fall back, or that reverses between the lowest level and its peak.
+    """
+    r, span = record.take(record.used), float(np.ptp(levels))
+    near = r.u <= levels[0] + _NEAR * span
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int)))
+    lowest = [a + int(np.argmin(r.u[a:b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    cuts = sorted({0, *lowest})
+    pieces = [r.take(np.arange(a, b + 1)) for a, b in zip(cuts, [*cuts[1:], len(r) - 1], strict=True) if b > a]
+    pieces = [piece for piece in pieces if piece.u.max() > levels[0] + _NEAR * span]
+    for piece in pieces:
+        top = int(np.argmax(piece.u))
+        if piece.u[-1] > levels[0] + _NEAR * span:
+            raise DataError(f"curve {record.name!r} does not fall back to {levels[0]:g} after its peak")
+        back = max((np.maximum.accumulate(side) - side).max() for side in (piece.u[: top + 1], -piece.u[top:]))
+        if back > 0.2 * _NEAR * span:
+            raise DataError(
+                f"curve {record.name!r} reverses between {levels[0]:g} and its peak {piece.u[top]:g}: a table needs curves that rise "
+                "to one peak and fall back (--model preisach fits any input)"
+            )
+    return pieces
 
 
 def _monotone(X: np.ndarray, rounds: int = 5000) -> np.ndarray:

@@ -313,6 +313,10 @@ class Preisach(AbstractPlane):
         models = [type(self).of(**{**self.settings(), **change}) for change in changes]
         return {_size_words(model): model for model in models}
 
+    def plane(self) -> Preisach:
+        """Itself."""
+        return self
+
     def reach(self) -> tuple[float, float]:
         """From the lowest to the highest level."""
         return float(self.levels[0]), float(self.levels[-1])

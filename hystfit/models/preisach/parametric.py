@@ -95,6 +95,10 @@ class ParametricPreisach(AbstractHysteresis):
             depth=self.depth,
         )
 
+    def plane(self) -> Preisach:
+        """See `preisach`."""
+        return self.preisach()
+
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """The dominant extrema, as in `Preisach`."""
         return self.preisach().init(u0)

@@ -7,5 +7,6 @@ from hystfit.results.report.page import write_into as write_into
 from hystfit.results.report.tables import metrics_table as metrics_table
 from hystfit.results.report.tables import metrics_words as metrics_words
 from hystfit.results.report.tables import parameter_table as parameter_table
+from hystfit.results.report.tables import quantity_table as quantity_table
 from hystfit.results.report.text_report import headline as headline
 from hystfit.results.report.text_report import text_report as text_report

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
 from hystfit.results.plots import fit as draw
-from hystfit.results.plots import grouped
-from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
-from hystfit.results.report.text_report import ERRORS, facts, headline, remarks, text_report, verdict
+from hystfit.results.plots import grouped, shows_cycles
+from hystfit.results.report.answer import answer
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
+from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
+from hystfit.results.webpage import Page, Picture, svg
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,88 +23,71 @@ if TYPE_CHECKING:
     Data = Record | Dataset | Sequence[Record]
 
 _DPI = 150
+_CAPTIONS = {
+    "loop": "Measured loop and model",
+    "cycle-errors": "Residuals (measured less model) of these cycles over the input",
+    "series": "Measured and simulated output",
+    "worst": "The stretch with the largest lasting error",
+    "residuals": "Residuals: measured less model",
+    "residuals-input": "Residuals over the input",
+    "autocorrelation": "Autocorrelation of the residuals",
+    "parameters": "Relative standard errors",
+    "weights": "Weights of the plays or stops over their thresholds",
+    "density": "Density over the Preisach plane; hatched: no fitted sample switches these cells",
+    "test": "Test data (not fitted): loop",
+    "test-series": "Test data (not fitted): output",
+}
+_LONG = 600  # samples above which the worst stretch has a picture of its own
 
 
 def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> dict[str, Figure]:
     """Figures by file name, made without global state of matplotlib."""
     from matplotlib.figure import Figure
 
-    def sheet(width: float, height: float, count: int = 1) -> tuple[Figure, Any]:
-        figure = Figure(figsize=(width, height), layout="constrained")
-        return figure, figure.subplots(1, count)
-
+    kinds = ["loop", "cycle-errors"] if shows_cycles(result) else ["loop"]
+    kinds += ["series", "worst"] if sum(map(len, result.data)) > _LONG else ["series"]
+    kinds += ["residuals", "residuals-input", "autocorrelation", "parameters"]
+    kinds += ["weights"] if result.model.plays() else []
+    kinds += ["density"] if result.model.plane() is not None else []
     figures: dict[str, Figure] = {}
-    figures["loop"], ax = sheet(6.4, 4.8)
-    draw(result, "loop", ax)
-    figures["series"], ax = sheet(9.6, 3.4)
-    draw(result, "series", ax)
-    figures["residuals"], axes = sheet(9.6, 3.4, 2)
-    draw(result, "residuals", axes[0])
-    draw(result, "residuals-input", axes[1])
-    figures["autocorrelation"], ax = sheet(6.4, 3.2)
-    draw(result, "autocorrelation", ax)
     count = sum(not family[0].fixed for _, family in grouped(result.parameters))
-    figures["parameters"], ax = sheet(6.4, min(12.0, 1.2 + 0.3 * count))
-    draw(result, "parameters", ax)
+    for kind in kinds:
+        height = min(12.0, max(2.4, 1.2 + 0.3 * count)) if kind == "parameters" else 4.0
+        figures[kind] = Figure(figsize=(5.6, height), layout="constrained")
+        draw(result, kind, figures[kind].subplots())
     if test is not None:
-        figures["test"], axes = sheet(9.6, 3.8, 2)
-        draw(result, "loop", axes[0], data=test, refit_offset=refit_offset)
-        draw(result, "series", axes[1], data=test, refit_offset=refit_offset)
+        for name, kind in (("test", "loop"), ("test-series", "series")):
+            figures[name] = Figure(figsize=(5.6, 4.0), layout="constrained")
+            draw(result, kind, figures[name].subplots(), data=test, refit_offset=refit_offset)
     return figures
-
-
-_CAPTIONS = {
-    "loop": "Measured loop and model",
-    "test": "Test data (not fitted)",
-    "series": "Measured and simulated output",
-    "residuals": "Residuals",
-    "autocorrelation": "Autocorrelation of the residuals",
-    "parameters": "Relative standard errors",
-}
 
 
 def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> str:
     """One self-contained HTML page with its pictures."""
-    figures = pictures(result, test=test, refit_offset=refit_offset)
-    return _page(result, {name: _png(figure) for name, figure in figures.items()})
+    return _page(result, pictures(result, test=test, refit_offset=refit_offset))
 
 
 def notebook_view(result: FitResult) -> str:
     """The report as notebooks show it: status, tables and notes, without pictures."""
     advice = "" if result.usable else result.advice
-    tables = (ERRORS, metrics_table(result), parameter_table(result), fixed_words(result))
+    numbers = (QUANTITIES_OF, quantity_table(result))
+    tables = (ERRORS, metrics_table(result), *numbers, parameter_table(result), fixed_words(result))
     return fragment(headline(result), (advice, *tables, result.notes))
 
 
-def _page(result: FitResult, images: dict[str, bytes]) -> str:
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("hystfit.results"), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    shown = [
-        (caption, _width(images[name]), base64.b64encode(images[name]).decode("ascii"))
-        for name, caption in _CAPTIONS.items()
-        if name in images
+def _page(result: FitResult, figures: dict[str, Figure]) -> str:
+    shown = [Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures]
+    status = "Usable." if result.usable else f"Not usable as it is: {result.advice}."
+    sections = [
+        ("Verdict", [verdict(result)]),
+        ("Pictures", [shown]),
+        (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
+        (ERRORS, [metrics_table(result)]),
+        ("Parameters", [parameter_table(result, meaning=True), fixed_words(result)]),
+        ("Notes", [remarks(result)]),
+        *((heading, [items]) for heading, items in facts(result).items()),
     ]
-    return environment.get_template("report.html").render(
-        title=headline(result),
-        usable=result.usable,
-        advice=result.advice,
-        errors=ERRORS,
-        metrics=metrics_table(result).html(),
-        parameters=parameter_table(result, meaning=True).html(),
-        fixed=fixed_words(result),
-        verdict=[str(note) for note in verdict(result)],
-        notes=[str(note) for note in remarks(result)],
-        facts=facts(result),
-        pictures=shown,
-    )
-
-
-def _width(png: bytes) -> int:
-    """Width at which a picture reads well [CSS pixels]: PNG's header holds it in device pixels."""
-    return int.from_bytes(png[16:20], "big") * 96 // _DPI
+    return Page(headline(result), status, result.usable, answer(result), sections).render()
 
 
 def _png(figure: Figure) -> bytes:
@@ -112,15 +96,8 @@ def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.dpi = _DPI
     FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws everything twice
+    figure.dpi = 100
     return buffer.getvalue()
-
-
-def _svg(figure: Figure, path: Path) -> None:
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    figure.set_layout_engine("none")  # as laid out for the PNG
-    with path.open("w", encoding="utf-8") as file:
-        FigureCanvasSVG(figure).print_svg(file)
 
 
 def write(result: FitResult, folder: str | Path, *, test: Data | None = None, refit_offset: bool = False) -> Path:
@@ -145,9 +122,9 @@ def write(result: FitResult, folder: str | Path, *, test: Data | None = None, re
 def write_into(result: FitResult, folder: Path, *, test: Data | None = None, refit_offset: bool = False) -> None:
     """Write the files of `write` into an existing folder."""
     figures = pictures(result, test=test, refit_offset=refit_offset)
-    images = {name: _png(figure) for name, figure in figures.items()}
-    (folder / "report.html").write_text(_page(result, images), encoding="utf-8")
     (folder / "report.txt").write_text(text_report(result), encoding="utf-8")
     for name, figure in figures.items():
-        (folder / f"{name}.png").write_bytes(images[name])
-        _svg(figure, folder / f"{name}.svg")
+        (folder / f"{name}.png").write_bytes(_png(figure))
+        figure.set_layout_engine("none")  # as laid out for the PNG
+        (folder / f"{name}.svg").write_bytes(svg(figure))
+    (folder / "report.html").write_text(_page(result, figures), encoding="utf-8")

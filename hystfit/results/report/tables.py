@@ -8,6 +8,7 @@ from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number, rounded
 from hystfit.results.metrics import Metrics
 from hystfit.results.plots import grouped
+from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.result import FitResult, ParameterEstimate
 
 
@@ -23,6 +24,25 @@ def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
     rows = [_row(name, family) for name, family in grouped([p for p in result.parameters if not p.fixed])]
     rows += [[p.name, *rounded(p.value, p.stderr), p.unit, "", "derived", p.doc] for p in result.derived]
     return Table([*columns, left("meaning")], rows) if meaning else Table(columns, [row[:-1] for row in rows])
+
+
+def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
+    """Quantities of the trade with their standard errors, and the reason where one is unknown.
+
+    Args:
+        result: the fit.
+        meaning: with a column that defines them.
+    """
+    left = lambda head: Column(head, left=True)
+    columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), left("")]
+    rows = [_quantity_row(q) for q in result.quantities]
+    return Table([*columns, left("definition")], rows) if meaning else Table(columns, [row[:-1] for row in rows])
+
+
+def _quantity_row(q: QuantityEstimate) -> list[str]:
+    one = QUANTITIES[q.name]
+    shown = ("-", "-") if q.value is None else rounded(q.value, q.stderr)
+    return [one.label, *shown, q.unit, "" if q.reason is None else q.reason.text, one.doc]
 
 
 def _row(name: str, family: list[ParameterEstimate]) -> list[str]:

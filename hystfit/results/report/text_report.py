@@ -10,10 +10,12 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.table import number
-from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table
+from hystfit.results.report.answer import answer
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
+QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
 _WIDTH = 100
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are allowed"}
 _VERDICT = frozenset(
@@ -124,8 +126,10 @@ def text_report(result: FitResult) -> str:
     lines = [title, "=" * len(title)]
     if not result.usable:
         lines.append(_filled(result.advice))
+    lines += _section("Answer", (f"{name}: {', '.join(value.splitlines())}" for name, value in answer(result)))
     lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
+    lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
     lines += ["", "Parameters", *parameter_table(result).lines("  ")]
     if fixed := fixed_words(result):
         lines.append(_filled(fixed, "  ", "  "))

@@ -1,0 +1,94 @@
+"""A fit for other programs: parameters, errors and predictions as a .mat file or an xarray data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hystfit.errors import DataError, MissingExtraError
+from hystfit.results.folders import writing
+
+if TYPE_CHECKING:
+    from hystfit.results.result import FitResult
+
+
+def write_mat(result: FitResult, path: str | Path) -> Path:
+    """Write a fit as a MATLAB file with one struct, `fit`.
+
+    It has model, status, units; parameters (name, value, stderr, lower, upper, unit, fixed), free_names and covariance; rmse and
+    error_percent; records (name, t, u, y, weight, predicted). Unknown numbers are NaN.
+
+    Args:
+        result: a fit.
+        path: of the file.
+
+    Raises:
+        DataError: the folder does not exist, or cannot be written.
+    """
+    import scipy.io
+
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise DataError(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} does not exist; make it first")
+    with writing(path.parent) as scratch:
+        scipy.io.savemat(scratch / path.name, {"fit": _contents(result)}, oned_as="column", long_field_names=True)
+    return path
+
+
+def _contents(result: FitResult) -> dict[str, Any]:
+    estimates = [{"unit": "", **p.to_dict(), "name": p.name} for p in result.parameters]
+    column = lambda key: np.array([np.nan if p[key] is None else p[key] for p in estimates], dtype=float)
+    words = lambda key: _cells(str(p[key] or "") for p in estimates)
+    records = np.empty(len(result.data), dtype=object)
+    for k, record in enumerate(result.data):
+        t = np.full(len(record), np.nan) if record.t is None else record.t
+        records[k] = {"name": record.name, "t": t, "u": record.u, "y": record.y, "weight": record.weight}
+        records[k]["predicted"] = result.predict(record)
+    numbers = {key: column(key) for key in ("value", "stderr", "lower", "upper")}
+    fixed = np.array([p.fixed for p in result.parameters])
+    return {
+        "model": result.name,
+        "status": str(result.status),
+        "units": dict(result.data.units),
+        "parameters": {"name": words("name"), **numbers, "unit": words("unit"), "fixed": fixed},
+        "free_names": _cells(result.free_names),
+        "covariance": result.covariance,
+        "rmse": result.train.rmse,
+        "error_percent": result.train.nrmse_percent,
+        "records": records,
+    }
+
+
+def _cells(texts: Any) -> np.ndarray:
+    """Texts as a cell array."""
+    return np.array([*texts], dtype=object)
+
+
+def to_xarray(result: FitResult) -> Any:
+    """A fit as an xarray data set: value, stderr over `parameter`; covariance; u, y, predicted over `sample`, with the name of the record.
+
+    Raises:
+        MissingExtraError: xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise MissingExtraError("xarray", "frames", "to_xarray") from error
+    units, free = result.data.units, list(result.free_names)
+    series = {
+        "u": (np.concatenate([r.u for r in result.data]), units["u"]),
+        "y": (np.concatenate([r.y for r in result.data]), units["y"]),
+        "predicted": (np.concatenate([result.predict(r) for r in result.data]), units["y"]),
+    }
+    data: dict[str, Any] = {name: ("sample", values, {"units": unit}) for name, (values, unit) in series.items()}
+    data["value"] = ("parameter", [p.value for p in result.parameters])
+    data["stderr"] = ("parameter", [np.nan if p.stderr is None else p.stderr for p in result.parameters])
+    data["covariance"] = (("free", "free_too"), result.covariance)
+    where: dict[str, Any] = {"parameter": [p.name for p in result.parameters], "free": free, "free_too": free}
+    where["unit"] = ("parameter", [p.unit for p in result.parameters])
+    where["record"] = ("sample", [r.name for r in result.data for _ in range(len(r))])
+    if all(r.t is not None for r in result.data):
+        where["t"] = ("sample", np.concatenate([r.t for r in result.data]), {"units": units["t"]})
+    return xarray.Dataset(data, where, {"model": result.name, "status": str(result.status)})

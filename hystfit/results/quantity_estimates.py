@@ -1,0 +1,144 @@
+"""Quantities of the trade of a fit, with standard errors by the delta method: the gradient of each, and the covariance of the fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.errors import HystfitError
+from hystfit.params.space import relative_size
+from hystfit.results.quantities import QUANTITIES, Excitation, QuantityEstimate, Unknown, applicable
+from hystfit.results.result import FitResult
+
+_STEP = 1e-4  # of a central difference, relative to the size of a parameter
+_NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
+_MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
+_OPEN = 1.0  # a quantity is undetermined when its standard error is its natural size
+
+
+def quantity_values(result: FitResult) -> dict[str, float | None]:
+    """The quantities of a fit without errors, by name; None where one is unknown."""
+    at = np.asarray(result.x)[None]
+    values = _values(result, Excitation.of(result.data), lambda record: _simulated(result, record, at))
+    return {name: float(one[0]) if np.isfinite(one[0]) else None for name, one in values.items()}
+
+
+def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
+    """The quantities that the records and the model of a fit have, of the first record, with standard errors."""
+    x, space = np.asarray(result.x), result.problem.space
+    size, linear = relative_size(space, x), np.array([info.linear for info in space.infos], dtype=bool)
+    excitation = Excitation.of(result.data)
+    values = _values(result, excitation, lambda record: _perturbed(result, record, _STEP * size, linear))
+    scales, rows = result.problem.scales, []
+    for name, y in values.items():
+        sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{y} {u}": scales.y * scales.u}
+        natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
+        change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
+        rows.append(_estimate(result, name, float(y[0]), change, size, natural))
+    return tuple(rows)
+
+
+def _estimate(
+    result: FitResult, name: str, value: float, change: np.ndarray, size: np.ndarray, natural: float
+) -> QuantityEstimate:
+    """A quantity from its value and its derivatives.
+
+    Args:
+        result: the fit.
+        name: of the quantity.
+        value: at the estimate.
+        change: derivative by each free parameter in units of its size, shape (p,).
+        size: of the parameters, shape (p,).
+        natural: size of the quantity.
+    """
+    one = QUANTITIES[name]
+    made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
+    if not np.isfinite(value):
+        return made(None, None, Unknown.NO_CROSSING if name == "coercive_input" else Unknown.NOT_FINITE)
+    covariance = result.joint
+    if covariance is None:
+        return made(value, None, Unknown.NO_ERRORS)
+    without = ~np.isfinite(np.diag(covariance))
+    if not np.isfinite(change).all() or (np.abs(change[without]) > _NEGLIGIBLE * natural).any():
+        return made(None, None, Unknown.NOT_DETERMINED)
+    slope = np.where(without, 0.0, change / size)
+    error = float(np.sqrt(max(slope @ np.where(np.isfinite(covariance), covariance, 0.0) @ slope, 0.0)))
+    if error > _OPEN * natural:
+        return made(None, None, Unknown.NOT_DETERMINED)
+    return made(value, error, None)
+
+
+def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str, np.ndarray]:
+    """Quantities by name, each shape (count,), NaN where a simulation fails.
+
+    Args:
+        result: the fit.
+        excitation: its inputs.
+        outputs: gives the outputs over a record, shape (count, T).
+    """
+    names, found = applicable(result.data, timed=not result.model.rate_independent), {}
+    with np.errstate(all="ignore"):
+        loops = excitation.loops(_tried(outputs, excitation.loop))
+        for name in names:
+            of_loops = QUANTITIES[name].of_loops
+            found[name] = Excitation.creep(_tried(outputs, excitation.step)) if of_loops is None else of_loops(loops)
+    return found
+
+
+def _tried(outputs: Any, record: Record) -> np.ndarray:
+    """Outputs over a record; NaN where the model cannot be driven by it."""
+    try:
+        return outputs(record)
+    except HystfitError:
+        return np.full((1, len(record)), np.nan)
+
+
+def _simulated(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
+    """Outputs of the first record's model over a record for parameter vectors (count, p), shape (count, T)."""
+    space, dt = result.problem.space, None if result.model.rate_independent else record.dt
+    models = [space.assembled(row) for row in x]
+    return np.stack([type(model).free_run(model, record.u, dt) for model in models])
+
+
+def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.ndarray) -> np.ndarray:
+    """Outputs at the estimate, with each parameter larger, and with each smaller, shape (1 + 2 p, T).
+
+    A linear parameter takes one simulation, or none where the design matrix has its column.
+
+    Args:
+        result: the fit.
+        record: provides the input.
+        step: of each parameter, shape (p,).
+        linear: parameters in which the output is linear, shape (p,), bool.
+    """
+    x = np.asarray(result.x)
+    middle = _simulated(result, record, x[None])
+    larger, smaller = np.repeat(middle, x.size, axis=0), np.repeat(middle, x.size, axis=0)
+    columns = _columns(result, record) if x.size > _MANY else {}
+    for k in range(x.size):
+        if k in columns:
+            change = step[k] * columns[k]
+        elif linear[k]:
+            change = _simulated(result, record, (x + step[k] * (np.arange(x.size) == k))[None])[0] - middle[0]
+        else:
+            moved = x + np.outer([step[k], -step[k]], np.arange(x.size) == k)
+            larger[k], smaller[k] = _simulated(result, record, moved)
+            continue
+        larger[k] += change
+        smaller[k] -= change
+    return np.concatenate([middle, larger, smaller])
+
+
+def _columns(result: FitResult, record: Record) -> dict[int, np.ndarray]:
+    """Columns of the design matrix over a record, shape (T,), by the number of the free parameter that they belong to."""
+    space = result.problem.space
+    design = result.model.design_matrix(record.u, None if result.model.rate_independent else record.dt)
+    blocks = {block.leaf: block.columns for block in design.blocks}
+    of_first = lambda source: source[2] in (None, 0) and space.leaves[source[0]].index in blocks
+    return {
+        k: blocks[space.leaves[source[0]].index][design.index, source[1]]
+        for k, source in enumerate(space.sources)
+        if of_first(source)
+    }
