@@ -24,7 +24,7 @@ def pulls_of(seed: int, scale: float, noise: str) -> list[float]:
     white = rng.normal(size=U.size)
     slow = scipy.signal.lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], white) + 0.3 * rng.normal(size=U.size)
     y = np.asarray(hf.simulate(truth, jnp.asarray(U))[0]) + 0.3 * (white if noise == "iid" else slow)
-    fit = hf.fit(truth, hf.Record(u=U, y=y, t=T), start="model", starts=1, method="lm", noise=noise)
+    fit = hf.fit(START, hf.Record(u=U, y=y, t=T), start="model", starts=1, method="lm", noise=noise)
     true = fit.problem.space.vector(truth)
     return [(p.value - t) / p.stderr for p, t in zip(fit.parameters, true, strict=False) if p.stderr is not None]
 
