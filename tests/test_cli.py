@@ -93,7 +93,16 @@ def test_fit_finds_the_truth_and_writes_the_contract(fitted):
     names = {"report.html", "report.txt", "model.json", "records.npz", "manifest.json"}
     names |= {
         f"{k}.{e}"
-        for k in ("loop", "series", "residuals", "autocorrelation", "parameters", "test")
+        for k in (
+            "loop",
+            "series",
+            "residuals",
+            "residuals-input",
+            "autocorrelation",
+            "parameters",
+            "test",
+            "test-series",
+        )
         for e in ("png", "svg")
     }
     assert {path.name for path in fitted.iterdir()} == names | {"result.json"}

@@ -355,8 +355,15 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
 # -- measured loops ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [40, 63, 120])
-@pytest.mark.parametrize("name", ["M130_27s", "MnZn_ferrite"])
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("M130_27s", 63),
+        ("MnZn_ferrite", 40),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in (("M130_27s", 40), ("M130_27s", 120))),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in (("MnZn_ferrite", 63), ("MnZn_ferrite", 120))),
+    ],
+)
 def test_thinned_measured_loops_get_an_answer(measured, name, count):
     rows = np.genfromtxt(measured / "tidy" / f"mag_bh_{name}.csv", delimiter=",", skip_header=1)
     loops = [rows[rows[:, 0] == k] for k in np.unique(rows[:, 0])]

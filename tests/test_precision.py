@@ -55,6 +55,7 @@ REFUSED = {
     "stage.StageMeasurement": "stage.Stage.of().measure(t, three, seed=0)",
     "stage.StageInverse": "stage.StageInverse.of([model] * 3, np.eye(3), limits=(-1, 1))",
     "stage.track_adaptively": "stage.track_adaptively(ukf, model, y, 0.1, block=50, limits=(-1, 1), sensor=stage.Sensor(), seed=0)",
+    "stage.Population": "stage.population(model, 2, spread={'c': 0.1}, seed=0)",
     "stage.population": "stage.population(model, 3, spread={'c': 0.1}, seed=0)",
 }
 # Numbers of the host in double precision throughout, descriptions, or parts that the verbs above are given.

@@ -76,7 +76,7 @@ class LeastSquares(AbstractEstimator):
     def _go_on(self, objective: Objective, ended: Descents, number: int) -> None:
         """Further rounds for one start, in place."""
         for _ in range(self.rounds):
-            if ended.converged[number] or not np.isfinite(ended.cost[number]):
+            if ended.converged[number] or ended.given_up[number] or not np.isfinite(ended.cost[number]):
                 return
             again = self._run(objective, ended.z[number][None])
             if again.cost[0] <= ended.cost[number]:
@@ -91,7 +91,8 @@ class LeastSquares(AbstractEstimator):
         if self.method == "lm":
             return descend(objective, starts, rtol=self.rtol, atol=self.atol, steps=self.max_steps, gain=self.gain)
         runs = [_dogleg(self, objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
-        return Descents(*(np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True)))
+        parts = (np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True))
+        return Descents(*parts, np.zeros(len(starts), bool))
 
 
 def _rough(settings: LeastSquares) -> LeastSquares:

@@ -18,7 +18,6 @@ from hystfit.params.host_arrays import compiled
 # A step is accepted where the cost falls by more than _LEAST of what the linear model predicts, and the next one is longer where it
 # falls by more than _GOOD of it: "Sensitivity of trust-region algorithms to their parameters" (Gould et al. 2005).
 _LEAST, _GOOD = 0.01, 0.99
-_FIRST = 1e3  # size of the first steps, over that of the largest curvature: tau of "Methods for non-linear least squares" (Madsen et al.)
 _SHORTER, _LONGER, _LONGEST, _SHORTEST = 0.25, 3.5, 1e30, 1e-200
 _CLOSE = 0.5  # excess of the cost over that of a converged start, within which the linear model shows whether a start can do better
 _BETTER = 1e-4  # a lower cost, relative to that of the converged start, that is worth further steps
@@ -27,15 +26,22 @@ _BYTES = 2**26  # of their Jacobians, beyond which a program has room for fewer
 
 
 class Descents(NamedTuple):
-    """Where descents ended: unconstrained z (S, p), half the squared misfits, which converged, and their linearizations, each (S,).
+    """Where descents ended, S of them.
 
-    A descent that was given up has the cost that its linear model promises, which is not below the least of the converged ones.
+    Attributes:
+        z: unconstrained, shape (S, p).
+        cost: half the squared misfits, shape (S,). Of a descent that was given up: what its linear model promises, which is above the
+            least of the converged ones.
+        converged: which converged, shape (S,).
+        evaluations: linearizations of each, shape (S,).
+        given_up: which approached no lower cost than a converged one, shape (S,).
     """
 
     z: Float[np.ndarray, "S p"]
     cost: Float[np.ndarray, " S"]
     converged: np.ndarray
     evaluations: np.ndarray
+    given_up: np.ndarray
 
 
 def descend(
@@ -70,6 +76,7 @@ def _together(
     misfit, triangle = np.zeros((count, objective.batch.u.size)), np.zeros((count, p + 1, p + 1))
     cost, size = np.full(count, np.inf), np.ones(count)
     converged, evaluations, active = np.zeros(count, bool), np.zeros(count, int), np.ones(count, bool)
+    given_up = np.zeros(count, bool)
     for number in range(steps):
         at = np.flatnonzero(active)
         if not at.size:
@@ -91,16 +98,16 @@ def _together(
         rows = np.concatenate([jacobian[going], new[going, None]], axis=1).swapaxes(1, 2)
         at = taken[going]
         triangle[at] = _factor(rows)
-        if number == 0:
-            size[at] = _FIRST / np.maximum(np.sum(triangle[at][:, :, :-1] ** 2, axis=1).max(axis=1), 1e-300)
         converged[at] |= cost[at] - _promised(triangle[at]) <= gain * cost[at]
         active[at[converged[at]]] = False
         behind = active & _behind(triangle, cost, converged)
-        cost[behind] = np.maximum(_promised(triangle[behind]), cost[converged].min(initial=np.inf))
+        given_up |= behind
         active &= ~behind
         left = np.flatnonzero(active)
         trial[left] = z[left] - _step(triangle[left], size[left])
-    return Descents(z, np.where(np.isfinite(cost), cost, np.inf), converged, evaluations)
+    promised = np.maximum(_promised(triangle), (1 + _BETTER) * cost[converged].min(initial=np.inf))
+    cost = np.where(given_up, promised, cost)
+    return Descents(z, np.where(np.isfinite(cost), cost, np.inf), converged, evaluations, given_up)
 
 
 def _linearize(objective: Objective, z: np.ndarray, lanes: int) -> tuple[np.ndarray, np.ndarray]:

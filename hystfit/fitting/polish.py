@@ -15,10 +15,11 @@ from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
 _ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
+_BLUR = 0.01  # rounding error of an output over _ROUNDING
 _LEAST, _MOST = 1e-12, 1e10  # damping
 _LONGEST = 4.0  # step in z of parameters with bounds, infinity norm
 _NOTHING = (
-    1e-8  # rms change of the output, in half ranges, by a step of one in z, below which a parameter with bounds stays
+    1e-8  # rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays
 )
 _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, below which it is rounding errors
 
@@ -51,7 +52,8 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     for evaluations in range(1, steps):
         triangle = np.linalg.qr(np.column_stack([jacobian[:, order], residual]), mode="r")
         ordered, decrease = _step(triangle, int(offsets.sum()), damping)
-        converged = decrease <= gain * cost + _floor(problem, z)
+        floor = _floor(problem, z)
+        converged = decrease <= gain * cost + floor
         if converged or damping > _MOST or not np.isfinite(cost):
             return Polished(z, cost, converged, evaluations)
         step = np.zeros(z.size)
@@ -60,7 +62,8 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         new_residual, new_jacobian = _linearize(problem, z + step)
         with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
             new_cost = 0.5 * float(new_residual @ new_residual)
-        if new_cost < cost:
+        blurred = _BLUR * np.sqrt(2 * cost * floor)  # where a smaller decrease cannot be seen, the linear model decides
+        if new_cost < cost + (blurred if decrease < blurred else 0.0):
             z, residual, jacobian, cost = z + step, new_residual, new_jacobian, new_cost
             damping = max(0.1 * damping, _LEAST)
         else:
@@ -70,7 +73,7 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
 
 def _floor(problem: Problem, z: np.ndarray) -> float:
     """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output."""
-    largest = [np.abs(record.y[record.used]).max() for record in problem.data]
+    largest = [np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data]
     largest = max(*largest, problem.scales.y, *np.abs(problem.space.physical(z))[problem.space.offsets])
     return int(problem.used.sum()) * (_ROUNDING * float(largest) / problem.scales.y) ** 2
 

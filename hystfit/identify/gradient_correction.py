@@ -73,7 +73,7 @@ class GradientCorrection(LinearIdentifier):
         *,
         start: str = "data",
         basis: str = "legendre",
-        weights: Sequence[float] | np.ndarray | None = None,
+        weights: Sequence[float | int] | np.ndarray | None = None,
         mu: float = 1.0,
         floor: float = 1.0,
         step: float | None = None,
@@ -163,7 +163,7 @@ class GradientCorrection(LinearIdentifier):
         return Status.DIVERGED if error > size else Status.NOT_CONVERGED, [warn(Code.ONE_STEP_ERROR, text)]
 
 
-def check_weights(weights: Sequence[float] | np.ndarray, p: int) -> np.ndarray:
+def check_weights(weights: Sequence[float | int] | np.ndarray, p: int) -> np.ndarray:
     """Weights of shape (p,) or (K, p) that satisfy the paper's conditions (i) and (ii).
 
     Raises:

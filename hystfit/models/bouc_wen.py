@@ -21,7 +21,6 @@ from hystfit.models.starting import best_beside, fit_linear, input_range, own_co
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
-_GRID_SAMPLES = 250  # of a record, on which starting values are read off
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
 
@@ -209,7 +208,7 @@ def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
 
 def grid_start(records: Sequence[Record], degree: int) -> tuple[float, float, np.ndarray]:
     """Best (tau, rho) of a grid and the linear unknowns there: slope, factor of the unit hysteresis, offset, backbone 2, 3, ..."""
-    place, records = input_range(records), thinned(records, _GRID_SAMPLES)
+    place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))
     states = np.concatenate([unit_hysteresis(record.u, tau, rho)[record.used] for record in records])
     u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))

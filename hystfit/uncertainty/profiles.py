@@ -157,7 +157,7 @@ class Profiles:
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:
             row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
-        shown = dict(zip(*reversed(_handles(axes.ravel())), strict=True))
+        shown = dict(zip(*reversed(_handles(list(axes.ravel()))), strict=True))
         figure.legend(shown.values(), shown.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
         make_legible(figure)
         return figure
