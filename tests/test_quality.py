@@ -808,3 +808,15 @@ def test_a_cycle_that_begins_in_the_middle_of_its_loop_has_the_shape_of_the_elli
     assert record.shape.area == pytest.approx(np.pi * np.sin(lag), rel=0.01)
     assert record.shape.width_percent == pytest.approx(100 * np.sin(lag), rel=0.01)
     assert record.shape.asymmetry_percent < 0.5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_is_no_loop_and_a_faint_loop_in_noise_is_one(seed):
+    rng, t = np.random.default_rng(seed), np.linspace(0, 10, 1000)
+    u = 50 + (1 - 0.09 * t) * 50 * np.sin(2 * np.pi * 0.8 * t)
+    unrelated = check(Record(u=u, y=rng.normal(size=t.size), t=t))
+    assert (unrelated.records[0].shape.circulation, unrelated.advice) == (None, None)
+    assert has(unrelated.findings, Code.SINGLE_VALUED)
+    y = np.asarray(simulate(BoucWen(c=0.15, mu=0.1, tau=0.1, rho=0.5), u)[0])
+    faint = check(Record(u=u, y=y + 0.1 * rng.normal(size=t.size), t=t))
+    assert faint.records[0].shape.circulation == "counter-clockwise"

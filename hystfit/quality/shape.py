@@ -10,6 +10,7 @@ from hystfit.quality.drift import like_cycles
 from hystfit.quality.loops import Loop, closed_loops, loop_area, loop_branches
 
 _SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
+_CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
 _CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
@@ -43,7 +44,7 @@ class Shape:
     loops: int
 
 
-def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> Shape | None:
+def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarray, noise: float = 0.0) -> Shape | None:
     """Shape of the largest loops of a record: of its closed loops, of its widest cycles where none closes.
 
     Args:
@@ -51,13 +52,14 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         y: output, shape (T,); loops with missing outputs are omitted.
         loops: see `loops.closed_loops`.
         cycles: see `loops.cycles`.
+        noise: rms of white noise in the output [unit of y]; a loop whose area may be noise is not open.
 
     Returns:
         None where there is no loop of at least eight samples.
     """
     begun = None if len(cycles) else _from_its_end(u, y)
     if begun is not None:
-        return loop_shape(*begun, closed_loops(begun[0], _CLOSED * float(np.ptp(u))), cycles)
+        return loop_shape(*begun, closed_loops(begun[0], _CLOSED * float(np.ptp(u))), cycles, noise)
     complete = [loop for loop in loops if loop.start > 0] or loops
     spans = [(loop.start, loop.stop, loop.stroke) for loop in complete]
     closed = bool(spans) and max(stroke for _, _, stroke in spans) > 0.5 * np.ptp(u)
@@ -80,7 +82,9 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
-    turning = ("counter-clockwise" if area > 0 else "clockwise") if fullness > 0.3 else None
+    chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b, _ in chosen]) / len(chosen))
+    is_open = fullness > 0.3 and abs(area) > _CHANCE * chance
+    turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open else None
     last = chosen[-1]
     return Shape(
         area=float(area),

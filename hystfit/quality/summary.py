@@ -181,7 +181,7 @@ def summarize(record: Record) -> RecordQuality:
         y=y_column,
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
-        shape=loop_shape(u, bridged(y), loops, cycles),
+        shape=loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0),
         drift=drift(u, y, t, cycles) if moving else None,
         lag=lag,
         velocity_gain=gain,
