@@ -18,6 +18,7 @@ from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
+from hystfit.models.design import FAR
 from hystfit.outcome import Code, Note
 from hystfit.params.host_arrays import to_device
 
@@ -88,10 +89,18 @@ class LinearSystem:
 
     @functools.cached_property
     def origin(self) -> np.ndarray:
-        """The best offsets alone, zeros for all others, shape (p,): normal equations would square the size of an output far from zero."""
-        constant = self.free & ~self.ridged
-        origin = np.zeros(constant.size)
-        origin[constant] = np.linalg.lstsq(self.columns[:, constant], self.target, rcond=None)[0]
+        """One level for the offsets of all records, zeros for all others, shape (p,).
+
+        Normal equations would square the size of an output far from zero. The offset of a record that is left out must not be its own
+        mean, so that all have one; where zero is near, zero.
+        """
+        constant = np.flatnonzero(self.free & ~self.ridged)
+        alike = [
+            k for k in constant if np.ptp(column := self.columns[:, k][self.columns[:, k] != 0]) < 1e-12 * column.max()
+        ]
+        together, origin = self.columns[:, alike].sum(axis=1), np.zeros(self.free.size)
+        level = float(together @ self.target) / max(float(together @ together), 1e-300)
+        origin[alike] = level if abs(level) * np.abs(together).max(initial=0.0) > FAR * np.ptp(self.target) else 0.0
         return origin
 
     def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,6 +8,8 @@ import numpy as np
 
 from hystfit.params.param import ParamInfo
 
+FAR = 100.0  # level of an output, over its range, from which normal equations need it subtracted
+
 
 @dataclasses.dataclass(frozen=True)
 class Penalty:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import FAR, Block, DesignMatrix
 from hystfit.models.nonnegative import solve_nonnegative
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
@@ -88,11 +88,12 @@ class SmoothSystem:
         folds = _folds(records, inner) if left_out == "records" else [r.blocks(_BLOCKS) for r in records]
         rows: list[list[np.ndarray]] = [[] for _ in folds[0]]
         counts = np.zeros(len(folds[0]))
-        means = np.array([np.mean(record.y[record.used]) for record in records]) / size
-        origin = np.zeros(p)
+        # One level for all records, as that of a record that is left out must not be its own mean; where zero is near, zero.
+        level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
+        level = level if abs(level) > FAR else 0.0
         for block, own, start in zip(blocks, each, starts, strict=False):
             if block.info.per_record and np.isneginf(block.info.bounds[0]) and np.all(block.columns == 1.0):
-                origin[start : start + (len(records) if own else 1)] = means if own else means.mean()
+                origin[start : start + (len(records) if own else 1)] = level
         low, high = np.full(p, np.inf), np.full(p, -np.inf)
         for number, (record, design, masks) in enumerate(zip(records, designs, folds, strict=True)):
             A = np.zeros((design.rest.size, p))
