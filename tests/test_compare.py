@@ -376,6 +376,7 @@ def test_thinned_measured_loops_get_an_answer(measured, name, count):
     assert found.winner.metrics(whole).nrmse_percent < 3.0
 
 
+@pytest.mark.slow
 def test_reversal_curves_of_a_raw_file_by_the_bare_search(measured):
     """Every fourth curve fitted: the others are predicted within 0.05 % of the range; with an inverse, within 0.1 %."""
     curves = list(hf.read(measured / "mag_forc_pyforc" / "hchb_forc"))

@@ -90,7 +90,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-SLOW = ("density", "cells of either sign")  # its relays keep the laws in the quick form
+SLOW = ("density", "cells", "cells of either sign", "everett table")  # their relays keep the laws in the quick form
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,9 @@ def test_the_design_matrix_times_the_weights_is_the_scan(name: str) -> None:
     assert sum(b.columns.shape[1] for b in design.blocks) >= 21 + 6 + 1
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("second") else name for name in NAMES]
+)
 def test_the_smooth_solve_fits_a_composition(name: str) -> None:
     model = truth(name)
     y = np.asarray(hf.simulate(model, U, DT)[0])

@@ -472,7 +472,7 @@ def test_slow_noise_as_long_as_a_good_part_of_the_record_is_drift(fitted, time, 
     assert has(drift_notes(setup, np.tile(x, (2, 5, 1)), longest=500), Code.INCOMPLETE) == told
 
 
-@pytest.mark.parametrize("noise", ["iid", "discrepancy"])
+@pytest.mark.parametrize("noise", ["iid", pytest.param("discrepancy", marks=pytest.mark.slow)])
 def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
     # Residuals at their limit are a constant, and what repeats with input and direction explains a constant.
     setup = prepare(fitted, noise=noise)
@@ -526,6 +526,7 @@ def test_a_run_under_another_prior_or_other_settings_is_another_run(fitted, tmp_
         sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **{**small, "check": 25})
 
 
+@pytest.mark.slow
 def test_records_may_be_called_with_slashes(tmp_path):
     first, second = (loop(seed=k)[0].replace(name=f"coil/{k}") for k in range(2))
     both = hf.fit(loop()[1], [first, second], starts=1, fix={"rho": 0.5}, noise="iid")
