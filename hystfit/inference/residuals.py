@@ -22,6 +22,7 @@ CHANCE = 0.02  # p-value, under slow noise alone, below which the model error co
 REPEATS = 0.02  # if it is at least this fraction of the residual variance
 _LENGTH = 0.3  # length scale (relative to the input range) of the curves tested for
 _LENGTHS = (0.1, 0.15, 0.22, 0.3, 0.45, 0.7)  # length scales, of which the most probable describes the curve
+_SMALLEST = 1e-6  # of noise, over that of the residuals, that is plausible
 _LARGEST = 3.0  # largest plausible standard deviation of noise, in that of the residuals
 _TURNS = 8  # reversals of the input needed to detect a repeating error
 _ENOUGH = 240  # samples needed for the same
@@ -124,7 +125,9 @@ class ResidualAnalysis:
     def _plausible(self, fit: SlowNoiseFit) -> bool:
         noise = fit.noise
         curve = noise.loop * float(np.sqrt(np.mean(np.sum(noise.shapes**2, axis=1)))) if noise.shapes.shape[1] else 0.0
-        return max(noise.slow, curve) <= _LARGEST * float(np.sqrt(np.mean(self.residual**2)))
+        rms = float(np.sqrt(np.mean(self.residual**2)))
+        # Residuals that the derivatives explain, where a solver stopped early, leave no noise at all.
+        return max(noise.slow, curve) <= _LARGEST * rms and bool(np.hypot(noise.white, noise.slow) >= _SMALLEST * rms)
 
     def _with_curve(self, length: float) -> Contrasts:
         power = (self.repeating.share if self.repeating else 0.0) * float(np.mean(self.residual**2))
