@@ -223,7 +223,7 @@ class AbstractIdentifier(eqx.Module):
 @eqx.filter_jit
 def run_stream(identifier: AbstractIdentifier, state: Any, stream: Sample) -> tuple[Any, Info]:
     """`update` over a stream of samples with leaves of shape (T,): the state after them, and `Info` with leaves of shape (T, ...)."""
-    return jax.lax.scan(identifier.update, state, stream)
+    return jax.lax.scan(lambda carry, sample: identifier.update(carry, sample), state, stream)
 
 
 def free_only(model: AbstractHysteresis, names: Sequence[str], data: Dataset) -> ParameterSpace:
