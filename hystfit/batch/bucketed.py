@@ -22,10 +22,8 @@ from hystfit.inference.problem import Problem
 
 _SHORT = 256  # samples of the short form on which starts are compared
 _STEPS, _MORE = 25, 60  # of every start, of the best one
-_ROUGH, _FINE = (
-    1e-5,
-    1e-13,
-)  # predicted decrease of the cost, relative to it, at which starts and the best one have converged
+# Predicted decrease of the cost, relative to it, at which starts and the best one have converged.
+_ROUGH, _FINE = 1e-5, 1e-13
 _ROUNDING = 1e-28  # decrease for each sample that is below rounding errors
 _LEAST, _MOST = 1e-12, 1e10  # damping
 _LONGEST = 4.0  # step in z, infinity norm
@@ -102,6 +100,9 @@ class _Point(NamedTuple):
     matrix: Array
 
 
+_Carry = tuple[_Point, Array, Array, Array]  # point, damping, convergence, linearizations
+
+
 @eqx.filter_jit
 def _solve(
     full: Objective, short: Objective | None, starts: Array, count: Array
@@ -147,21 +148,16 @@ def _normal(objective: Objective) -> Callable[[Array], _Point]:
 def _descend(
     normal: Callable[[Array], _Point], z: Array, samples: int, gain: float, most: int
 ) -> tuple[_Point, Array, Array]:
-    """Levenberg-Marquardt from z: where it ended, whether it converged, and the number of linearizations.
+    """Levenberg-Marquardt from z: where it ended, whether it converged, and the number of linearizations, `most` at most.
 
-    Args:
-        normal: normal equations at a point.
-        z: start, unconstrained, shape (p,).
-        samples: number of residuals.
-        gain: predicted decrease of the cost, relative to it, at which it has converged.
-        most: linearizations at most.
+    It has converged where the predicted decrease of the cost is below `gain` times the cost.
     """
 
-    def goes_on(carry: tuple[_Point, Array, Array, Array]) -> Array:
+    def goes_on(carry: _Carry) -> Array:
         _, damping, converged, k = carry
         return ~converged & (damping < _MOST) & (k < most)
 
-    def once(carry: tuple[_Point, Array, Array, Array]) -> tuple[_Point, Array, Array, Array]:
+    def once(carry: _Carry) -> _Carry:
         point, damping, _, k = carry
         step, predicted = _step(point, damping)
         converged = predicted <= gain * point.cost + _ROUNDING * samples

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,8 +118,6 @@ class Fits:
         number = self._number(name)
         return fit_alone(self.work, self.sources[number], self.rows[number])
 
-    # -- the table ------------------------------------------------------------------------------------------------------------
-
     def columns(self) -> dict[str, list[Any]]:
         """All rows as columns of text and numbers; NaN and "" where unknown."""
         nan = lambda value: math.nan if value is None else float(value)
@@ -177,11 +175,7 @@ class Fits:
             MissingExtraError: the package for this kind of file is not installed.
         """
         path = Path(path)
-        writers: dict[str, Callable[[Path], object]] = {
-            ".csv": self._write_csv,
-            ".parquet": self._write_parquet,
-            ".nc": self._write_netcdf,
-        }
+        writers = {".csv": self._write_csv, ".parquet": self._write_parquet, ".nc": self._write_netcdf}
         if path.suffix not in writers:
             raise DataError(f"a table is written as {', '.join(writers)}, got {path.name!r}")
         try:
@@ -206,8 +200,6 @@ class Fits:
     def _write_netcdf(self, path: Path) -> None:
         optional("h5netcdf", "frames", "a netCDF table")
         self.to_xarray().to_netcdf(path, engine="h5netcdf")
-
-    # -- overviews ------------------------------------------------------------------------------------------------------------
 
     def worst(self, count: int = _WORST) -> tuple[Row, ...]:
         """Loops that need a look: those without a fit first, then those not usable, then the largest errors."""

@@ -14,11 +14,8 @@ import numpy as np
 from hystfit.quality.baselines import play_positions
 
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
-NEAR = (
-    0.12,
-    0.2,
-    0.35,
-)  # range of a fit as a fraction of the shorter neighboring branch; the first with enough samples
+# Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
+NEAR = 0.12, 0.2, 0.35
 MOST_TURNS = 40
 
 

@@ -23,10 +23,8 @@ _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
 _EXPLAINED = 0.75  # least share of the unexplained variance that the resonance explains
 _VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the range of y
-_GAIN, _PHASE = (
-    1.25,
-    40.0,
-)  # least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency
+# Least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency.
+_GAIN, _PHASE = 1.25, 40.0
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
