@@ -192,10 +192,6 @@ def file_digest(file: Path) -> str | None:
 def refuse_unfinished(kind: type, error: type[HystfitError] = ParameterError) -> None:
     """Refuse a class that lacks methods that its base class requires.
 
-    Args:
-        kind: the class.
-        error: class of the error raised.
-
     Raises:
         HystfitError: it lacks some; the message names the class, its file and the methods.
     """

@@ -21,10 +21,6 @@ _DOUBLE = 8  # bytes that every number takes in the end
 def arrays_in(raw: bytes, suffix: str) -> dict[str, np.ndarray]:
     """The arrays in a file, by name.
 
-    Args:
-        raw: the file.
-        suffix: its kind, one of `KINDS`.
-
     Raises:
         DataError: the arrays are too large for the file, or lie outside it.
         Exception: of the libraries, for damaged files.

@@ -141,13 +141,7 @@ def _parse_columns(
 
 
 def _spoiled_notes(rows: Sequence[Sequence[str]], spoiled: np.ndarray, layout: Layout) -> list[Note]:
-    """A note on words in place of numbers.
-
-    Args:
-        rows: cells of every line.
-        spoiled: numbers of the lines with such words.
-        layout: of the rows.
-    """
+    """A note on words in place of numbers."""
     if not spoiled.size:
         return []
     is_text = lambda cell, kind: kind == cells.NUMBER and cells.kind(cell, layout.decimal) in (cells.TEXT, cells.STAMP)

@@ -261,15 +261,7 @@ def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], l
 def _follow(
     newton: BoundedNewton, x: np.ndarray, chosen: Sequence[int], wider: np.ndarray, limit: float
 ) -> tuple[Point, list[tuple[Path, Path]]]:
-    """The optimum, and the paths downward and upward in each parameter; from the start again where a path finds a better optimum.
-
-    Args:
-        newton: the least-squares problem.
-        x: where the fit ended, physical, shape (p,).
-        chosen: positions of the parameters.
-        wider: reported over i.i.d. standard error of each parameter, shape (p,).
-        limit: of the statistic.
-    """
+    """The optimum, and the paths downward and upward in each parameter; from the start again where a path finds a better optimum."""
     start = newton.coordinates(x)
     everything = np.ones(x.size, dtype=bool)
     optimum = newton.best([start], everything)
