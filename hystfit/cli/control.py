@@ -45,7 +45,7 @@ def invert(
 
     sampled = (fitdir / "posterior.nc").is_file()
     result = open_fit(fitdir / "fit" if sampled else fitdir, output, trust)
-    target = result.in_own_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
+    target = result.in_fitted_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None

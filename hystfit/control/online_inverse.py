@@ -112,13 +112,13 @@ class InverseStep(AbstractRunningInverse):
             ModelError: a delay or a resonance; no limits where the inverse is a search and the model names no range.
         """
         require_x64()
-        known, inverted = known_inputs(model)
+        known, inverted = fitted_inputs(model)
         edges = limits if limits is not None else known
         low, high = (float(edge) for edge in edges) if edges is not None else (-np.inf, np.inf)
         if not low < high:
             raise ModelError(f"limits must be (low, high) with low < high, got {limits}")
         solver = inverted.step_inverse()
-        travel = _travel(solver, low, high)
+        travel = _output_travel(solver, low, high)
         if travel < 0:
             solver = inverted.step_inverse(-1.0)
         if solver.needs_limits and not (np.isfinite(low) and np.isfinite(high)):
@@ -183,7 +183,7 @@ def _run(inverse: InverseStep, memory: Resume, targets: Array, dt: Array) -> tup
     return jax.lax.scan(lambda m, sample: inverse.step(m, *sample), memory, (targets, dt))
 
 
-def known_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
+def fitted_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
     """The inputs between which a model or fit is known (of a fit: the range of the fitted input), and the model."""
     if isinstance(model, AbstractHysteresis):
         return model.reach(), model
@@ -196,7 +196,7 @@ def _across(solver: AbstractStepInverse, low: Array, high: Array) -> Array:
     return solver.advance(state, low, high, jnp.zeros_like(low))[1] - first
 
 
-def _travel(solver: AbstractStepInverse, low: float, high: float) -> float:
+def _output_travel(solver: AbstractStepInverse, low: float, high: float) -> float:
     """By how much the output moves on a way from the lower to the upper limit; 0 where they are not finite."""
     if not (np.isfinite(low) and np.isfinite(high)):
         return 0.0

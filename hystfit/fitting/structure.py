@@ -123,7 +123,7 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
         data: records; only samples that count are fitted or judged.
         plays: number of thresholds; None for the number that blocks left out choose among those that the data can determine.
     """
-    most = most_plays(data)
+    most = max_plays(data)
     bench = _Bench(data, min(_PLAYS, most) if plays is None else plays)
     options = bench.options()
     structure, score = min(((s, bench.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
@@ -155,7 +155,7 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
     return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
 
 
-def most_plays(data: Dataset) -> int:
+def max_plays(data: Dataset) -> int:
     """Number of thresholds that the samples and the distinct levels of the input can determine."""
     samples = sum(int(record.used.sum()) for record in data)
     inputs = np.concatenate([record.u[record.used] for record in data])

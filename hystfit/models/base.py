@@ -19,8 +19,8 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
-from hystfit.models.default_start import searched_start
-from hystfit.models.description import described
+from hystfit.models.default_start import hypercube_start
+from hystfit.models.description import format_model
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.one_device import check_one_device
 from hystfit.params.param import leaves_of
@@ -65,7 +65,7 @@ class AbstractHysteresis(eqx.Module):
     # -- values ------------------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        return described(self)
+        return format_model(self)
 
     def replace(self, **values: Any) -> AbstractHysteresis:
         """The same model with other values of some parameters.
@@ -117,7 +117,7 @@ class AbstractHysteresis(eqx.Module):
         return True
 
     @property
-    def short_cut(self) -> bool:
+    def has_fast_run(self) -> bool:
         """Whether `free_run` is faster than a scan over the samples."""
         return False
 
@@ -158,7 +158,7 @@ class AbstractHysteresis(eqx.Module):
 
         By default the best of a Latin hypercube within the bounds and the data's scales; to override where the loop shows them.
         """
-        return searched_start(self, records)
+        return hypercube_start(self, records)
 
     @property
     def allows_thinning(self) -> bool:
@@ -217,9 +217,9 @@ class AbstractHysteresis(eqx.Module):
             u: input, shape (T,).
             dt: as in `simulate`.
         """
-        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _servable(leaf.info.bounds)]
+        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _solvable(leaf.info.bounds)]
         u, dt = drive(self, u, dt)
-        rest, columns = _differentiated(self, tuple(leaf.index for leaf in leaves), u, dt)
+        rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), u, dt)
         blocks = (
             Block(leaf.index, leaf.info, np.asarray(part).reshape(u.size, -1))
             for leaf, part in zip(leaves, columns, strict=True)
@@ -270,7 +270,7 @@ class AbstractHysteresis(eqx.Module):
         """
         return SearchStep(self, sign)
 
-    def led(self) -> Led | None:
+    def output_resonance(self) -> OutputResonance | None:
         """The resonance at the end of the model, which is inverted by leading the reference; None where there is none."""
         return None
 
@@ -282,7 +282,7 @@ class AbstractHysteresis(eqx.Module):
         try:
             if use == "export":
                 self.c_part()
-            elif self.led() is None:
+            elif self.output_resonance() is None:
                 self.step_inverse()
         except ModelError as error:
             return str(error)
@@ -306,7 +306,7 @@ class Derived(NamedTuple):
     value: Callable[[Any], Array]
 
 
-class Led(NamedTuple):
+class OutputResonance(NamedTuple):
     """A resonance at the end of a model: the model before it (None where there is nothing), omega [rad/s] and zeta."""
 
     model: AbstractHysteresis | None
@@ -314,13 +314,13 @@ class Led(NamedTuple):
     zeta: float
 
 
-def _servable(bounds: tuple[float, float]) -> bool:
+def _solvable(bounds: tuple[float, float]) -> bool:
     """Weights that are free or >= 0 can be solved for in one quadratic program."""
     return bounds[1] == np.inf and bounds[0] in (0.0, -np.inf)
 
 
 @eqx.filter_jit
-def _differentiated(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
+def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
     """Output with the leaves `at` set to zero, and its derivatives in them."""
     leaves, treedef = jax.tree_util.tree_flatten(model)
 
@@ -493,7 +493,7 @@ def simulate(
         raise ModelError(
             f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
         )
-    u, dt = _driven(model, u, dt)
+    u, dt = _checked_drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
     try:
         return _compiled(model)(model, u, dt, resume, unroll)
@@ -514,11 +514,11 @@ def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
         ModelError: no time for a model that needs it, or shapes that do not fit.
         PrecisionError: double precision is off.
     """
-    u, dt = _driven(model, u, dt)
+    u, dt = _checked_drive(model, u, dt)
     return jnp.asarray(u), jnp.asarray(dt)
 
 
-def _driven(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
+def _checked_drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
     """`drive`, with what was not an array of JAX in NumPy: compiled code takes it over faster than it is converted here."""
     require_x64()
     u = _floating(u)

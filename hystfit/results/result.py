@@ -269,7 +269,7 @@ class FitResult:
         names = [fitted.name for fitted in self.data]
         return names.index(record.name) if record.name in names else 0
 
-    def in_own_units(self, record: Record) -> Record:
+    def in_fitted_units(self, record: Record) -> Record:
         """The record in the units of the fitted records, with a note on each unit that was converted or assumed.
 
         Raises:
@@ -312,7 +312,7 @@ class FitResult:
             DataError: an input that cannot be used, or an offset is to be refitted and no output counts.
         """
         given = excitation_of(data, t, u=u, like=self.data[0])
-        record = self.in_own_units(given)
+        record = self.in_fitted_units(given)
         if record.t is None and not self.model.rate_independent:
             raise ModelError(f"{self.name} depends on time: give t, the time of each sample")
         fitted = next((k for k, own in enumerate(self.data) if own is record), None)
@@ -330,7 +330,7 @@ class FitResult:
 
     def metrics(self, data: Any, *, refit_offset: bool = False) -> Metrics:
         """Metrics of the prediction on the samples that count, in the units of the fit: of records or a data frame."""
-        records = [self.in_own_units(self.model.prepared(record)) for record in records_of(data)]
+        records = [self.in_fitted_units(self.model.prepared(record)) for record in records_of(data)]
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
@@ -364,7 +364,7 @@ class FitResult:
 
     def extrapolation(self, record: Record) -> Note | None:
         """A warning where a record leaves the fitted range of inputs; None where it does not."""
-        record = self.in_own_units(record)
+        record = self.in_fitted_units(record)
         low, high = self.input_range
         outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
         outside &= record.used

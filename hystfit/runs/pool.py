@@ -83,7 +83,7 @@ def _by_dask(task: Task, items: Sequence[Any], scheduler: str) -> Iterator[Outco
     except ImportError as error:
         raise MissingExtraError("distributed", "batch", "scheduler=") from error
     try:
-        _knock(scheduler)
+        _check_scheduler(scheduler)
         client = Client(scheduler)
     except (OSError, ValueError) as error:
         raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
@@ -121,7 +121,7 @@ def _running(client: Client) -> bool:
     return any(worker["status"] == "running" for worker in workers.values())
 
 
-def _knock(scheduler: str) -> None:
+def _check_scheduler(scheduler: str) -> None:
     """A client that finds nobody tries for half a minute, and again when it is thrown away: see whether anybody listens first."""
     from distributed.comm.addressing import get_address_host_port, parse_address
     from distributed.comm.registry import get_backend

@@ -104,7 +104,7 @@ def sample(
             *setup.notes,
             *raw.notes,
             *problems,
-            *beside_priors(setup, draws),
+            *prior_dominated_notes(setup, draws),
             *_beside_fit(result, setup, draws),
         ),
         priors=setup.describe_priors(),
@@ -143,7 +143,7 @@ def _physical(density: Density, z: Array) -> Array:
     return jax.vmap(density.physical)(z)
 
 
-def beside_priors(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+def prior_dominated_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """Notes on parameters whose posterior is hardly narrower than the prior, or lies in the far tail of it."""
     key, notes = jax.random.key(0), []
     for k, (name, prior) in enumerate(zip(setup.names, setup.problem.priors, strict=True)):
