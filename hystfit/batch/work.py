@@ -34,7 +34,7 @@ _DEFAULTS = {name: inspect.signature(fit).parameters[name].default for name in (
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What is done with every loop; other processes receive it.
+    """The task for every loop, as other processes receive it.
 
     Attributes:
         model: a model or its name.
@@ -100,7 +100,7 @@ class Work:
 
 @dataclasses.dataclass
 class _Loop:
-    """A loop on its way: what was read, then posed, then solved, or why it has no fit."""
+    """State of one loop: its record, its fit setup, its estimate, or the reason why it has no fit."""
 
     source: Source
     name: str
@@ -164,7 +164,7 @@ def _read(work: Work, source: Source) -> list[_Loop]:
 
 
 def _alike(work: Work, loop: _Loop) -> Record:
-    """The record in the units of the batch."""
+    """The record converted to the units of the batch."""
     loop.record = loop.record.in_units(**work.units)  # type: ignore[union-attr]
     return loop.record
 

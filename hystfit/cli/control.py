@@ -41,7 +41,7 @@ def invert(
     """
     from hystfit.control.inverse import invert as solve
     from hystfit.data.record import Dataset
-    from hystfit.results.result import provenance
+    from hystfit.results.provenance import provenance
 
     sampled = (fitdir / "posterior.nc").is_file()
     result = open_fit(fitdir / "fit" if sampled else fitdir, output, trust)

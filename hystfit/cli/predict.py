@@ -89,8 +89,8 @@ def _compared(
 
     from hystfit.fitting.verdict import evaluate_on
     from hystfit.results.accuracy import verdict_dict
+    from hystfit.results.provenance import provenance
     from hystfit.results.report import metrics_words
-    from hystfit.results.result import provenance
 
     finite = all(np.isfinite(run).all() for run in runs)
     measured = [record for record in data if record.used.any()]

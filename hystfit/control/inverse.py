@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Inverse:
-    """What `invert` gives back.
+    """Result of `invert`.
 
     Attributes:
         u: input for every sample of the reference, shape (T,).
@@ -58,7 +58,7 @@ class Inverse:
         return {kind.label: int(np.count_nonzero(self.codes == kind)) for kind in Status}
 
     def notes(self) -> tuple[str, ...]:
-        """What went wrong, one sentence each."""
+        """Warnings, one sentence each."""
         texts = {
             Status.SATURATED: "lie beyond what the input's limits reach: the input is held there",
             Status.NOT_MONOTONE: "lie where the model's output does not rise with its input: the input may jump there",
@@ -189,7 +189,7 @@ def _rest_on(inverse: InverseStep, target: Array, dt: Array, middle: Array, edge
 
 
 def _start(inverse: InverseStep, target: Array, dt: Array) -> Resume:
-    """The rest in which the model gives the first sample; at the input nearest zero where there is none."""
+    """The state at rest whose output is the first sample; where there is none, at rest at the input nearest zero."""
     low, high = float(inverse.low), float(inverse.high)
     middle = float(np.clip(0.0, low, high))
     if not bool(jnp.isfinite(target)):

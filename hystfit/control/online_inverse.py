@@ -23,7 +23,7 @@ Limits = tuple[float | int, float | int]
 
 
 class Status(enum.IntEnum):
-    """What became of one sample of a reference."""
+    """Status of one sample of a reference."""
 
     OK = 0
     SATURATED = 1
@@ -63,7 +63,7 @@ class AbstractRunningInverse(eqx.Module):
 
     @abc.abstractmethod
     def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
-        """The memory where another input was given than asked for.
+        """The memory after an input that differs from the one computed.
 
         Args:
             memory: before the sample.
@@ -184,7 +184,7 @@ def _run(inverse: InverseStep, memory: Resume, targets: Array, dt: Array) -> tup
 
 
 def fitted_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
-    """The inputs between which a model or fit is known (of a fit: the range of the fitted input), and the model."""
+    """The input range of a model (for a fit, the range of the fitted input), and the model."""
     if isinstance(model, AbstractHysteresis):
         return model.reach(), model
     return model.input_range, model.model
@@ -197,7 +197,7 @@ def _across(solver: AbstractStepInverse, low: Array, high: Array) -> Array:
 
 
 def _output_travel(solver: AbstractStepInverse, low: float, high: float) -> float:
-    """By how much the output moves on a way from the lower to the upper limit; 0 where they are not finite."""
+    """Change of the output from the lower to the upper limit; 0 where these are not finite."""
     if not (np.isfinite(low) and np.isfinite(high)):
         return 0.0
     edges = jnp.asarray([low, high], dtype=jnp.result_type(float))

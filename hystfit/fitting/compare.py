@@ -121,7 +121,7 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 @contextlib.contextmanager
 def _progress_or_default(progress: Callable[..., object] | None) -> Iterator[Callable[..., object]]:
-    """The caller's function, or one that shows progress where somebody can see it."""
+    """The caller's progress function, or one that prints to a terminal or notebook."""
     if progress is not None:
         yield progress
         return
@@ -142,12 +142,12 @@ class _Shown:
         update(f"{self._count} to try: {', '.join(names)}", 0.0)
 
     def step(self, name: str, text: str) -> None:
-        """A model reached a step."""
+        """Report the step that a model has reached."""
         with self._lock:
             self._update(f"{name}: {text}", self._done / self._count)
 
     def done(self, name: str) -> None:
-        """A model is done."""
+        """Report that a model is finished."""
         with self._lock:
             self._done += 1
             self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
@@ -200,7 +200,7 @@ def _contenders(firsts: dict[str, _First], alone: bool) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class _Outcome:
-    """What work on one candidate gave.
+    """Outcome of the work on one candidate.
 
     Attributes:
         row, result: of the comparison, where the candidate was validated.
@@ -270,7 +270,7 @@ class _Judge:
     def _timed(
         self, work: Callable[[str, Callable[[str], object]], _Outcome], name: str, shown: _Shown, workers: Workers
     ) -> _Outcome:
-        """What one piece of work on a candidate gives, with its time; an error becomes the candidate's row."""
+        """Run one piece of work on a candidate and measure its time; an error becomes the candidate's row."""
 
         def say(text: str) -> None:
             workers.check()

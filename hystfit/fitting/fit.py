@@ -35,8 +35,10 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 from hystfit.results.timing import Stopwatch
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
@@ -125,7 +127,7 @@ def set_up_fit(
     held: bool = False,
     notes: tuple[Note, ...] = (),
 ) -> FitSetup:
-    """Collect what a fit needs before it is solved: the problem, its estimator and starting points.
+    """Set up a fit: the problem, its estimator and starting points.
 
     Args:
         model: what is fitted.
@@ -358,7 +360,7 @@ def make_result(
     noise: NoiseEstimate,
     notes: Sequence[Note] = (),
 ) -> FitResult:
-    """Put an estimate into the result that users see.
+    """Make the `FitResult` of an estimate.
 
     Args:
         problem: what was fitted.

@@ -26,7 +26,7 @@ _BYTES = 2**26  # of their Jacobians, beyond which a program has room for fewer
 
 
 class Descents(NamedTuple):
-    """Where descents ended, S of them.
+    """End points of S descents.
 
     Attributes:
         z: unconstrained, shape (S, p).

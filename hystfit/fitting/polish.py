@@ -25,7 +25,7 @@ _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, 
 
 
 class Polished(NamedTuple):
-    """Where the steps ended: unconstrained z, the cost there, whether they converged, and the number of linearizations."""
+    """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations."""
 
     z: np.ndarray
     cost: float

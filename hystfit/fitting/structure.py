@@ -92,7 +92,7 @@ class Structure:
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What the search found.
+    """Result of the structure search.
 
     Attributes:
         model: started on the data, ready for `fit(..., start="model")`.
@@ -117,7 +117,7 @@ class Found:
 
 
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
-    """Start from plays with one envelope and take, while it pays, the single change that lowers the left-out error most.
+    """Greedy search from plays with one envelope: repeat the single change that lowers the cross-validation error most.
 
     Args:
         data: records; only samples that count are fitted or judged.

@@ -44,7 +44,7 @@ _OFFSET = 0.5  # part of the test error that remains, below which a constant off
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
-    """What a verdict rests on.
+    """The data on which a verdict is based.
 
     Attributes:
         problem: what was fitted.

@@ -17,8 +17,10 @@ from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import accuracy_note, exceeded_limits
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 from hystfit.results.timing import Stopwatch
 
 

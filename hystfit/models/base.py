@@ -1,4 +1,4 @@
-"""What every model is: parameters as fields, dynamics as two methods, one scan that runs them all."""
+"""The base class of all models: parameters as fields, dynamics as `init` and `step`, simulation by one scan."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Use = Literal["inverse", "export"]
 
 
 class AbstractHysteresis(eqx.Module):
-    """A hysteresis model: `init` makes the state at rest on an input, `step` moves it over one sample.
+    """A hysteresis model: `init` returns the state at rest on an input, `step` advances it by one sample.
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
 
@@ -43,7 +43,7 @@ class AbstractHysteresis(eqx.Module):
     @property
     @abc.abstractmethod
     def rate_independent(self) -> bool:
-        """The output depends on the order of the inputs alone, so that no time is needed."""
+        """Whether the output depends only on the order of the inputs, so that no time is needed."""
 
     @abc.abstractmethod
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
@@ -53,7 +53,7 @@ class AbstractHysteresis(eqx.Module):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Move the input from u0 to u1 in the time dt: (new state, output at the new sample).
+        """Advance the state by one sample, from input u0 to u1 in the time dt: (new state, output at u1).
 
         Args:
             state: before the sample, shape (states,).
@@ -90,7 +90,7 @@ class AbstractHysteresis(eqx.Module):
         dt: Float[Array, " T"],
         unroll: int = 1,
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
-        """Move the input from u0 over all samples u: (state after the last, output at each). One scan of `step`.
+        """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
 
         To override where part of the work does not depend on the state, and need not be in the scan.
 
@@ -178,7 +178,7 @@ class AbstractHysteresis(eqx.Module):
         return (self.start(records),)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """What a user should know before trusting this model on an input; nothing by default.
+        """Warnings about using this model on an input; none by default.
 
         Args:
             u: input, shape (T,).
@@ -200,16 +200,16 @@ class AbstractHysteresis(eqx.Module):
 
     @property
     def needs(self) -> Needs | None:
-        """The data that determine its parameters; None where that is not declared."""
+        """The data needed to determine the parameters; None where this is not declared."""
         return None
 
     @property
     def estimator(self) -> str | None:
-        """Name of the estimator that suits it; None where the number of its bounded linear weights decides."""
+        """Name of the preferred estimator; None where the number of bounded linear weights decides."""
         return None
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """What the linear weights are multiplied by, at the present values of the other parameters.
+        """The design matrix of the linear weights, at the present values of the other parameters.
 
         By differentiation of the simulation; to override where the columns are known in closed form.
 
@@ -256,11 +256,11 @@ class AbstractHysteresis(eqx.Module):
     # -- optional: control ---------------------------------------------------------------------------------------------------
 
     def reach(self) -> tuple[float, float] | None:
-        """Lowest and highest input for which the model was made; None where it has no such range."""
+        """Lowest and highest input for which the model is defined; None where it has no such range."""
         return None
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Its one-sample inverse: a closed form, or by default a search.
+        """The one-sample inverse: a closed form, or by default a bracketed search.
 
         Args:
             sign: of a search; -1 for outputs that fall with the input.
@@ -275,7 +275,7 @@ class AbstractHysteresis(eqx.Module):
         return None
 
     def obstacle(self, use: Use) -> str | None:
-        """Why the model cannot be inverted, or exported to C; None where it can.
+        """The reason why the model cannot be inverted or exported to C; None where it can.
 
         A resonance at the end of a model is no obstacle to an inverse, because the reference leads it.
         """
@@ -289,7 +289,7 @@ class AbstractHysteresis(eqx.Module):
         return None
 
     def c_part(self) -> CPart:
-        """Its part of the exported C code.
+        """The model's part of the exported C code.
 
         Raises:
             ModelError: the model has no C code.
@@ -457,7 +457,7 @@ class PlayWeights(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Where a simulation stopped, to go on from: state of the model and the last input."""
+    """The end of a simulation, from which it can be resumed: state of the model and the last input."""
 
     state: Float[Array, " state"]
     u: Float[Array, ""]
@@ -519,7 +519,7 @@ def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
 
 
 def _checked_drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
-    """`drive`, with what was not an array of JAX in NumPy: compiled code takes it over faster than it is converted here."""
+    """`drive` without conversion to JAX arrays: compiled code accepts NumPy arrays faster than they convert here."""
     require_x64()
     u = _floating(u)
     if u.ndim != 1 or u.size == 0:
@@ -566,6 +566,6 @@ _run_any = eqx.filter_jit(run)
 
 
 def _compiled(model: AbstractHysteresis) -> Callable[..., tuple[Array, Resume]]:
-    """`run`, compiled; models whose leaves are all arrays, as those of hystfit, need no sorting of leaves at every call."""
+    """`run`, compiled. Models whose leaves are all arrays skip the filtering of leaves at every call."""
     arrays = all(isinstance(leaf, (jax.Array, np.ndarray)) for leaf in jax.tree_util.tree_leaves(model))
     return _run_arrays if arrays else _run_any

@@ -15,12 +15,12 @@ from jaxtyping import Array
 
 
 def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
-    """Where q stops rising, m / up times a factor; no bound where nothing saturates."""
+    """Saturation level of q, m / up times a factor; infinite where nothing saturates."""
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
 def initial_hysteresis(part: Array, lowest: Array, highest: Array) -> Array:
-    """State at the first sample from its part of the bound on its side; 0 where nothing saturates.
+    """State at the first sample, given as a fraction of its bound; 0 where nothing saturates.
 
     As a part of the bound it stays inside the loop whatever the other parameters are, so that it can be fitted.
     """
@@ -38,17 +38,17 @@ def rate_integral(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array
 
 
 def rise_below_zero(q: Array, x: Array, m: Array) -> Array:
-    """By how much q, rising by m on the way x, rises below zero."""
+    """The part of the rise m x of q that lies below zero."""
     return jnp.minimum(jnp.maximum(-q, 0.0), m * x)
 
 
 def over(value: Array, m: Array) -> Array:
-    """value / m, and nothing where m vanishes, with finite derivatives."""
+    """value / m, or 0 where m vanishes, with finite derivatives."""
     return jnp.where(m > 0, value / jnp.where(m > 0, m, 1.0), 0.0)
 
 
 def semi_implicit(q: Array, x: Array, m: Array, passed: Array, highest: Array) -> Array:
-    """Trapezoidal step; what a long one puts beyond the bound, or back, is held between q and the bound."""
+    """Trapezoidal step, clipped between q and its bound where the step is too long."""
     half = 0.5 * passed
     moved = ((1 - half) * q + m * x) / (1 + half)
     return jnp.clip(moved, jnp.minimum(q, highest), jnp.maximum(q, highest))

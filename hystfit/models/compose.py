@@ -1,4 +1,4 @@
-"""Models built of models: `Sum` adds outputs, `Series` feeds one into the next."""
+"""Compositions of models: `Sum` adds their outputs, `Series` feeds each output into the next model."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> 
 
 
 class AbstractComposition(AbstractHysteresis):
-    """What `Sum` and `Series` delegate to their parts in the same way."""
+    """Methods that `Sum` and `Series` delegate to their parts in the same way."""
 
     parts: eqx.AbstractVar[tuple[AbstractHysteresis, ...]]
 
@@ -178,7 +178,7 @@ class Sum(AbstractComposition):
         return jnp.concatenate([s for s, _ in runs]), sum((y for _, y in runs), jnp.zeros_like(u))
 
     def start(self, records: Sequence[Record]) -> Sum:
-        """Each part starts on the residuals of the parts before it."""
+        """Starting values of each part come from the residuals of the parts before it."""
         started, remaining = [], list(records)
         for part in self.parts:
             started.append(part.start(remaining))
@@ -306,7 +306,7 @@ class Series(AbstractComposition):
         return list(zip(self.parts, _split(state[:edge], self.parts), [u0, *state[edge:]], strict=True))
 
     def start(self, records: Sequence[Record]) -> Series:
-        """Each part starts on the output of the part before it and the measured output."""
+        """Starting values of each part come from the output of the part before it and the measured output."""
         started, arriving = [], list(records)
         for k, part in enumerate(self.parts):
             started.append(part.start(arriving))
@@ -316,7 +316,7 @@ class Series(AbstractComposition):
         return type(self)(*started)
 
     def _with_rest_sample(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
-        """The input with one sample more before the first: each part then starts from its rest, as `init` has it."""
+        """The input with one more sample before the first, so that each part starts from its own rest, as in `init`."""
         u, dt = drive(self, u, dt)
         return np.append(u[0], u), np.append(0.0, dt)
 

@@ -228,7 +228,7 @@ class SecondOrder(AbstractHysteresis):
 
 
 def no_inverse(model: AbstractHysteresis) -> ModelError:
-    """The error of a model whose output does not answer to the input of the same sample."""
+    """The error for a model whose output does not depend on the input of the same sample."""
     return ModelError(
         f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
         "shift or lead the reference (hystfit.control.lead)"

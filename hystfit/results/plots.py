@@ -21,7 +21,8 @@ from hystfit.results.labels import column_label, substitute_missing_glyphs, use_
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from hystfit.results.result import FitResult, ParameterEstimate
+    from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.result import FitResult
 
 # Okabe and Ito's colors, which can also be distinguished with color-vision deficiency.
 MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"

@@ -15,8 +15,9 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
 from hystfit.quality.baselines import Baselines
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
+from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult
 from hystfit.results.stored_values import Stored, is_number
 from hystfit.results.user_code import allow, noise_file
 

@@ -94,7 +94,7 @@ def _by_dask(task: Task, items: Sequence[Any], scheduler: str) -> Iterator[Outco
 
 
 def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Future]:
-    """Tasks as they end. A scheduler keeps what no worker takes for ever: where none runs for long, that is an error."""
+    """Yield tasks as they end; a scheduler without running workers for long is an error."""
     alone = time.monotonic()
     while waiting:
         time.sleep(_PAUSE)
@@ -122,7 +122,7 @@ def _running(client: Client) -> bool:
 
 
 def _check_scheduler(scheduler: str) -> None:
-    """A client that finds nobody tries for half a minute, and again when it is thrown away: see whether anybody listens first."""
+    """Check that a scheduler listens: a Dask client without one retries for half a minute, and again when it is closed."""
     from distributed.comm.addressing import get_address_host_port, parse_address
     from distributed.comm.registry import get_backend
 

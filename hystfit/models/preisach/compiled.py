@@ -19,7 +19,7 @@ from hystfit.models.preisach.staircase import Staircase, compile_input
 
 
 class Terms(eqx.Module):
-    """What each of K nodes or states adds to the output of its parent, as look-ups.
+    """Look-up terms: what each of K nodes or states adds to the output of its parent.
 
     Attributes:
         first: of those without a parent, which come first: their input (cells), or where in the table of first excursions (relays).
