@@ -160,7 +160,7 @@ def judge(
     """The result of a solved fit: standard errors under the noise, and the verdict.
 
     Args:
-        posed: what was solved.
+        fit_setup: what was solved.
         estimate: where the fit ended.
         noise: see `hystfit.fit`.
         seed: of the starting points.
