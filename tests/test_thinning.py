@@ -107,6 +107,13 @@ def test_polish_that_stops_at_its_limit_has_not_converged():
     assert not found.converged
 
 
+@pytest.mark.parametrize("offset", [1e160, -1e300])
+def test_polish_from_an_offset_that_has_run_away_has_not_converged(offset):
+    made = problem(loops(1500))
+    found = polish(made, made.space.unconstrained(np.array([0.14, 0.5, 0.03, 0.0, offset])))
+    assert not found.converged
+
+
 def test_padding_of_long_records_is_at_most_a_tenth():
     lengths = np.unique(np.geomspace(64, 1e7, 4000).astype(int))
     sizes = np.array([bucket(int(length)) for length in lengths])

@@ -32,7 +32,7 @@ from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
-_SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
+_SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 _EQUAL = 1.02  # errors on left-out data up to this times the smallest do not tell models apart
 _HOPELESS = 2.0  # a model whose first fit errs this much more than the best on left-out data is not validated
 _HOPELESS_SIZE = 3.0  # the same of models with elements, whose other sizes may err less than the default one
