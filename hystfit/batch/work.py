@@ -16,7 +16,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.fitting.entry import fit
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.fit import Posed, changed_settings, check_settings, judge, pose, solve, starting_vectors
+from hystfit.fitting.fit import FitSetup, changed_settings, check_settings, judge, set_up_fit, solve, starting_vectors
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status
@@ -34,7 +34,7 @@ _DEFAULTS = {name: inspect.signature(fit).parameters[name].default for name in (
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What is done with every loop; other processes receive it.
+    """The task for every loop, as other processes receive it.
 
     Attributes:
         model: a model or its name.
@@ -97,12 +97,12 @@ class Work:
 
 @dataclasses.dataclass
 class _Loop:
-    """A loop on its way: what was read, posed, to be solved with others, and solved; its row at the end."""
+    """State of one loop: its record, its fit setup, its task where others are solved with it, its estimate, and its row at the end."""
 
     source: Source
     name: str
     record: Record | None = None
-    posed: Posed | None = None
+    fit_setup: FitSetup | None = None
     task: Task | None = None
     estimate: Estimate | None = None
     row: Row | None = None
@@ -160,7 +160,7 @@ def _read(work: Work, source: Source) -> list[_Loop]:
 
 
 def _alike(work: Work, loop: _Loop) -> Record:
-    """The record in the units of the batch."""
+    """The record converted to the units of the batch."""
     loop.record = cast(Record, loop.record).in_units(**work.units)
     return loop.record
 
@@ -173,10 +173,12 @@ def _search(work: Work, loop: _Loop) -> None:
 def _pose(work: Work, loop: _Loop) -> None:
     options = {name: work.options[name] for name in _POSED}
     named = isinstance(work.model, str)
-    loop.posed = posed = pose(make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options)
-    if posed.method == _TOGETHER:
-        starts = starting_vectors(posed.problem, work.options["starts"], work.options["seed"], posed.points)
-        loop.task = Task.of(posed.problem, starts)
+    loop.fit_setup = fit_setup = set_up_fit(
+        make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options
+    )
+    if fit_setup.method == _TOGETHER:
+        starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)
+        loop.task = Task.of(fit_setup.problem, starts)
 
 
 def _solve_together(loops: Sequence[_Loop]) -> None:
@@ -194,11 +196,13 @@ def _solve_together(loops: Sequence[_Loop]) -> None:
 
 
 def _judge(work: Work, loop: _Loop) -> None:
-    watch, posed, record = Stopwatch(), cast(Posed, loop.posed), cast(Record, loop.record)
+    watch, fit_setup, record = Stopwatch(), cast(FitSetup, loop.fit_setup), cast(Record, loop.record)
     starts, seed, noise = (work.options[name] for name in ("starts", "seed", "noise"))
-    estimate = loop.estimate or solve(posed.problem, posed.method, starts, seed, posed.points)
-    loop.row = row_of(loop.name, loop.source.file, record, judge(posed, estimate, noise=noise, seed=seed, watch=watch))
-    loop.posed = loop.task = loop.estimate = None  # arrays of the record are not kept
+    estimate = loop.estimate or solve(fit_setup.problem, fit_setup.method, starts, seed, fit_setup.points)
+    loop.row = row_of(
+        loop.name, loop.source.file, record, judge(fit_setup, estimate, noise=noise, seed=seed, watch=watch)
+    )
+    loop.fit_setup = loop.task = loop.estimate = None  # arrays of the record are not kept
 
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
