@@ -10,7 +10,7 @@ from hystfit.outcome.table import number, rounded
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.results.accuracy import Limits
-from hystfit.results.quantities import QUANTITIES, Trade
+from hystfit.results.quantities import CREEP, QUANTITIES, Trade
 from hystfit.results.result import FitResult
 
 _NAMED = 4  # parameters named one by one
@@ -42,7 +42,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     trade, rows = Trade.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if trade not in one.leads:
+        if trade not in one.leads or (q.name == CREEP and q.value == 0):
             continue
         if q.value is None:
             rows.append((_capital(one.label), "unknown" if q.reason is None else q.reason.text))
