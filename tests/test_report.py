@@ -379,7 +379,7 @@ def test_the_answer_stands_at_the_top_of_the_page_and_the_text(result):
     assert rows["Error"].startswith(f"{result.train.nrmse_percent:.3g} % of the range")
     assert f"{result.baselines.noise:.2g} um" in rows["Error"]
     hysteresis = next(q for q in result.quantities if q.name == "hysteresis_percent")
-    assert rows["Hysteresis"] == f"{' +- '.join(rounded(hysteresis.value, hysteresis.stderr))} %"
+    assert rows["Hysteresis (of the stroke)"] == f"{' +- '.join(rounded(hysteresis.value, hysteresis.stderr))} %"
     assert rows["Not determined"] == "nothing"
     assert "hystfit invert FIT REFERENCE" in rows["Next"]
     assert page.index("<dl") < page.index("<section")
