@@ -114,7 +114,9 @@ class AbstractHysteresis(eqx.Module):
         state, y = scan(body, state[0] if single else state, (before, u, dt), unroll)
         return (state[None] if single else state), y
 
-    state_map: ClassVar[StateMap | None] = None  # what `step` does to the state, where it is one of the maps that compose
+    state_map: ClassVar[StateMap | None] = (
+        None  # what `step` does to the state, where it is one of the maps that compose
+    )
 
     @property
     def associative(self) -> bool:

@@ -132,42 +132,17 @@ def affine_scan(
     return times(factor, jnp.broadcast_to(start, push.shape)) + push
 
 
-def kalman_scan(
-    decay: Float[Array, " T"],
-    fresh: Float[Array, " T"],
-    white: Float[Array, " T"],
-    y: Float[Array, "T k"],
-    variance: Float[Array, ""],
-) -> tuple[Float[Array, " T"], Float[Array, "T k"]]:
-    """Variance and means of x_k = decay_k x_(k-1) + N(0, fresh_k) given y_j = x_j + N(0, white_j) for j up to k, k signals at once.
-
-    Source: Sarkka and Garcia-Fernandez, Temporal parallelization of Bayesian smoothers, IEEE Trans. Autom. Control 66 (2021), for one
-    state.
+def ratio_scan(maps: Float[Array, "T 2 2"], start: Float[Array, ""]) -> Float[Array, " T"]:
+    """x_k = (a_k x_(k-1) + b_k) / (c_k x_(k-1) + d_k) for all k: the variance of a Kalman filter with one state.
 
     Args:
-        decay: of the state over the time before each sample.
-        fresh: variance that is added over it.
-        white: variance of the measurement; infinite where there is none.
-        y: measurements.
-        variance: of the state before the first sample, about mean 0.
+        maps: [[a, b], [c, d]] >= 0 of each sample, shape (T, 2, 2).
+        start: x before the first, >= 0.
     """
-    before = fresh.at[0].add(decay[0] ** 2 * variance)  # the first sample has no memory of a state before it
-    decay = decay.at[0].set(0.0)
-    gain, precision = before / (before + white), 1 / (before + white)
-    element = (
-        (1 - gain) * decay,
-        gain[:, None] * y,
-        (1 - gain) * before,
-        (decay * precision)[:, None] * y,
-        decay**2 * precision,
-    )
 
-    def join(first: Any, second: Any) -> Any:
-        (a1, b1, c1, e1, j1), (a2, b2, c2, e2, j2) = first, second
-        part = 1 / (1 + c1 * j2)
-        mean = (a2 * part)[:, None] * (b1 + c1[:, None] * e2) + b2
-        score = (a1 * part)[:, None] * (e2 - j2[:, None] * b1) + e1
-        return a2 * a1 * part, mean, a2**2 * c1 * part + c2, score, a1**2 * j2 * part + j1
+    def join(first: Array, second: Array) -> Array:
+        product = jnp.matmul(second, first)
+        return product / jnp.max(product, axis=(1, 2), keepdims=True)  # a common factor cancels, and must not overflow
 
-    _, mean, after, _, _ = _composed(join, element, (1.0, 0.0, 0.0, 0.0, 0.0))
-    return after, mean
+    (a, b), (c, d) = jnp.moveaxis(_composed(join, maps, jnp.eye(2)), 0, -1)
+    return (a * start + b) / (c * start + d)

@@ -17,9 +17,7 @@ from hystfit.models.parallel.route import Route, on_gpu, route
 _BLOCK = 32  # lanes of one program: a warp, one lane a thread, its state in registers
 
 
-def scan(
-    body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any, unroll: int = 1
-) -> tuple[Any, Any]:
+def scan(body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any, unroll: int = 1) -> tuple[Any, Any]:
     """`jax.lax.scan`; on a GPU, one kernel under `jax.vmap` over enough lanes. Derivatives of it are those of `jax.lax.scan`.
 
     Args:
@@ -102,13 +100,19 @@ def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:
 
     @lanes.def_vmap
     def _(size: int, batched: Any, consts: list[Any], begin: list[Any], rows: list[Any]) -> Any:
+        axes = jax.tree_util.tree_map(lambda b: 0 if b else None, list(batched))
+        by_scan = jax.vmap(task.plain, in_axes=axes)
         ran = None
         if route(rows[0].shape[1 if batched[2][0] else 0], size) is Route.KERNEL:
-            wide = lambda values, on: [v if b else jnp.broadcast_to(v, (size, *v.shape)) for v, b in zip(values, on, strict=True)]
-            ran = in_kernel(task, wide(consts, batched[0]), wide(begin, batched[1]), rows, batched[2])
+            wide = lambda values, on: [
+                v if b else jnp.broadcast_to(v, (size, *v.shape)) for v, b in zip(values, on, strict=True)
+            ]
+            by_kernel = lambda consts, begin, rows: in_kernel(
+                task, wide(consts, batched[0]), wide(begin, batched[1]), rows, batched[2]
+            )
+            ran = _attempted(by_kernel, by_scan, (consts, begin, rows))
         if ran is None:
-            axes = jax.tree_util.tree_map(lambda b: 0 if b else None, list(batched))
-            ran = jax.vmap(task.plain, in_axes=axes)(consts, begin, rows)
+            ran = by_scan(consts, begin, rows)
         return ran, jax.tree_util.tree_map(lambda _: True, ran)
 
     @jax.custom_jvp
@@ -117,6 +121,38 @@ def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:
 
     run.defjvp(lambda primals, tangents: jax.jvp(task.plain, primals, tangents))
     return run
+
+
+def _attempted(by_kernel: Callable[..., Any], by_scan: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """The result of the kernel; None where there is none, with a warning where the device's compiler refused it.
+
+    Args:
+        by_kernel, by_scan: of the arguments.
+        arguments: of traced values.
+    """
+    try:
+        if not compiled_here():
+            return by_kernel(*arguments)
+        shapes = jax.tree_util.tree_map(lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype), arguments)
+        jax.jit(by_kernel).lower(*shapes).compile()
+        # Arrays that were put on the CPU take the scan on a machine with a GPU too.
+        return jax.lax.platform_dependent(*arguments, cpu=by_scan, default=by_kernel)
+    except UnsupportedError:
+        return None
+    except Exception as error:  # whatever the compiler of a device raises
+        words = f"no kernel for this model on this device ({type(error).__name__}): simulations run sample by sample"
+        warnings.warn(words, RuntimeWarning, stacklevel=2)
+        return None
+
+
+def interpreted() -> bool:
+    """Whether Pallas interprets kernels: on a CPU."""
+    return not compiled_here()
+
+
+def compiled_here() -> bool:
+    """Whether kernels are compiled for a device of this machine; on a CPU, Pallas interprets them."""
+    return jax.default_backend() != "cpu"
 
 
 # -- the kernel ------------------------------------------------------------------------------------------------------------------
@@ -162,20 +198,22 @@ class Packed(NamedTuple):
 
 
 def _cast(value: Any, kind: Any) -> Any:
-    return value != 0.0 if kind == bool else value.astype(kind)
+    return value != 0.0 if np.issubdtype(kind, bool) else value.astype(kind)
 
 
 def in_kernel(
-    task: _Task, consts: Sequence[Any], begin: Sequence[Any], rows: Sequence[Any], by_lane: Sequence[bool], check: bool = True
-) -> tuple[list[Any], list[Any]] | None:
-    """Carry at the end and outputs of all lanes, leading axis the lanes; None where there is no kernel for the body.
+    task: _Task, consts: Sequence[Any], begin: Sequence[Any], rows: Sequence[Any], by_lane: Sequence[bool]
+) -> tuple[list[Any], list[Any]]:
+    """Carry at the end and outputs of all lanes, leading axis the lanes.
 
     Args:
         task: what to run.
         consts, begin: of each lane, with a leading axis.
         rows: with a leading axis for the lanes where `by_lane` says so, then T.
         by_lane: of each of the rows.
-        check: try first whether the kernel compiles on the device.
+
+    Raises:
+        UnsupportedError: there is no kernel for the body.
     """
     lanes, samples = begin[0].shape[0], rows[0].shape[1 if by_lane[0] else 0]
     padded = -(-lanes // _BLOCK) * _BLOCK
@@ -185,8 +223,14 @@ def in_kernel(
     shared = [r for r, own in zip(rows, by_lane, strict=True) if not own]
     own = [r for r, own in zip(rows, by_lane, strict=True) if own]
     layout = _Layout(
-        each(consts), each(begin), shape([r[0] for r in shared]), shape([r[0, 0] for r in own]),
-        shape(task.body.out_avals[task.carried :]), tuple(by_lane), samples, padded,
+        each(consts),
+        each(begin),
+        shape([r[0] for r in shared]),
+        shape([r[0, 0] for r in own]),
+        shape(task.body.out_avals[task.carried :]),
+        tuple(by_lane),
+        samples,
+        padded,
     )
     packed = (
         layout.consts.pack(list(map(widen, consts)), (padded,)).T,
@@ -194,19 +238,9 @@ def in_kernel(
         layout.shared.pack(shared, (samples,)),
         jnp.moveaxis(layout.own.pack(list(map(widen, own)), (padded, samples)), 0, -1),
     )
-    call = _call(task, layout)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            if check and jax.default_backend() != "cpu":
-                jax.jit(call).lower(*(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in packed)).compile()
-            end, out = call(*packed)
-    except UnsupportedError:
-        return None
-    except Exception as error:  # whatever the compiler of a device raises
-        words = f"no kernel for this model on this device ({type(error).__name__}): simulations run sample by sample"
-        warnings.warn(words, RuntimeWarning, stacklevel=2)
-        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        end, out = _call(task, layout)(*packed)
     return layout.carry.unpack(end.T[:lanes]), layout.out.unpack(jnp.moveaxis(out, -1, 0)[:lanes])
 
 
@@ -242,7 +276,9 @@ def _call(task: _Task, layout: _Layout) -> Callable[..., tuple[jax.Array, jax.Ar
             outputs = [v for part in result[task.carried :] for v in part.flat]
             for k, value in enumerate(outputs):
                 out_ref[t, k, :] = wide(value, float)
-            kinds = [kind for kind, size in zip(layout.carry.types, layout.carry.sizes, strict=True) for _ in range(size)]
+            kinds = [
+                kind for kind, size in zip(layout.carry.types, layout.carry.sizes, strict=True) for _ in range(size)
+            ]
             flat = [v for part in result[: task.carried] for v in part.flat]
             return tuple(wide(v, kind) for v, kind in zip(flat, kinds, strict=True))
 
@@ -266,7 +302,7 @@ def _call(task: _Task, layout: _Layout) -> Callable[..., tuple[jax.Array, jax.Ar
         out_specs=(by_block(layout.carry.rows), in_time(layout.out.rows)),
         out_shape=(struct(layout.carry.rows, layout.lanes), struct(T, layout.out.rows, layout.lanes)),
         compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
-        interpret=jax.default_backend() == "cpu",
+        interpret=interpreted(),
     )
 
 

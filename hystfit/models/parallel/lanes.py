@@ -25,7 +25,13 @@ _ELEMENTWISE = frozenset(
     "exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or pow rem round rsqrt "
     "select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
 )
-_INNER = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr", "remat2": "jaxpr"}
+_INNER = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "remat2": "jaxpr",
+}
 _INNER |= {"custom_vjp_call": "call_jaxpr", "checkpoint": "jaxpr", "core_call": "call_jaxpr"}
 _REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_sum": operator.add,
@@ -35,7 +41,12 @@ _REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_and": operator.and_,
     "reduce_or": operator.or_,
 }
-_MOVED = {"gather": (0,), "dynamic_slice": (0,), "scatter": (0, 2), "dynamic_update_slice": (0, 1)}  # the rest are positions
+_MOVED = {
+    "gather": (0,),
+    "dynamic_slice": (0,),
+    "scatter": (0, 2),
+    "dynamic_update_slice": (0, 1),
+}  # the rest are positions
 _MOVERS = frozenset(_MOVED) | {"concatenate", "pad", "rev", "slice", "split", "stack", "unstack", "transpose"}
 
 
@@ -140,15 +151,17 @@ class Lanes:
     def _dot(self, a: np.ndarray, b: np.ndarray, dimensions: Any) -> np.ndarray:
         (sum_a, sum_b), (batch_a, batch_b) = dimensions
 
-        def ordered(values: np.ndarray, summed: Sequence[int], batch: Sequence[int]) -> np.ndarray:
+        def ordered(values: np.ndarray, summed: Sequence[int], batch: Sequence[int]) -> tuple[np.ndarray, Any]:
             free = [k for k in range(values.ndim) if k not in (*summed, *batch)]
             shape = values.transpose([*batch, *free, *summed]).shape
-            sizes = [int(np.prod(shape[i:j])) for i, j in itertools.pairwise((0, len(batch), len(batch) + len(free), None))]
+            sizes = [
+                int(np.prod(shape[i:j])) for i, j in itertools.pairwise((0, len(batch), len(batch) + len(free), None))
+            ]
             return values.transpose([*batch, *free, *summed]).reshape(sizes), shape[: len(batch) + len(free)]
 
         (rows, shape), (columns, other) = ordered(a, sum_a, batch_a), ordered(b, sum_b, batch_b)
         product = self._products(rows[:, :, None], columns[:, None])
-        return self._reduced(operator.add, product, (3,)).reshape(*shape, *other[len(batch_b) :])
+        return self._reduced(operator.add, product, (3,)).reshape((*shape, *other[len(batch_b) :]))
 
     def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         a, b = np.broadcast_arrays(a, b)
@@ -174,7 +187,11 @@ class Lanes:
     def _known(self, values: np.ndarray) -> np.ndarray:
         if not all(isinstance(value, np.generic) for value in values.flat):
             raise UnsupportedError("a place that depends on the lane or the sample")
-        return np.array(values.tolist(), dtype=values.flat[0].dtype).reshape(values.shape) if values.size else np.zeros(values.shape, int)
+        return (
+            np.array(values.tolist(), dtype=values.flat[0].dtype).reshape(values.shape)
+            if values.size
+            else np.zeros(values.shape, int)
+        )
 
     def _cond(self, branches: Sequence[Any], values: list[np.ndarray]) -> list[np.ndarray]:
         """All branches, and a selection: lanes may differ."""

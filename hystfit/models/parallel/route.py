@@ -21,8 +21,9 @@ class Route(enum.Enum):
 
 
 def platform() -> str:
-    """Where programs run: "cpu", "gpu", "tpu"."""
-    return jax.default_backend()
+    """Where programs run: "cpu", "gpu", "tpu"; the default device of JAX, where one is set."""
+    device = jax.config.jax_default_device  # type: ignore[attr-defined]
+    return jax.default_backend() if device is None else str(getattr(device, "platform", device))
 
 
 def on_gpu(where: str | None = None) -> bool:
