@@ -14,6 +14,7 @@ from jax.extend import core
 from hystfit.models.parallel.lanes import Lanes, UnsupportedError, numbers
 from hystfit.models.parallel.route import Route, on_gpu, route
 
+_WIDEST = 1024  # numbers that one lane keeps
 _BLOCK = 32  # lanes of one program: a warp, one lane a thread, its state in registers
 
 
@@ -110,7 +111,7 @@ def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:
             by_kernel = lambda consts, begin, rows: in_kernel(
                 task, wide(consts, batched[0]), wide(begin, batched[1]), rows, batched[2]
             )
-            ran = _attempted(by_kernel, by_scan, (consts, begin, rows))
+            ran = _attempted(str(task.body), by_kernel, by_scan, (consts, begin, rows))
         if ran is None:
             ran = by_scan(consts, begin, rows)
         return ran, jax.tree_util.tree_map(lambda _: True, ran)
@@ -123,36 +124,58 @@ def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:
     return run
 
 
-def _attempted(by_kernel: Callable[..., Any], by_scan: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """The result of the kernel; None where there is none, with a warning where the device's compiler refused it.
+def _attempted(
+    body: str, by_kernel: Callable[..., Any], by_scan: Callable[..., Any], arguments: tuple[Any, ...]
+) -> Any:
+    """The result of the kernel; None where there is none.
 
     Args:
+        body: of the scan, in words of JAX.
         by_kernel, by_scan: of the arguments.
         arguments: of traced values.
     """
     try:
-        if not compiled_here():
+        if interpreted():
             return by_kernel(*arguments)
         shapes = jax.tree_util.tree_map(lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype), arguments)
-        jax.jit(by_kernel).lower(*shapes).compile()
-        # Arrays that were put on the CPU take the scan on a machine with a GPU too.
-        return jax.lax.platform_dependent(*arguments, cpu=by_scan, default=by_kernel)
+        key = body + str(shapes)
+        if key not in _compiles:
+            _compiles[key] = compiles(by_kernel, shapes)
     except UnsupportedError:
         return None
-    except Exception as error:  # whatever the compiler of a device raises
+    if not _compiles[key]:
+        return None
+    # Arrays that were put on the CPU take the scan on a machine with a GPU too.
+    return jax.lax.platform_dependent(*arguments, cpu=by_scan, default=by_kernel)
+
+
+_compiles: dict[str, bool] = {}  # whether the device's compiler accepted a kernel
+
+
+def compiles(by_kernel: Callable[..., Any], shapes: tuple[Any, ...]) -> bool:
+    """Whether the device's compiler accepts a kernel, with a warning where it does not: another device, or another version of JAX.
+
+    Args:
+        by_kernel: of arrays of these shapes.
+        shapes: of the arguments.
+
+    Raises:
+        UnsupportedError: there is no kernel for the body.
+    """
+    try:
+        jax.jit(by_kernel).lower(*shapes).compile()
+    except UnsupportedError:
+        raise
+    except Exception as error:  # whatever a compiler raises
         words = f"no kernel for this model on this device ({type(error).__name__}): simulations run sample by sample"
         warnings.warn(words, RuntimeWarning, stacklevel=2)
-        return None
+        return False
+    return True
 
 
 def interpreted() -> bool:
     """Whether Pallas interprets kernels: on a CPU."""
-    return not compiled_here()
-
-
-def compiled_here() -> bool:
-    """Whether kernels are compiled for a device of this machine; on a CPU, Pallas interprets them."""
-    return jax.default_backend() != "cpu"
+    return jax.default_backend() == "cpu"
 
 
 # -- the kernel ------------------------------------------------------------------------------------------------------------------
@@ -232,6 +255,8 @@ def in_kernel(
         samples,
         padded,
     )
+    if layout.consts.rows + layout.carry.rows > _WIDEST:
+        raise UnsupportedError(f"more than {_WIDEST} numbers")
     packed = (
         layout.consts.pack(list(map(widen, consts)), (padded,)).T,
         layout.carry.pack(list(map(widen, begin)), (padded,)).T,
