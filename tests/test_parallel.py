@@ -13,7 +13,6 @@ from hystfit.inference.noise.ornstein_uhlenbeck import OrnsteinUhlenbeck
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.compose import Offset
 from hystfit.models.parallel import kernel
 from hystfit.models.parallel import route as routes
 from hystfit.models.parallel.associative import StateMap
@@ -65,13 +64,7 @@ def test_the_route_follows_from_device_and_size(
 
 @pytest.mark.parametrize(
     "model",
-    [
-        PLAYS,
-        hf.Duhem(alpha=2.0, scheme="exact"),
-        hf.SecondOrder(omega=60.0),
-        hf.Series(hf.Lag(tau=0.02), hf.LogCreep()),
-        hf.Sum(hf.Relaxation(), hf.Viscous(c=0.1), hf.LinearCreep(a=0.1), Offset(0.3)),
-    ],
+    [PLAYS, hf.SecondOrder(omega=60.0), hf.Sum(hf.Duhem(alpha=2.0), hf.Series(hf.Lag(tau=0.02), hf.LogCreep()))],
     ids=lambda model: type(model).__name__,
 )
 def test_an_associative_scan_gives_output_state_and_derivatives_of_the_scan(model: AbstractHysteresis) -> None:
@@ -103,7 +96,7 @@ def test_a_model_that_declares_the_wrong_map_is_found() -> None:
 
 def test_long_records_of_associative_models_take_that_form_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """The halves of a run, joined, equal one run."""
-    model = hf.Series(hf.Duhem(alpha=2.0), hf.Delay(lag=1.5))
+    model = hf.Sum(hf.Duhem(alpha=2.0), hf.Delay(lag=1.5))
     wanted = hf.simulate(model, U)[0]
     on_a_gpu(monkeypatch, longest=2)
     monkeypatch.setattr(hf.Duhem, "sweep", None)
@@ -116,7 +109,7 @@ def test_slow_noise_is_whitened_alike_by_both_forms(monkeypatch: pytest.MonkeyPa
     rng = np.random.default_rng(1)
     weight = jnp.asarray(np.where(np.arange(SAMPLES) % 4 == 2, 0.0, 1.5))[None]
     gap = jnp.asarray(1.0 if even else rng.uniform(0.2, 3.0, (1, SAMPLES)))
-    setting = Setting(gap, weight, weight, weight > 0, jnp.sum(weight > 0), jnp.zeros(()))
+    setting = Setting(gap, weight, weight, weight > 0, jnp.sum(weight > 0).astype(float), jnp.zeros(()))
     noise, rows = OrnsteinUhlenbeck(0.3, 0.8, 6.0), jnp.asarray(rng.normal(size=(1, SAMPLES, 2)))
     along = OrnsteinUhlenbeck(0.1, 0.2, 0.5)
 
@@ -144,7 +137,7 @@ def swept(treedef: object, leaves: list[jax.Array]) -> jax.Array:
 
 @pytest.mark.parametrize(
     "model",
-    [hf.BoucWen(scheme="exact"), PLAYS, hf.BoucWenForce(n=2.0), hf.Series(hf.Delay(lag=2.3), hf.LogCreep())],
+    [hf.BoucWen(scheme="exact"), PLAYS, hf.Delay(lag=2.3)],
     ids=lambda model: type(model).__name__,
 )
 def test_the_kernel_gives_the_output_of_the_scan_and_lowers_for_a_gpu(
@@ -185,19 +178,17 @@ def test_a_step_without_a_kernel_and_derivatives_take_the_scan(monkeypatch: pyte
     agree(jax.vmap(added)(scales), summed)  # known by now
 
 
-def problem(noise: str = "iid") -> Problem:
+def problem(records: int) -> Problem:
     t = np.arange(40) * 0.05
     u = np.sin(4 * t) * (0.5 + t / 2)
     y = np.asarray(hf.simulate(hf.BoucWen(mu=0.5, tau=2.0), u)[0])
     y = y + 0.01 * np.random.default_rng(0).normal(size=t.size)
-    return Problem(
-        hf.BoucWen(), [hf.Record(u=u, y=y, t=t), hf.Record(u=-u, y=-y, t=t)][: 2 if noise == "iid" else 1], noise=noise
-    )
+    return Problem(hf.BoucWen(), [hf.Record(u=u, y=y, t=t), hf.Record(u=-u, y=-y, t=t, name="down")][:records])
 
 
 def test_jacobians_of_many_starts_come_out_of_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two records with an offset each, and a robust loss."""
-    objective = eqx.tree_at(lambda o: o.bend, problem().objective, jnp.asarray(0.1))
+    objective = eqx.tree_at(lambda o: o.bend, problem(2).objective, jnp.asarray(0.1))
     objective = type(objective)(objective.coordinates, objective.batch, objective.size, objective.bend, "soft-l1")
     p = objective.coordinates.lower.size
     z = jnp.asarray(np.random.default_rng(2).normal(0, 0.3, (LANES, p)))
@@ -209,7 +200,7 @@ def test_jacobians_of_many_starts_come_out_of_the_kernel(monkeypatch: pytest.Mon
 
 
 def test_likelihoods_of_many_walkers_come_out_of_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    density = problem("ou").density
+    density = problem(1).with_noise(OrnsteinUhlenbeck(0.01, 0.01, 5.0)).density
     z = jnp.asarray(np.random.default_rng(2).normal(0, 0.3, (LANES, density.p + len(density.noise.kinds))))
     lean = lambda: jax.jit(jax.vmap(lambda z: density.log_likelihood_lean(z)))(z)
     wanted = lean()
@@ -219,12 +210,13 @@ def test_likelihoods_of_many_walkers_come_out_of_the_kernel(monkeypatch: pytest.
 
 
 def test_many_loops_are_solved_together_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    posed = problem("ou")
+    posed = problem(1)
     starts = np.asarray(posed.objective.coordinates.unconstrained(np.array([1.0, 0.4, 1.5, 0.3, 0.0]), xp=np))
     tasks = [bucketed.Task.of(posed, np.stack([starts, starts + 0.2]))] * 2
     wanted = bucketed.solve_together(tasks)
     ran = on_a_gpu(monkeypatch)
-    monkeypatch.setattr(bucketed, "_solve", eqx.filter_jit(bucketed._solve.__wrapped__))  # type: ignore[attr-defined]
+    anew = bucketed._solve.__wrapped__  # type: ignore[attr-defined]
+    monkeypatch.setattr(bucketed, "_solve", eqx.filter_jit(lambda *arguments: anew(*arguments)))
     found = bucketed.solve_together(tasks)
     assert ran
     assert all(ran)

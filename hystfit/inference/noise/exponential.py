@@ -89,7 +89,9 @@ class AbstractSlow(AbstractNoise):
             keep, push = onward * (1 - gain), (onward * gain)[:, None] * signals
             first = jnp.zeros(signals.shape[1])
             if at_once:
-                mean = jnp.concatenate([first[None], affine_scan(keep[:, None], push, first)[:-1]])
+                mean = jnp.concatenate(
+                    [first[None], affine_scan(jnp.broadcast_to(keep[:, None], push.shape), push, first)[:-1]]
+                )
             else:
                 _, mean = jax.lax.scan(lambda m, at: (at[0] * m + at[1], m), first, (keep, push))
             e = jnp.where(on[:, None], (signals - mean) / jnp.sqrt(total)[:, None], 0.0)
