@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,6 +14,7 @@ from cyclopts import Parameter
 
 from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.fitting.registry import ESTIMATORS
@@ -120,7 +122,7 @@ def _count(reports: str) -> int | None:
 
 def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
     """Reports of the loops that need a look and have a fit: address by name of the loop."""
-    from hystfit.results.report import write_into
+    from hystfit.results.report import Wording, write_into
 
     addresses: dict[str, str] = {}
     chosen = [row for row in fits.worst(len(fits)) if row.values][:count]
@@ -134,6 +136,6 @@ def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
             name = re.sub(r"[^\w.-]+", "_", Path(row.name).name)[:80]
             place = folder / "reports" / f"{name}-{(row.sha256 or '')[:8]}"
             place.mkdir(parents=True, exist_ok=True)
-            write_into(result, place)
+            write_into(result, place, wording=Wording("fit", shlex.quote(row.name), saved=False, translate=as_options))
             addresses[row.name] = f"reports/{place.name}/report.html"
     return addresses

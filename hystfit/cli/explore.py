@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-import shlex
 import threading
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hystfit.cli.interrupts import INTERRUPTED
-from hystfit.cli.options import DEFAULT_READING, Loop, Reading, named_values
+from hystfit.cli.options import DEFAULT_READING, Loop, Reading, changed_reading, command_words, named_values
 from hystfit.cli.records import load
 from hystfit.cli.write import progress
 from hystfit.errors import ParameterError
@@ -66,9 +64,7 @@ def _source(loop: str, record: Record, reading: Reading) -> Source:
     """How the record is read again at the shell and in Python."""
     from hystfit.explorer.session import Source
 
-    changed = {k: v for k, v in dataclasses.asdict(reading).items() if v != getattr(DEFAULT_READING, k)}
-    options = [f"--{name}" if value is True else f"--{name}={value}" for name, value in changed.items()]
-    shell = shlex.join([loop, *options])
+    changed, shell = changed_reading(reading), command_words([loop], reading)
     call = lambda names: ", ".join(f"{name}={changed[name]!r}" for name in changed if name in names)
     if Path(loop).exists() or loop not in datasets.names():
         arguments = ", ".join(filter(None, [repr(loop), call(changed)]))

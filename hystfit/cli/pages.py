@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,8 @@ from hystfit.results.quantities import QUANTITIES
 from hystfit.results.webpage import Block, Page, Picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.figure import Figure
 
     from hystfit.control.bands import InverseBands
@@ -64,6 +67,7 @@ def forc_page(
     units: Mapping[str, str],
     notes: Sequence[str],
     figures: Mapping[str, Any],
+    loop: str,
 ) -> Page:
     """The page of `hystfit forc`.
 
@@ -75,13 +79,14 @@ def forc_page(
         units: of the curves.
         notes: on the curves.
         figures: forc, coercivity and curves.
+        loop: the file with the options for reading it, quoted.
     """
     unit = units["u"]
     answer = [
         ("Median coercivity", f"{number(numbers.median_coercivity)} {unit}".rstrip()),
         ("Interaction of the ridge", f"{number(numbers.ridge)} {unit}".rstrip()),
         ("Density", how),
-        ("Next", "hystfit fit LOOP --model preisach-forc"),
+        ("Next", f"hystfit fit {loop} --model preisach-forc --out fit"),
     ]
     captions = {
         "forc": f"FORC diagram ({how}); red: positive, blue: negative; contours of a smoothed copy",
@@ -94,14 +99,14 @@ def forc_page(
     )
 
 
-def compare_page(comparison: Comparison) -> Page:
-    """The page of `hystfit compare`: the ranking, and the loop of the winner."""
-    winner, best = comparison.winner, comparison.rows[0]
+def compare_page(comparison: Comparison, folder: Path) -> Page:
+    """The page of `hystfit compare`, written into a folder: the ranking, and the loop of the winner."""
+    winner, best, fit = comparison.winner, comparison.rows[0], shlex.quote(str(folder / "winner"))
     answer = [
         ("Winner", best.name),
         ("Error on left-out data", f"{number(best.score_percent, '.3g')} % of the range"),
         ("Report on its fit", "winner/report.html"),
-        ("Next", "hystfit predict OUT/winner LOOP2\nhystfit invert OUT/winner REFERENCE"),
+        ("Next", f"hystfit predict {fit} NEW_LOOP\nhystfit invert {fit} REFERENCE"),
     ]
     text = comparison.text().splitlines()
     head = [line for line in text if line.startswith(("Error in", "'BIC", "'invert", "Compared"))]
@@ -152,8 +157,8 @@ def _ranking(comparison: Comparison) -> Figure:
     return figure
 
 
-def sample_page(posterior: Posterior) -> Page:
-    """The page of `hystfit sample`: parameters and quantities with intervals, and the pictures of the draws."""
+def sample_page(posterior: Posterior, folder: Path) -> Page:
+    """The page of `hystfit sample`, written into a folder: parameters and quantities with intervals, and the pictures of the draws."""
     rows = posterior.derived_rows
     interval = lambda row: (
         f"{number(row['median'])} ({number(row['lower'])} to {number(row['upper'])}) {row['unit']}".rstrip()
@@ -161,7 +166,10 @@ def sample_page(posterior: Posterior) -> Page:
     answer = [(QUANTITIES[row["name"]].label.capitalize(), interval(row)) for row in rows]
     chains, draws, _ = posterior.draws.shape
     answer += [("Draws", f"{chains} chains of {draws} by {posterior.sampler}, noise {posterior.noise}")]
-    answer += [("Next", "hystfit invert OUT REFERENCE\nhystfit profile OUT/fit")]
+    commands = (
+        f"hystfit invert {shlex.quote(str(folder))} REFERENCE\nhystfit profile {shlex.quote(str(folder / 'fit'))}"
+    )
+    answer += [("Next", commands)]
     captions = {
         "corner": "Joint distributions: contours of 50 and 90 %",
         "bands": "The loop, and 90 % bands over time: of the model output (blue), of a measurement (orange)",
@@ -180,7 +188,7 @@ def sample_page(posterior: Posterior) -> Page:
     return page_of(title, posterior.status, "sample", answer, sections)
 
 
-def profile_page(profiles: Profiles) -> Page:
+def profile_page(profiles: Profiles, _: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
     answer = [(f"{p.name} ({level})", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
@@ -192,7 +200,7 @@ def profile_page(profiles: Profiles) -> Page:
     return page_of(title, profiles.status, "profile", answer, [*sections, ("Notes", [notes_of(profiles.notes)])])
 
 
-def calibrate_page(calibration: Calibration) -> Page:
+def calibrate_page(calibration: Calibration, _: Path) -> Page:
     """The page of `hystfit calibrate`."""
     head = str(calibration).partition("\n")[0]
     low, high = calibration.coverage_band() if len(calibration.ranks) else (None, None)
@@ -210,14 +218,16 @@ def calibrate_page(calibration: Calibration) -> Page:
     return page_of(head.rpartition(":")[0], calibration.status, "calibrate", answer, sections)
 
 
-def design_page(proposal: Design) -> Page:
-    """The page of `hystfit design`: the input over time, and the errors that it leaves."""
+def design_page(proposal: Design, folder: Path) -> Page:
+    """The page of `hystfit design`, written into a folder: the input over time, and the errors that it leaves."""
     best, record = proposal.best, proposal.result.data[0]
     answer = [("Proposed input", best.name), ("Aim", ", ".join(proposal.aim))]
     for name in proposal.aim[:4]:
         now, then = proposal.present[name], best.stderr[name]
         answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
-    answer.append(("Next", "measure with input.csv, then hystfit fit LOOP NEW"))
+    old = shlex.join(dict.fromkeys(one.source or one.name for one in proposal.result.data))
+    command = f"hystfit fit {old} NEW_LOOP --model {shlex.quote(proposal.result.name)} --out fit"
+    answer.append(("Next", f"measure with {folder / 'input.csv'}, then fit both records:\n{command}"))
     figure = _sheet()
     ax = figure.subplots()
     axis = np.arange(best.u.size) * (proposal.dt or 1.0)
@@ -269,7 +279,7 @@ def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], fi
         ("Input", f"{number(reach['lowest'])} to {number(reach['highest'])} {unit}".rstrip()),
         ("Samples met", f"{content['counts']['ok']} of {sum(content['counts'].values())}"),
         ("Not met", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
-        ("Next", "hystfit export FIT --c C"),
+        ("Next", f"hystfit export {shlex.quote(content['fit']['folder'])} --c code"),
     ]
     shown = [
         Picture(

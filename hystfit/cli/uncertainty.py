@@ -79,7 +79,9 @@ def sample(
         for kind in ("corner", "trace", "rank", "bands"):
             save_figure(posterior.plot(kind), folder / f"{kind}.png")
 
-    return finish(str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior))
+    return finish(
+        str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior, output)
+    )
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
@@ -126,7 +128,7 @@ def profile(
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
     save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
-    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles))
+    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles, output))
 
 
 def errors(
@@ -202,7 +204,7 @@ def calibrate(
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
     save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
-    return finish(str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration))
+    return finish(str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration, output))
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
@@ -247,13 +249,13 @@ def design(
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
-    return finish(str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal))
+    return finish(str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal, output))
 
 
-def _page(name: str, content: Any) -> Page:
+def _page(name: str, content: Any, output: Output) -> Page:
     """A page of `hystfit.cli.pages`, closed figures and all."""
     import matplotlib.pyplot as plt
 
-    page = attribute(f"hystfit.cli.pages:{name}")(content)
+    page = attribute(f"hystfit.cli.pages:{name}")(content, output.out)
     plt.close("all")
     return page
