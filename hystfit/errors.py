@@ -1,5 +1,10 @@
 """Errors that a user can act on: every message names what was found and the remedy."""
 
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
 
 class HystfitError(ValueError):
     """Base of all errors that hystfit raises on purpose; the command line turns one into exit status 2."""
@@ -26,3 +31,20 @@ class MissingExtraError(HystfitError):
 
     def __init__(self, package: str, extra: str, purpose: str):
         super().__init__(f"{purpose} needs the package {package!r}: pip install 'hystfit[{extra}]'")
+
+
+def optional(package: str, extra: str, purpose: str) -> Any:
+    """A package that an extra of hystfit installs, imported now.
+
+    Args:
+        package: as it is imported and installed.
+        extra: of hystfit, which installs it.
+        purpose: what needs it.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(package, extra, purpose) from error

@@ -15,7 +15,7 @@ import numpy as np
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone
-from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table
 from hystfit.registry import near
 from hystfit.results.result import FitResult, provenance
@@ -149,10 +149,7 @@ class Fits:
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        pandas = optional("pandas", "frames", "to_dataframe")
         frame = pandas.DataFrame(self.columns())
         frame.attrs = {"schema": SCHEMA, "model": self.model, "units": self.column_units()}
         return frame
@@ -163,10 +160,7 @@ class Fits:
         Raises:
             MissingExtraError: xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise MissingExtraError("xarray", "frames", "to_xarray") from error
+        xarray = optional("xarray", "frames", "to_xarray")
         columns, units = self.columns(), self.column_units()
         loops = columns.pop("loop")
         data = {
@@ -206,17 +200,11 @@ class Fits:
             writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
 
     def _write_parquet(self, path: Path) -> None:
-        try:
-            import pyarrow  # noqa: F401
-        except ImportError as error:
-            raise MissingExtraError("pyarrow", "frames", "a Parquet table") from error
+        optional("pyarrow", "frames", "a Parquet table")
         self.to_dataframe().to_parquet(path, engine="pyarrow", index=False)
 
     def _write_netcdf(self, path: Path) -> None:
-        try:
-            import h5netcdf  # noqa: F401
-        except ImportError as error:
-            raise MissingExtraError("h5netcdf", "frames", "a netCDF table") from error
+        optional("h5netcdf", "frames", "a netCDF table")
         self.to_xarray().to_netcdf(path, engine="h5netcdf")
 
     # -- overviews ------------------------------------------------------------------------------------------------------------

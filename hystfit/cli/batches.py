@@ -16,7 +16,7 @@ from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress
-from hystfit.errors import DataError, HystfitError, ParameterError
+from hystfit.errors import DataError, HystfitError, ParameterError, optional
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.inference.noise.registry import NOISES
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
 Format = Literal["parquet", "netcdf"]
 _ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
+_PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
 _RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
 _FEW = 32  # loops below which further processes take longer to start than to compute
 
@@ -77,6 +78,9 @@ def batch(
     if not loops:
         raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
     count = _count(reports)
+    for form in table or []:  # before hours of fits
+        for package in _PACKAGES[form]:
+            optional(package, "frames", f"--table {form}")
     found = len(sources_of(list(loops)))
     options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "start": start}
     options |= {"starts": starts, "seed": seed, "fix": named_values(fix or []), "free": free or []}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hystfit.cli.interrupts import INTERRUPTED
 from hystfit.cli.options import DEFAULT_READING, Loop, Reading, changed_reading, command_words, named_values
 from hystfit.cli.records import load
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import progress
 from hystfit.errors import ParameterError
 from hystfit.reading import datasets
@@ -48,7 +49,9 @@ def explore(
         raise ParameterError(f"--at {missing[0]} needs a value: --at {missing[0]}=1")
     with progress("reading"):
         record = single(load([loop], reading))
-        page = Explorer(Session(record, model, start=values, source=_source(loop, record, reading)), port)
+        page = Explorer(
+            Session(record, model, start=values, source=_source(loop, record, reading), translate=as_options), port
+        )
     try:
         with page:
             print(f"{record.name}: {page.url}\nCtrl-C ends the explorer", flush=True)

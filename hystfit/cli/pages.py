@@ -12,6 +12,7 @@ from hystfit.cli.verbs import as_options
 from hystfit.outcome import Note, Status, Table
 from hystfit.outcome.table import number
 from hystfit.params.units import axis_label
+from hystfit.reading import datasets
 from hystfit.results.labels import column_label
 from hystfit.results.plots import MEASURED, MODEL
 from hystfit.results.quantities import QUANTITIES
@@ -142,6 +143,8 @@ def _sheet(width: float = 5.6, height: float = 4.0) -> Figure:
 
 def _ranking(comparison: Comparison) -> Figure:
     """Errors of all models that have one, the best at the top."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
     rows = [row for row in comparison.rows if row.score_percent is not None]
     figure = _sheet(5.6, 1.4 + 0.32 * len(rows))
     ax = figure.subplots()
@@ -151,6 +154,9 @@ def _ranking(comparison: Comparison) -> Figure:
             ax.plot(row.in_sample_percent, k, "o", mfc="none", color="#d55e00", label="fitted" if k == 0 else None)
     ax.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=8)
     ax.set(xscale="log", xlabel="error [% of the range]")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.invert_yaxis()
     ax.grid(axis="x", color="0.9", which="both")
     figure.legend(fontsize=8, frameon=False, ncols=2, loc="outside upper center")
@@ -188,15 +194,16 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
     return page_of(title, posterior.status, "sample", answer, sections)
 
 
-def profile_page(profiles: Profiles, _: Path) -> Page:
+def profile_page(profiles: Profiles, fit: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
     answer = [(f"{p.name} ({level})", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
+    answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {shlex.quote(str(fit))}")]
     figure = Picture(
         profiles.plot(), "Profiles with their limits; dashed: the quadratic of the standard error", wide=True
     )
     sections = [("Pictures", [[figure]]), ("All limits", [list(map(str, profiles.profiles.values()))])]
-    title = f"{level} limits of {profiles.result.name} by profile likelihood, noise {profiles.noise}"
+    title = f"{level} limits of {profiles.result.name} by profile likelihood"
     return page_of(title, profiles.status, "profile", answer, [*sections, ("Notes", [notes_of(profiles.notes)])])
 
 
@@ -225,7 +232,7 @@ def design_page(proposal: Design, folder: Path) -> Page:
     for name in proposal.aim[:4]:
         now, then = proposal.present[name], best.stderr[name]
         answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
-    old = shlex.join(dict.fromkeys(one.source or one.name for one in proposal.result.data))
+    old = shlex.join(dict.fromkeys(_loop_of(one) for one in proposal.result.data))
     command = f"hystfit fit {old} NEW_LOOP --model {shlex.quote(proposal.result.name)} --out fit"
     answer.append(("Next", f"measure with {folder / 'input.csv'}, then fit both records:\n{command}"))
     figure = _sheet()
@@ -244,6 +251,11 @@ def design_page(proposal: Design, folder: Path) -> Page:
         ("Notes", [notes_of(proposal.notes)]),
     ]
     return page_of(f"Next input for {proposal.result.name}", proposal.status, "design", answer, sections)
+
+
+def _loop_of(record: Record) -> str:
+    """A record as LOOP names it: a data set, or its file."""
+    return record.name if record.name in datasets.names() else record.source or record.name
 
 
 def _gains(proposal: Design) -> Figure:

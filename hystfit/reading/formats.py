@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.errors import DataError, MissingExtraError
+from hystfit.errors import DataError, MissingExtraError, optional
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
-from hystfit.reading.array_files import KINDS, arrays_in, check_members, imported
+from hystfit.reading.array_files import KINDS, arrays_in, check_members
 from hystfit.reading.file_bytes import FileBytes, inner_name, load
 from hystfit.reading.header import split_unit
 from hystfit.reading.layout import layout_of
@@ -118,7 +118,7 @@ def _seconds(stamps: np.ndarray) -> np.ndarray:
 
 
 def _workbook(file: FileBytes, source: str, sheet: str | int | None) -> Table:
-    openpyxl = imported("openpyxl", "reading Excel files")
+    openpyxl = optional("openpyxl", "files", "reading Excel files")
     try:
         with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
             check_members(archive, file.raw)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
@@ -166,11 +166,7 @@ def _begin(target: Target, walkers: int, seed: int) -> tuple[Any, ...]:
 
 
 def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingExtraError("h5py", "bayes", "a resumable emcee run") from error
-    return h5py
+    return optional("h5py", "bayes", "a resumable emcee run")
 
 
 def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, random_state: Any) -> None:

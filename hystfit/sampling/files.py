@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.config import require_x64
-from hystfit.errors import DataError, HystfitError, MissingExtraError
+from hystfit.errors import DataError, HystfitError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
@@ -194,9 +194,5 @@ def _header(posterior: Posterior) -> dict[str, Any]:
 
 
 def _xarray() -> Any:
-    try:
-        import h5netcdf  # noqa: F401
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError("h5netcdf", "bayes", "a posterior file (netCDF)") from error
-    return xarray
+    optional("h5netcdf", "bayes", "a posterior file (netCDF)")
+    return optional("xarray", "bayes", "a posterior file (netCDF)")
