@@ -124,7 +124,7 @@ for name, true in truth.items():
 # thousand steps of 32 walkers satisfy both, in the short run of this notebook too.
 
 # %%
-posterior = hf.sample(result, "emcee", noise="iid", walkers=32, draws=1500, seed=1)
+posterior = hf.sample(result, "emcee", noise="iid", walkers=32, draws=1000, seed=1)
 print(posterior)
 
 # %% [markdown]

@@ -340,6 +340,15 @@ def test_of_many_cycles_the_first_the_last_and_the_worst_are_shown():
     assert 300 < low < 6.5 * 60 < high < 500
 
 
+def test_a_cycle_that_is_first_and_worst_is_shown_once():
+    record = cycling(12).data[0]
+    predicted = np.where(np.arange(len(record)) < 60, record.y + 5.0, record.y)
+    drawn = axes()
+    plots._loop([plots._Trace(record, predicted, True, 0.0)], drawn)
+    labels = [line.get_label() for line in drawn.get_lines() if line.get_label().startswith("cycle")]
+    assert [label.partition(" (")[2] for label in labels] == ["first, largest error)", "last)"]
+
+
 def test_outliers_of_the_fit_are_clipped_and_counted():
     marred = cycling(40, spikes=3)
     ax = plots.fit(marred, "residuals", axes())
