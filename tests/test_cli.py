@@ -333,6 +333,7 @@ def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, cap
         f"hystfit export {tmp_path / 'again' / 'x'} --c code" in (tmp_path / "again" / "x" / "report.html").read_text()
     )
     poor = dataclasses.replace(saved, status=Status.NOT_CONVERGED)
+    assert f"hystfit check {loop}" in " ".join(text_report(poor).split())
     text = text_report(poor, Wording(loop=command_words([str(loop)], Reading(time="0")), translate=as_options))
     assert f"hystfit compare {loop} --time=0" in " ".join(text.split())
     page = html_report(poor, wording=Wording(translate=as_options))

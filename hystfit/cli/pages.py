@@ -12,10 +12,10 @@ from hystfit.cli.verbs import as_options
 from hystfit.outcome import Note, Status, Table
 from hystfit.outcome.table import number
 from hystfit.params.units import axis_label
-from hystfit.reading import datasets
 from hystfit.results.labels import column_label
 from hystfit.results.plots import MEASURED, MODEL
 from hystfit.results.quantities import QUANTITIES
+from hystfit.results.report.answer import loops_of
 from hystfit.results.webpage import Block, Page, Picture
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def design_page(proposal: Design, folder: Path) -> Page:
     for name in proposal.aim[:4]:
         now, then = proposal.present[name], best.stderr[name]
         answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
-    old = shlex.join(dict.fromkeys(_loop_of(one) for one in proposal.result.data))
+    old = loops_of(proposal.result.data)
     command = f"hystfit fit {old} NEW_LOOP --model {shlex.quote(proposal.result.name)} --out fit"
     answer.append(("Next", f"measure with {folder / 'input.csv'}, then fit both records:\n{command}"))
     figure = _sheet()
@@ -251,11 +251,6 @@ def design_page(proposal: Design, folder: Path) -> Page:
         ("Notes", [notes_of(proposal.notes)]),
     ]
     return page_of(f"Next input for {proposal.result.name}", proposal.status, "design", answer, sections)
-
-
-def _loop_of(record: Record) -> str:
-    """A record as LOOP names it: a data set, or its file."""
-    return record.name if record.name in datasets.names() else record.source or record.name
 
 
 def _gains(proposal: Design) -> Figure:

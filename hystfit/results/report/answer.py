@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hystfit.data.record import Record
+from hystfit.data.record import Dataset, Record
 from hystfit.outcome import Status
 from hystfit.outcome.table import number, rounded
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
+from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
 from hystfit.results.quantities import QUANTITIES, Trade
 from hystfit.results.result import FitResult
@@ -30,19 +31,26 @@ class Wording:
 
     Attributes:
         fit: folder of the fit, quoted for a shell.
-        loop: the file that was fitted, with the options for reading it, quoted.
+        loop: the file that was fitted, with the options for reading it, quoted; default: see `loops_of`.
         saved: whether `fit` exists, or will once the report is written.
         translate: from settings as in Python to the options of the reader.
     """
 
     fit: str = "FIT"
-    loop: str = "LOOP"
+    loop: str = ""
     saved: bool = True
     translate: Callable[[str], str] = str
 
     def at(self, folder: str | Path) -> Wording:
         """The same for a fit saved in this folder."""
         return dataclasses.replace(self, fit=shlex.quote(str(folder)), saved=True)
+
+
+def loops_of(data: Dataset) -> str:
+    """Names of data sets and paths of the files that records came from, quoted for a shell; LOOP where there is none."""
+    known = datasets.names()
+    places = [one.name if one.name in known else one.source if Path(one.source).is_file() else "LOOP" for one in data]
+    return shlex.join(dict.fromkeys(places))
 
 
 def answer(result: FitResult, wording: Wording | None = None) -> list[tuple[str, str]]:
@@ -109,7 +117,7 @@ def _undetermined(result: FitResult) -> str:
 
 def next_commands(result: FitResult, wording: Wording) -> list[str]:
     """Commands that make sense now; NEW_LOOP and REFERENCE are files that the user has."""
-    fit, loop = wording.fit, wording.loop
+    fit, loop = wording.fit, wording.loop or loops_of(result.data)
     if result.status is Status.NO_LOOP:
         return [f"hystfit check {loop}"]
     if not result.usable:
