@@ -140,9 +140,10 @@ def _selected_cycles(trace: _Trace) -> dict[str, tuple[int, slice]]:
         return {}
     size = np.where(counted, trace.residual, np.nan)
     errors = [float(np.nanmean(size[a : c + 1] ** 2)) for a, _, c in found]
-    at = {"first": 0, "last": len(found) - 1, "largest error": int(np.argmax(errors))}
-    same = lambda k: ", ".join(name for name, other in at.items() if other == k)  # a cycle has one curve
-    return {same(k): (k + 1, slice(int(found[k, 0]), int(found[k, 2]) + 1)) for k in at.values()}
+    worst = int(np.argmax(errors))
+    at = {"first": 0, "last": len(found) - 1, "largest error": worst}
+    cut = lambda k: slice(int(found[k, 0]), int(found[k, 2]) + 1)
+    return {name: (k + 1, cut(k)) for name, k in at.items() if k != worst or name == "largest error"}
 
 
 def selects_cycles(result: FitResult) -> bool:
@@ -171,16 +172,8 @@ def _some_cycles(trace: _Trace, shown: dict[str, tuple[int, slice]], ax: Axes) -
     """Measured (thick) and model (thin) of some cycles."""
     for name, (number, part) in shown.items():
         at = part.start + thin(_POINTS, trace.u[part], trace.y[part], trace.predicted[part])
-        ax.plot(
-            trace.u[at], trace.y[at], color=CYCLES[name.rpartition(", ")[2]], lw=4, alpha=0.3, solid_capstyle="butt"
-        )
-        ax.plot(
-            trace.u[at],
-            trace.predicted[at],
-            color=CYCLES[name.rpartition(", ")[2]],
-            lw=0.9,
-            label=f"cycle {number} ({name})",
-        )
+        ax.plot(trace.u[at], trace.y[at], color=CYCLES[name], lw=4, alpha=0.3, solid_capstyle="butt")
+        ax.plot(trace.u[at], trace.predicted[at], color=CYCLES[name], lw=0.9, label=f"cycle {number} ({name})")
     column_label(ax, "x", *trace.columns["u"])
     column_label(ax, "y", *trace.columns["y"])
     ax.legend(frameon=False, title="measured: thick, model: thin", fontsize="small", title_fontsize="small")
@@ -192,13 +185,7 @@ def _cycle_errors(traces: list[_Trace], ax: Axes) -> None:
     shown = _selected_cycles(trace) or {"first": (1, slice(0, trace.u.size))}
     for name, (number, part) in shown.items():
         at = part.start + thin(_POINTS, trace.u[part], trace.residual[part])
-        ax.plot(
-            trace.u[at],
-            trace.residual[at],
-            color=CYCLES[name.rpartition(", ")[2]],
-            lw=0.9,
-            label=f"cycle {number} ({name})",
-        )
+        ax.plot(trace.u[at], trace.residual[at], color=CYCLES[name], lw=0.9, label=f"cycle {number} ({name})")
     ax.axhline(0.0, color="black", lw=0.7)
     column_label(ax, "x", *trace.columns["u"])
     ax.set_ylabel(trace.residual_label)
@@ -210,7 +197,7 @@ def _worst(traces: list[_Trace], ax: Axes) -> None:
     errors = [persistent_error(np.where(t.seen | t.held, t.residual, 0.0)) for t in traces]
     trace, error = max(zip(traces, errors, strict=True), key=lambda pair: float(pair[1].max()))
     middle, size = int(np.argmax(error)), error.size
-    turns = [p.stop - p.start for name, (_, p) in _selected_cycles(trace).items() if name.endswith("largest error")]
+    turns = [part.stop - part.start for _, part in _selected_cycles(trace).values()]
     half = max(20, turns[-1] if turns else int(_STRETCH * size / 2))
     part = slice(max(middle - half, 0), min(middle + half + 1, size))
     at = part.start + thin(_POINTS, trace.y[part], trace.predicted[part])

@@ -16,7 +16,7 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
-from hystfit.results.quantities import QUANTITIES, Trade
+from hystfit.results.quantities import CREEP, QUANTITIES, Trade
 from hystfit.results.result import FitResult
 
 _NAMED = 4  # parameters named one by one
@@ -58,7 +58,7 @@ def answer(result: FitResult, wording: Wording | None = None) -> list[tuple[str,
     commands = next_commands(result, wording or Wording())
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
-        rows.append(("Lag of the output at reversals", lag))
+        rows.append(lag)
     return [*rows, ("Not determined", _undetermined(result)), ("Next", "\n".join(commands))]
 
 
@@ -78,7 +78,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     trade, rows = Trade.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if trade not in one.leads:
+        if trade not in one.leads or (q.name == CREEP and q.value == 0):
             continue
         if q.value is None:
             rows.append((_capital(one.label), "unknown" if q.reason is None else q.reason.text))
@@ -93,16 +93,17 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _lag(record: Record) -> str | None:
-    """The measured lag, where it is significant."""
+def _lag(record: Record) -> tuple[str, str] | None:
+    """The measured lag or lead, where it is significant."""
     if not record.used.all() or record.t is None:
         return None
     turns = reversals(record.u, _TURN * float(np.ptp(record.u)))
     found = estimate_lag(record.u, record.y, record.sampling_interval, turns)
     if found is None or abs(found.samples) < _LAGS * found.stderr:
         return None
-    clock = "" if found.seconds is None else f" ({found.seconds:.3g} {record.t_unit})"
-    return f"{found.samples:.1f} +- {found.stderr:.1f} samples{clock}"
+    clock = "" if found.seconds is None else f" ({abs(found.seconds):.3g} {record.t_unit})"
+    what = "Lag" if found.samples > 0 else "Lead"
+    return f"{what} of the output at reversals", f"{abs(found.samples):.1f} +- {found.stderr:.1f} samples{clock}"
 
 
 def _undetermined(result: FitResult) -> str:
@@ -122,7 +123,10 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
         return [f"hystfit check {loop}"]
     if not result.usable:
         return [f"hystfit compare {loop}", f"hystfit check {loop}"]
-    errors = "sample" if len(result.x) <= _SAMPLED else "errors"
-    commands = [f"predict {fit} NEW_LOOP", f"invert {fit} REFERENCE", f"export {fit} --c code", f"{errors} {fit}"]
-    save = [] if wording.saved else [f"the same command with --out {fit} keeps this fit; then"]
-    return [*save, *(f"hystfit {command}" for command in commands)]
+    commands = [f"hystfit predict {fit} NEW_LOOP"]
+    if result.model.obstacle("inverse") is None:
+        commands.append(f"hystfit invert {fit} REFERENCE")
+    if result.model.obstacle("export") is None:
+        commands.append(f"hystfit export {fit} --c code")
+    commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
+    return commands if wording.saved else [f"the same command with --out {fit} keeps this fit; then", *commands]
