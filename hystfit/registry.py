@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import operator
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -103,9 +104,9 @@ def near(name: str, known: Iterable[str]) -> str:
 
 
 def attribute(place: str) -> Any:
-    """What "module:name" refers to, imported now."""
+    """What "module:name" refers to, imported now; the name may have dots."""
     module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
+    return operator.attrgetter(name)(importlib.import_module(module))
 
 
 _PREFIX = "user_file_"
