@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -247,7 +246,7 @@ def _chi_squares(count: int) -> np.ndarray:
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
-    shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), POINTS))
+    shapes = inducing_shapes(samples.place, length, POINTS, on=np)
     shapes = shapes * np.sqrt(samples.weight)[:, None]
     return np.hstack([shapes * samples.rising[:, None], shapes * ~samples.rising[:, None]])
 

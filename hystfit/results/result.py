@@ -172,6 +172,11 @@ class FitResult:
         """
         return _view("quantity_estimates:quantity_estimates")(self)
 
+    @functools.cached_property
+    def answer(self) -> tuple[tuple[str, str], ...]:
+        """Names and values at the top of the report, the most important first."""
+        return _view("report.answer:answer")(self)
+
     @property
     def usable(self) -> bool:
         """Whether the status is `Status.OK`."""

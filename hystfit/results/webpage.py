@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import html
 import io
 from collections.abc import Sequence
@@ -29,9 +30,18 @@ class Picture:
     caption: str
     wide: bool = False
 
+    @functools.cached_property
+    def svg(self) -> bytes:
+        """The figure as vector graphics, laid out once."""
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+        buffer = io.StringIO()
+        FigureCanvasSVG(self.figure).print_svg(buffer)
+        return buffer.getvalue().encode("utf-8")
+
     def html(self) -> str:
         """As vector graphics within the page."""
-        source = base64.b64encode(svg(self.figure)).decode("ascii")
+        source = base64.b64encode(self.svg).decode("ascii")
         words, mark = html.escape(self.caption, quote=True), ' class="wide"' if self.wide else ""
         return (
             f'<figure{mark}><img alt="{words}" tabindex="0" src="data:image/svg+xml;base64,{source}">'
@@ -91,12 +101,3 @@ def block_html(block: Block) -> str:
     if isinstance(block[0], Picture):
         return '<div class="pictures">' + "".join(one.html() for one in block if isinstance(one, Picture)) + "</div>"
     return "<ul>" + "".join(f"<li>{html.escape(str(item))}</li>" for item in block if str(item)) + "</ul>"
-
-
-def svg(figure: Figure) -> bytes:
-    """A figure as vector graphics, laid out once."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    buffer = io.StringIO()
-    FigureCanvasSVG(figure).print_svg(buffer)
-    return buffer.getvalue().encode("utf-8")

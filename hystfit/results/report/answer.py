@@ -18,12 +18,12 @@ _TURN = 0.02  # of the input's range: what counts as a turning point
 _LAGS = 3.0  # standard errors from which a lag is reported
 
 
-def answer(result: FitResult) -> list[tuple[str, str]]:
-    """Names and values, the most important first."""
+def answer(result: FitResult) -> tuple[tuple[str, str], ...]:
+    """Names and values, the most important first; `result.answer` keeps them."""
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
         rows.append(("Lag of the output at reversals", lag))
-    return [*rows, ("Not determined", _undetermined(result)), ("Next", "\n".join(next_commands(result)))]
+    return (*rows, ("Not determined", _undetermined(result)), ("Next", "\n".join(next_commands(result))))
 
 
 def _error(result: FitResult) -> str:

@@ -11,11 +11,10 @@ from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped, shows_cycles
-from hystfit.results.report.answer import answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
-from hystfit.results.webpage import Page, Picture, svg
+from hystfit.results.webpage import Page, Picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +63,7 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
 
 def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> str:
     """One self-contained HTML page with its pictures."""
-    return _page(result, pictures(result, test=test, refit_offset=refit_offset))
+    return _page(result, _captioned(pictures(result, test=test, refit_offset=refit_offset)))
 
 
 def notebook_view(result: FitResult) -> str:
@@ -75,19 +74,22 @@ def notebook_view(result: FitResult) -> str:
     return fragment(headline(result), (advice, *tables, result.notes))
 
 
-def _page(result: FitResult, figures: dict[str, Figure]) -> str:
-    shown = [Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures]
+def _captioned(figures: dict[str, Figure]) -> dict[str, Picture]:
+    return {name: Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures}
+
+
+def _page(result: FitResult, shown: dict[str, Picture]) -> str:
     status = "Usable." if result.usable else f"Not usable as it is: {result.advice}."
     sections = [
         ("Verdict", [verdict(result)]),
-        ("Pictures", [shown]),
+        ("Pictures", [list(shown.values())]),
         (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
         (ERRORS, [metrics_table(result)]),
         ("Parameters", [parameter_table(result, meaning=True), fixed_words(result)]),
         ("Notes", [remarks(result)]),
         *((heading, [items]) for heading, items in facts(result).items()),
     ]
-    return Page(headline(result), status, result.usable, answer(result), sections).render()
+    return Page(headline(result), status, result.usable, result.answer, sections).render()
 
 
 def _png(figure: Figure) -> bytes:
@@ -95,7 +97,8 @@ def _png(figure: Figure) -> bytes:
 
     buffer = io.BytesIO()
     figure.dpi = _DPI
-    FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws everything twice
+    # `savefig` draws everything twice; stronger compression takes longer than drawing the curves
+    FigureCanvasAgg(figure).print_png(buffer, pil_kwargs={"compress_level": 1})
     figure.dpi = 100
     return buffer.getvalue()
 
@@ -121,10 +124,10 @@ def write(result: FitResult, folder: str | Path, *, test: Data | None = None, re
 
 def write_into(result: FitResult, folder: Path, *, test: Data | None = None, refit_offset: bool = False) -> None:
     """Write the files of `write` into an existing folder."""
-    figures = pictures(result, test=test, refit_offset=refit_offset)
+    shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
     (folder / "report.txt").write_text(text_report(result), encoding="utf-8")
-    for name, figure in figures.items():
-        (folder / f"{name}.png").write_bytes(_png(figure))
-        figure.set_layout_engine("none")  # as laid out for the PNG
-        (folder / f"{name}.svg").write_bytes(svg(figure))
-    (folder / "report.html").write_text(_page(result, figures), encoding="utf-8")
+    for name, picture in shown.items():
+        (folder / f"{name}.png").write_bytes(_png(picture.figure))
+        picture.figure.set_layout_engine("none")  # as laid out for the PNG
+        (folder / f"{name}.svg").write_bytes(picture.svg)
+    (folder / "report.html").write_text(_page(result, shown), encoding="utf-8")

@@ -10,7 +10,6 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.table import number
-from hystfit.results.report.answer import answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.result import FitResult
 
@@ -126,7 +125,7 @@ def text_report(result: FitResult) -> str:
     lines = [title, "=" * len(title)]
     if not result.usable:
         lines.append(_filled(result.advice))
-    lines += _section("Answer", (f"{name}: {', '.join(value.splitlines())}" for name, value in answer(result)))
+    lines += _section("Answer", (f"{name}: {', '.join(value.splitlines())}" for name, value in result.answer))
     lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
     lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
