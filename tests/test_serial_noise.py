@@ -156,7 +156,7 @@ def left_of(u: np.ndarray, J: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, Re
     batch = Batch.of(hf.Record(u=u, y=y))
     full = np.zeros((batch.u.shape[1], J.shape[1] + 1))
     full[:T] = np.column_stack([y - J @ x, J])
-    return x, ResidualAnalysis.of(Setting.of(batch), full[:, 0], full[:, 1:])
+    return x, ResidualAnalysis.of(Setting.of(batch), full[:, 0], lambda: J)
 
 
 @pytest.mark.parametrize("white", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hystfit.inference.problem import Problem
+from hystfit.inference.triangle import triangle
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
@@ -47,11 +48,10 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), np.asarray(problem.space.coordinates.kinds) != REAL
-    residual, jacobian = _linearize(problem, z)
-    cost, damping, converged = 0.5 * float(residual @ residual), 1e-6, False
+    cost, factor = _linearize(problem, z, order)
+    damping, converged = 1e-6, False
     for evaluations in range(1, steps):
-        triangle = np.linalg.qr(np.column_stack([jacobian[:, order], residual]), mode="r")
-        ordered, decrease = _step(triangle, int(offsets.sum()), damping)
+        ordered, decrease = _step(factor, int(offsets.sum()), damping)
         floor = _floor(problem, z)
         converged = decrease <= gain * cost + floor
         if converged or damping > _MOST or not np.isfinite(cost):
@@ -59,12 +59,10 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         step = np.zeros(z.size)
         step[order] = ordered
         step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
-        new_residual, new_jacobian = _linearize(problem, z + step)
-        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-            new_cost = 0.5 * float(new_residual @ new_residual)
+        new_cost, new_factor = _linearize(problem, z + step, order)
         blurred = _BLUR * np.sqrt(2 * cost * floor)  # where a smaller decrease cannot be seen, the linear model decides
         if new_cost < cost + (blurred if decrease < blurred else 0.0):
-            z, residual, jacobian, cost = z + step, new_residual, new_jacobian, new_cost
+            z, factor, cost = z + step, new_factor, new_cost
             damping = max(0.1 * damping, _LEAST)
         else:
             damping *= 10.0
@@ -78,12 +76,16 @@ def _floor(problem: Problem, z: np.ndarray) -> float:
     return int(problem.used.sum()) * (_ROUNDING * float(largest) / problem.scales.y) ** 2
 
 
-def _linearize(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray) -> tuple[float, np.ndarray]:
+    """The cost, and the triangular factor of [J, r] with the columns of J in an order."""
     residual, jacobian = problem.linearize_misfit(problem.space.physical(z))
-    jacobian = jacobian * problem.space.slope(z)
     bounded = np.asarray(problem.space.coordinates.kinds) != REAL
-    nothing = np.linalg.norm(jacobian, axis=0) < _NOTHING * np.sqrt(problem.used.sum())
-    return residual, np.where(bounded & nothing, 0.0, jacobian)
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+        jacobian *= problem.space.slope(z)
+        size = np.sqrt(np.einsum("np,np->p", jacobian, jacobian))
+        jacobian[:, bounded & (size < _NOTHING * np.sqrt(problem.used.sum()))] = 0.0
+        cost = 0.5 * float(residual @ residual)
+    return cost, triangle(jacobian, residual, order)
 
 
 def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:
