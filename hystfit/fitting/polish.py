@@ -26,7 +26,7 @@ _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, 
 
 
 class Polished(NamedTuple):
-    """Where the steps ended: unconstrained z, the cost there, whether they converged, and the number of linearizations."""
+    """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations."""
 
     z: np.ndarray
     cost: float
@@ -51,10 +51,12 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     cost, factor = _linearize(problem, z, order)
     damping, converged = 1e-6, False
     for evaluations in range(1, steps):
-        ordered, decrease = _step(factor, int(offsets.sum()), damping)
         floor = _floor(problem, z)
+        if not np.isfinite(cost + floor):
+            return Polished(z, cost, False, evaluations)
+        ordered, decrease = _step(factor, int(offsets.sum()), damping)
         converged = decrease <= gain * cost + floor
-        if converged or damping > _MOST or not np.isfinite(cost):
+        if converged or damping > _MOST:
             return Polished(z, cost, converged, evaluations)
         step = np.zeros(z.size)
         step[order] = ordered
@@ -70,14 +72,18 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
 
 
 def _floor(problem: Problem, z: np.ndarray) -> float:
-    """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output."""
+    """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output.
+
+    Infinite where an offset has run away, as in a refit whose samples do not determine it.
+    """
     largest = [np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data]
     largest = max(*largest, problem.scales.y, *np.abs(problem.space.physical(z))[problem.space.offsets])
-    return int(problem.used.sum()) * (_ROUNDING * float(largest) / problem.scales.y) ** 2
+    with np.errstate(over="ignore"):
+        return float(problem.used.sum() * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
 
 
 def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray) -> tuple[float, np.ndarray]:
-    """The cost, and the triangular factor of [J, r] with the columns of J in an order."""
+    """The cost, and the triangular factor of [J, r] with the columns of J in an order; empty where the cost is not finite."""
     residual, jacobian = problem.linearize_misfit(problem.space.physical(z))
     bounded = np.asarray(problem.space.coordinates.kinds) != REAL
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
@@ -85,7 +91,7 @@ def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray) -> tuple[floa
         size = np.sqrt(np.einsum("np,np->p", jacobian, jacobian))
         jacobian[:, bounded & (size < _NOTHING * np.sqrt(problem.used.sum()))] = 0.0
         cost = 0.5 * float(residual @ residual)
-    return cost, triangle(jacobian, residual, order)
+    return cost, triangle(jacobian, residual, order) if np.isfinite(cost) else np.empty((0, 0))
 
 
 def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:

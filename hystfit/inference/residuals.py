@@ -35,7 +35,7 @@ Derivatives = Callable[[], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """Residuals of a fit, and what can be learned from them about the noise.
+    """Analysis of the residuals of a fit and of the noise in them.
 
     Attributes:
         samples: those that count.
