@@ -157,8 +157,11 @@ def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], 
         x: physical parameters, shape (p,).
     """
     residual, jacobian = _linearize(objective, np.asarray(x, float))
-    steep = ~(np.abs(jacobian) < _STEEPEST)  # a root at zero, or a simulation beyond its stable range
-    return np.asarray(residual), np.where(steep, 0.0, jacobian) if steep.any() else np.asarray(jacobian)
+    residual, jacobian = np.asarray(residual), np.asarray(jacobian)
+    if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
+        return residual, jacobian
+    # A root at zero, or a simulation beyond its stable range.
+    return residual, np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)
 
 
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:
