@@ -68,6 +68,16 @@ class TestWeights:
         assert seen.sum() > 60
         np.testing.assert_allclose(np.asarray(fit.model.w)[seen], np.asarray(model.w)[seen], atol=5e-3)
 
+    def test_a_steady_cycle_without_history_is_fitted_from_the_state_after_a_cycle(self):
+        """One period that begins at zero field, on a branch and not in the demagnetized state."""
+        model, period = truth(), np.sin(np.linspace(0, 2 * np.pi, 121))
+        record = Record(period, output(model, np.tile(period, 3))[-121:])
+        errors = [fit_preisach(r, model, smoothness=[1e-14]).nrmse_percent for r in (record, record.repeating())]
+        assert errors[0] > 1.0
+        assert errors[1] < 0.01
+        with pytest.raises(DataError, match="no period of a cycle"):
+            Record(period[:90], period[:90]).repeating()
+
     def test_cells_that_the_data_never_switched_are_told(self):
         model = truth("negative")
         u = np.concatenate([np.linspace(-1, 0, 50), np.linspace(0, -1, 50)])

@@ -11,6 +11,7 @@ from hystfit.quality.loops import Loop, closed_loops, loop_area, loop_branches
 
 _SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
 _CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
+_FEWEST = 4  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
@@ -102,7 +103,7 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
     lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= _CLOSED * np.ptp(u)
-    if not 0 < lowest < u.size - 1 or not closes or not abs(y[-1] - y[0]) <= _CLOSED * np.ptp(y):
+    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= _CLOSED * np.ptp(y):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)

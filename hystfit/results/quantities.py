@@ -19,6 +19,11 @@ from hystfit.params.units import quantity
 from hystfit.quality.loops import cycles
 
 _CYCLES, _POINTS = 3, 400
+_WHOLE, _GRID = (
+    0.01,
+    2001,
+)  # gap to the fitted range, in parts of it, within which a measured cycle covers it; inputs of its branches
+_APART = 2.0  # standard errors between a model's quantity and the measured one that are worth a word
 _LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
@@ -239,6 +244,7 @@ class QuantityEstimate:
         value: None where it is unknown.
         stderr: standard error to first order; None where it is unknown.
         reason: why one of them is unknown; None where both are known.
+        measured: that of the measured loops, without a model; None where no measured cycle covers the fitted range.
     """
 
     name: str
@@ -246,10 +252,23 @@ class QuantityEstimate:
     stderr: float | None
     unit: str
     reason: Unknown | None = None
+    measured: float | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the model's value is further than two standard errors from the measured one."""
+        known = self.value is not None and self.stderr is not None and self.measured is not None
+        return known and abs(self.value - self.measured) > _APART * self.stderr  # type: ignore[operator]
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
-        return {"value": self.value, "stderr": self.stderr, "unit": self.unit, "reason": self.reason}
+        return {
+            "value": self.value,
+            "stderr": self.stderr,
+            "unit": self.unit,
+            "reason": self.reason,
+            "measured": self.measured,
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -300,6 +319,31 @@ class Excitation:
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
         """Creep a decade in percent of the step, from outputs over `step`, shape (count, T)."""
         return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, 2] - y[:, 1])
+
+
+def measured_quantities(data: Dataset) -> dict[str, float]:
+    """Quantities of the loops as measured, by name, without a model: medians over the cycles that cover the range of all records.
+
+    Samples are joined by straight lines. Empty where no cycle from turning point to turning point covers the range.
+    """
+    excitation = Excitation.of(data)
+    low, high = excitation.low, excitation.high
+    inputs, branches = np.linspace(low, high, _GRID), ([], [])
+    for record in data:
+        for a, b, c in cycles(record.u, _LARGE * float(np.ptp(record.u))):
+            turns = record.u[[a, b, c]]
+            ends = np.where(turns > 0.5 * (low + high), high, low)
+            if not record.used[a : c + 1].all() or (np.abs(turns - ends) > _WHOLE * (high - low)).any():
+                continue
+            for part in (slice(a, b + 1), slice(b, c + 1)):
+                order = np.argsort(record.u[part], kind="stable")
+                rises = record.u[part][-1] > record.u[part][0]
+                branches[not rises].append(np.interp(inputs, record.u[part][order], record.y[part][order]))
+    if not branches[0]:
+        return {}
+    loops = SteadyLoops(inputs, np.array(branches[0]), np.array(branches[1]), excitation.trade is Trade.FORCE_DRIVEN)
+    values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
+    return {name: value for name, value in values.items() if np.isfinite(value)}
 
 
 def _interval(data: Dataset) -> float:
