@@ -107,6 +107,16 @@ def test_a_data_frame_takes_the_options_of_a_file() -> None:
         hf.fit(MODEL, frame, rate=50.0)
 
 
+def test_complex_numbers_are_refused_and_masked_ones_are_missing() -> None:
+    """The imaginary part, and values under a mask, were used or dropped in silence."""
+    for call in (lambda: hf.Record(U, U + 1j), lambda: hf.fit(MODEL, U, list(U + 1j))):
+        with pytest.raises(hf.DataError, match="complex"):
+            call()
+    record = hf.Record(U, np.ma.masked_greater(U, 2.5))
+    np.testing.assert_array_equal(np.isnan(record.y), U > 2.5)
+    assert 0 < record.used.sum() < U.size
+
+
 class Polars:
     """A data frame that offers what those of polars do: names in `columns`, columns by name, and no index."""
 

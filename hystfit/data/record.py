@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.preparation import integral, interval_of, smooth
+from hystfit.data.preparation import integral, interval_of, real_numbers, smooth
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
@@ -26,9 +26,7 @@ def median_interval(steps: np.ndarray) -> float | None:
 
 def _column(name: str, values: object) -> np.ndarray:
     try:
-        array = np.array(
-            values, dtype=np.float64
-        )  # a copy, so that later changes of the argument do not reach the record
+        array = real_numbers(values)  # a copy, so that later changes of the argument do not reach the record
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be numbers: {error}") from error
     if array.ndim != 1:

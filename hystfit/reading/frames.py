@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.preparation import real_numbers
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading.header import split_unit
@@ -74,11 +75,12 @@ def unit_of(values: Any, name: str, siblings: Any) -> str:
 
 
 def _numbers(values: Any) -> np.ndarray:
-    """A column as numbers, missing values NaN; as it is where it holds text."""
+    """A column as numbers, missing values NaN; as it is where it holds text, and as text where it holds complex numbers."""
     try:
-        return np.asarray(values, dtype=float)
+        return real_numbers(values)
     except (TypeError, ValueError):
-        pass
+        if np.iscomplexobj(values):
+            return np.asarray(values).astype(str)
     if hasattr(values, "to_numpy"):  # columns of pandas with missing whole numbers
         try:
             return values.to_numpy(dtype=float, na_value=np.nan)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.preparation import real_numbers
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.reading.frames import columns_of, frame_table, is_clock, is_frame, seconds_of, unit_of
@@ -93,9 +94,9 @@ def _vector(values: Any, what: str) -> np.ndarray:
         DataError: not numbers, or an array of another number of dimensions.
     """
     try:
-        array = np.asarray(values, dtype=float)
+        array = real_numbers(values)
     except (TypeError, ValueError) as error:
-        raise DataError(f"{what} must be an array of numbers, got {type(values).__name__}") from error
+        raise DataError(f"{what} must be an array of numbers, got {type(values).__name__} ({error})") from error
     if array.ndim == 2:
         raise DataError(
             f"{what} must be one column, got an array of shape {array.shape}: give its columns one by one, or make a record, "

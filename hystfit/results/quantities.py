@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,13 +17,14 @@ from jaxtyping import Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.params.units import quantity
-from hystfit.quality.loops import cycles
+from hystfit.quality.loops import cycles, reversals
 
 _CYCLES, _POINTS = 3, 400
 _WHOLE, _GRID = (
     0.01,
     2001,
 )  # gap to the fitted range, in parts of it, within which a measured cycle covers it; inputs of its branches
+_TURN = 0.05  # of the input's range: smallest reversal that ends a measured branch
 _APART = 2.0  # standard errors between a model's quantity and the measured one that are worth a word
 _LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
@@ -322,28 +324,35 @@ class Excitation:
 
 
 def measured_quantities(data: Dataset) -> dict[str, float]:
-    """Quantities of the loops as measured, by name, without a model: medians over the cycles that cover the range of all records.
+    """Quantities of the loops as measured, by name, without a model: medians over the loops that cover the range of all records.
 
-    Samples are joined by straight lines. Empty where no cycle from turning point to turning point covers the range.
+    Samples are joined by straight lines. Empty where no two successive branches cover the range.
     """
     excitation = Excitation.of(data)
-    low, high = excitation.low, excitation.high
-    inputs, branches = np.linspace(low, high, _GRID), ([], [])
+    inputs = np.linspace(excitation.low, excitation.high, _GRID)
+    branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
     for record in data:
-        for a, b, c in cycles(record.u, _LARGE * float(np.ptp(record.u))):
-            turns = record.u[[a, b, c]]
-            ends = np.where(turns > 0.5 * (low + high), high, low)
-            if not record.used[a : c + 1].all() or (np.abs(turns - ends) > _WHOLE * (high - low)).any():
-                continue
-            for part in (slice(a, b + 1), slice(b, c + 1)):
-                order = np.argsort(record.u[part], kind="stable")
-                rises = record.u[part][-1] > record.u[part][0]
-                branches[not rises].append(np.interp(inputs, record.u[part][order], record.y[part][order]))
-    if not branches[0]:
+        turns = np.unique([0, *reversals(record.u, _TURN * float(np.ptp(record.u))), len(record) - 1])
+        found = [(record.u[b] > record.u[a], _branch(record, a, b, inputs)) for a, b in itertools.pairwise(turns)]
+        for pair in itertools.pairwise(found):
+            if all(branch is not None for _, branch in pair):
+                for rises, branch in pair:
+                    branches[bool(rises)].append(branch)
+    if not branches[True]:
         return {}
-    loops = SteadyLoops(inputs, np.array(branches[0]), np.array(branches[1]), excitation.trade is Trade.FORCE_DRIVEN)
+    loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.trade is Trade.FORCE_DRIVEN)
     values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
     return {name: value for name, value in values.items() if np.isfinite(value)}
+
+
+def _branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:
+    """The measured output at inputs between two turning points; None where the branch does not cover them."""
+    kept = first + np.flatnonzero(record.used[first : last + 1])
+    kept = kept[np.argsort(record.u[kept], kind="stable")]
+    u, slack = record.u[kept], _WHOLE * float(inputs[-1] - inputs[0])
+    if not kept.size or u[0] > inputs[0] + slack or u[-1] < inputs[-1] - slack:
+        return None
+    return np.interp(inputs, u, record.y[kept])
 
 
 def _interval(data: Dataset) -> float:
