@@ -82,12 +82,12 @@ def test_measured_quantities_need_no_model():
     path = np.linspace(0, 4, 161)
     loop = [np.interp(path, np.arange(5), corners[:, k]) for k in (0, 1)]
     record = hf.Record(np.tile(loop[0][:-1], 3), np.tile(loop[1][:-1], 3), u_unit="A/m", y_unit="T")
-    half = hf.Record(0.5 * record.u, 0.5 * record.y, u_unit="A/m", y_unit="T")
+    half = hf.Record(0.5 * record.u, 0.5 * record.y, u_unit="A/m", y_unit="T", name="half")
     found = measured_quantities(hf.Dataset((half, record)))
     expected = {"loop_area": 0.84, "coercive_input": 0.3, "remanence": 0.3, "stroke": 1.4}
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=2e-3), name
-    wider = hf.Record(np.array([-1.0, 2.0]), np.zeros(2))
+    wider = hf.Record(np.array([-1.0, 2.0]), np.zeros(2), u_unit="A/m", y_unit="T", name="wider")
     assert measured_quantities(hf.Dataset((record, wider))) == {}
 
 

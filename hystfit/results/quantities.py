@@ -332,7 +332,7 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
     inputs = np.linspace(excitation.low, excitation.high, _GRID)
     branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
     for record in data:
-        turns = np.unique([0, *reversals(record.u, _TURN * float(np.ptp(record.u))), len(record) - 1])
+        turns = np.unique([0, *reversals(record.u, _TURN * float(np.ptp(record.u))), len(record) - 1]).tolist()
         found = [(record.u[b] > record.u[a], _branch(record, a, b, inputs)) for a, b in itertools.pairwise(turns)]
         for pair in itertools.pairwise(found):
             if all(branch is not None for _, branch in pair):
