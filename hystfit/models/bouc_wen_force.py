@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import power_of
-from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -81,8 +81,8 @@ class BoucWenForce(AbstractHysteresis):
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
         states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
         u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
-        offsets = own_columns(records)
-        k = best_beside(np.column_stack([u, offsets]), states, y)
+        offsets = offset_columns(records)
+        k = best_column(np.column_stack([u, offsets]), states, y)
         theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets]), y)
         values = (theta[0], theta[1], rho[k], max(n[k], 1.05), theta[2])
         fields = lambda m: (m.kappa_x, m.kappa_w, m.rho, m.n, m.offset)
