@@ -101,16 +101,16 @@ def test_a_data_frame_takes_the_options_of_a_file() -> None:
     assert [len(record) for record in data] == [100, 100]
     assert {(record.u_unit, record.y_unit) for record in data} == {("A/m", "mT")}
     assert data[0].sampling_interval == pytest.approx(0.02)
-    with pytest.raises(hf.DataError, match="leave out sheet="):
+    with pytest.raises(DataError, match="leave out sheet="):
         hf.read(frame, sheet="one")
-    with pytest.raises(hf.ParameterError, match=r"hystfit\.read\(data, rate="):
+    with pytest.raises(ParameterError, match=r"hystfit\.read\(data, rate="):
         hf.fit(MODEL, frame, rate=50.0)
 
 
 def test_complex_numbers_are_refused_and_masked_ones_are_missing() -> None:
     """The imaginary part, and values under a mask, were used or dropped in silence."""
     for call in (lambda: hf.Record(U, U + 1j), lambda: hf.fit(MODEL, U, list(U + 1j))):
-        with pytest.raises(hf.DataError, match="complex"):
+        with pytest.raises(DataError, match="complex"):
             call()
     record = hf.Record(U, np.ma.masked_greater(U, 2.5))
     np.testing.assert_array_equal(np.isnan(record.y), U > 2.5)
