@@ -102,7 +102,7 @@ def test_a_quantity_that_the_model_misses_is_named_with_the_measured_one():
     assert coercive.measured == pytest.approx(0.5, abs=1e-6)
     assert coercive.differs == (abs(coercive.value - 0.5) > 2 * coercive.stderr)
     assert coercive.differs
-    assert "0.5 in the measured loop" in text_report(fit)
+    assert "0.5 A/m in the measured loop" in text_report(fit)
 
 
 def test_errors_are_the_spread_of_draws_from_the_covariance(fit):
