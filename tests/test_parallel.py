@@ -210,6 +210,7 @@ def test_likelihoods_of_many_walkers_come_out_of_the_kernel(monkeypatch: pytest.
     assert ran == [True]
 
 
+@pytest.mark.slow  # a descent in interpreted kernels; its linearizations are tested above
 def test_many_loops_are_solved_together_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     posed = problem(1)
     starts = np.asarray(posed.objective.coordinates.unconstrained(np.array([1.5, 0.0]), xp=np))
