@@ -97,8 +97,9 @@ def uncertainty(
     on, square, sought = live | pushed, rows, root is not None
     slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
-        root = np.zeros((int(on.sum()), x.size))
-        root[:, on] = least_squares_root(slow, jacobian[used][:, on] * y)
+        part = least_squares_root(slow, jacobian[used][:, on] * y)
+        root = np.zeros((len(part), x.size))
+        root[:, on] = part
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], columns(), plain)
         square, variance, unit = root, 1.0, 1 / plain

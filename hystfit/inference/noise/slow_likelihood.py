@@ -244,8 +244,8 @@ def _spread(function: Callable[[np.ndarray], float], center: np.ndarray) -> Floa
     return axes * np.minimum(1 / np.sqrt(np.maximum(size, 1e-12)), _WIDEST)
 
 
-def least_squares_root(fit: SlowNoiseFit, jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
-    """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'.
+def least_squares_root(fit: SlowNoiseFit, jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "k p"]:
+    """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'; k is the smaller of n and p.
 
     From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
     """
