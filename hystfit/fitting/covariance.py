@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
 from hystfit.fitting.estimate import Estimate
+from hystfit.inference.blocks import chosen, triangle
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
@@ -78,25 +79,28 @@ def uncertainty(
     relative = relative_size(problem.space, x)
     sides = np.array([{None: 0.0, "lower": 1.0, "upper": -1.0}[side] for side in problem.at_bound(x)])
     at_bound = sides != 0
-    rows = jacobian[used]
-    J = rows * relative
+    rows = chosen(jacobian, used)
+    R = triangle(rows)  # for all that does not depend on the order of the samples
+    steepness = rows.T @ residual[used]
+    J = R * relative
     natural = np.minimum(relative, np.asarray(space.coordinates.scale))
-    gain = np.linalg.norm(_centered(rows, space.offsets)[0] * natural, axis=0)
+    gain = np.linalg.norm(_centered(R, space.offsets)[0] * natural, axis=0)
     inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
     live = ~at_bound & ~inactive
     y = problem.scales.y
     few = int(live.sum()) <= FEW
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, (jacobian * relative)[:, live] if few else None)
+    live_columns = None if not few else jacobian if live.all() else jacobian[:, live]
+    analysis = ResidualAnalysis.of(problem.setting, residual * y, live_columns)
     time = analysis.correlation_time if correlated or root is not None else 1.0
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
     variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
     pushed = at_bound & (gain > 1e-9 * gain.max(initial=0.0))
-    on, square, sought = live | pushed, rows, root is not None
+    on, square, sought = live | pushed, R, root is not None
     slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
         root = np.zeros((int(on.sum()), x.size))
-        root[:, on] = least_squares_root(slow, rows[:, on] * y)
+        root[:, on] = least_squares_root(slow, rows if on.all() else rows[:, on], overwrite=True) * y
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
         square, variance, unit = root, 1.0, 1 / plain
@@ -106,13 +110,11 @@ def uncertainty(
     inside = None
     if live.any() and plain > 0 and 0 < np.isfinite(room[on]).sum() <= FEW:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(pushed, 0.0 if sought else (rows.T @ residual[used] + ridge * x) / plain, 0.0)
+        slope = np.where(pushed, 0.0 if sought else (steepness + ridge * x) / plain, 0.0)
         information = (square[:, on], variance, unit * ridge[on])
         bounds = (room[on], np.where(below < above, 1.0, -1.0)[on])
         inside = np.zeros((x.size, x.size))
-        inside[np.ix_(on, on)] = _inside(
-            rows[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on]
-        )
+        inside[np.ix_(on, on)] = _inside(R[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on])
     inner = _determined(problem, x, square, variance, live, None if estimate.penalty is None else unit * ridge, inside)
     inner["joint"][at_bound], inner["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(
@@ -204,7 +206,7 @@ def _inside(
     """Second moments about an estimate near bounds (`active_bounds`), shape (p, p).
 
     Args:
-        rows: Jacobian of what was minimized, shape (n, p).
+        rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
         ridge: of the same, shape (p,).
         plain: variance of its residuals.
         information: square root of the information (m, p), the variance of its rows, and its ridge (p,).
@@ -221,7 +223,8 @@ def _inside(
     known = (root.T @ root + np.diag(prior / size**2)) / variance
     # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
     away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (slope / size)
-    return back @ about_estimate(known, known @ away, bounds[0] * size, bounds[1]) @ back.T
+    moments = back @ about_estimate(known, known @ away, bounds[0] * size, bounds[1]) @ back.T
+    return 0.5 * (moments + moments.T)  # a saved fit keeps one half
 
 
 def _centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
+from hystfit.inference.blocks import parts
 from hystfit.models.base import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
@@ -52,10 +53,12 @@ class Objective(eqx.Module):
         r = self.predict(x) - self.batch.y
         return jnp.where(self.batch.weight > 0, jnp.where(jnp.isfinite(r), r, BROKEN * self.size), 0.0)
 
-    def linearize(self, x: Float[Array, " p"]) -> tuple[Float[Array, "R T"], Float[Array, "R T p"]]:
-        """`residual` and its derivatives, in one forward pass."""
+    def linearize(
+        self, x: Float[Array, " p"], directions: Float[Array, "k p"] | None = None
+    ) -> tuple[Float[Array, "R T"], Float[Array, "R T k"]]:
+        """`residual` and its derivatives, with respect to x or along directions, in one forward pass."""
         push = lambda t: jax.jvp(self.residual, (x,), (t,))
-        r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
+        r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]) if directions is None else directions)
         return r, jnp.moveaxis(J, 0, -1)
 
     def misfit(self, x: Float[Array, " p"]) -> Float[Array, " n"]:
@@ -88,20 +91,41 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
 
 
 @compiled
-def _linearize(objective: Objective, x: Array) -> tuple[Array, Array]:
-    return objective.linearize(x)
+def _linearize(objective: Objective, x: Array, directions: Array) -> tuple[Array, Array]:
+    return objective.linearize(x, directions)
 
 
-def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
+def linearized(
+    objective: Objective, x: Any, at: np.ndarray | None = None
+) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
     """`Objective.linearize` on the host, by one compiled program for all uses; 0 for derivatives whose squares cannot be added.
+
+    On long records as many derivatives at once as fit a block, one program for all groups.
 
     Args:
         objective: what is fitted.
         x: physical parameters, shape (p,).
+        at: numbers of the parameters to which the derivatives are, shape (k,); default: all.
     """
-    residual, jacobian = _linearize(objective, np.asarray(x, float))
-    steep = ~(np.abs(jacobian) < _STEEPEST)  # a root at zero, or a simulation beyond its stable range
-    return np.asarray(residual), np.where(steep, 0.0, jacobian) if steep.any() else np.asarray(jacobian)
+    x = np.asarray(x, float)
+    directions = np.eye(x.size) if at is None else np.eye(x.size)[at]
+    groups = list(parts(len(directions), objective.batch.u.size))
+    if len(groups) <= 1:
+        residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, directions))
+        return residual, _flat(jacobian)
+    out = np.empty((*objective.batch.u.shape, len(directions)))
+    for group in groups:
+        some = np.zeros((groups[0].stop, x.size))
+        some[: group.stop - group.start] = directions[group]
+        residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, some))
+        out[..., group] = _flat(jacobian[..., : group.stop - group.start])
+    return residual, out
+
+
+def _flat(jacobian: np.ndarray) -> np.ndarray:
+    """A Jacobian with 0 at a root at zero, or in a simulation beyond its stable range."""
+    steep = ~(np.abs(jacobian) < _STEEPEST)
+    return np.where(steep, 0.0, jacobian) if steep.any() else jacobian
 
 
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:
@@ -110,7 +134,7 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
     Args:
         objective: gives weights, size and loss.
         residual: shape (R, T).
-        jacobian: derivatives of the residuals, shape (R, T, p); None for the misfit alone.
+        jacobian: derivatives of the residuals, shape (R, T, p), overwritten where they may be; None for the misfit alone.
     """
     root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
     misfit, slope = (root * residual).reshape(-1), None
@@ -118,7 +142,8 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
         misfit, slope = (np.asarray(v) for v in bend_slope(to_device(misfit), objective.bend, objective.loss))
     if jacobian is None:
         return misfit
-    rows = (root[..., None] * jacobian).reshape(-1, jacobian.shape[-1])
+    own = jacobian if jacobian.flags.writeable else jacobian.copy()
+    rows = np.multiply(own, root[..., None], out=own).reshape(-1, jacobian.shape[-1])
     return misfit, rows if slope is None else slope[:, None] * rows
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
+from hystfit.inference.blocks import chosen, gram, qr
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes
 from hystfit.inference.noise.setting import Setting
@@ -58,7 +59,7 @@ class ResidualAnalysis:
         """
         samples = Samples.of(setting)
         on = samples.on.reshape(-1)
-        basis = np.zeros((int(on.sum()), 0)) if jacobian is None else np.linalg.qr(jacobian[on])[0]
+        basis = np.zeros((int(on.sum()), 0)) if jacobian is None else qr(chosen(jacobian, on))[0]
         return cls(samples, residual[on], basis)
 
     @functools.cached_property
@@ -107,8 +108,8 @@ class ResidualAnalysis:
     def _curved(self) -> SlowNoiseFit:
         slow = self.slow.noise
         ratio = (slow.white / slow.slow) ** 2
-        candidates = [self._with_curve(length) for length in _LENGTHS]
-        return fit_slow_noise(min(candidates, key=lambda contrasts: contrasts.at(ratio, slow.time)[0]))
+        length = min(_LENGTHS, key=lambda length: self._with_curve(length).at(ratio, slow.time)[0])
+        return fit_slow_noise(self._with_curve(length))
 
     @functools.cached_property
     def curve_size(self) -> float | None:
@@ -223,13 +224,12 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
         return None
     columns = curves(samples, _LENGTH)
-    rows = np.asfortranarray(np.column_stack([basis, residual, columns]))
-    gram, p = rows.T @ analysis.slow.noise.solve(rows), basis.shape[1]
-    gram = gram[p:, p:] - gram[p:, :p] @ np.linalg.solve(gram[:p, :p], gram[:p, p:])
-    size, axes = np.linalg.eigh(gram[1:, 1:])
+    joint, p = gram([basis, residual, columns], analysis.slow.noise.solve), basis.shape[1]
+    joint = joint[p:, p:] - joint[p:, :p] @ np.linalg.solve(joint[:p, :p], joint[:p, p:])
+    size, axes = np.linalg.eigh(joint[1:, 1:])
     kept = size > 1e-8 * size[-1]
     size, axes = size[kept], axes[:, kept]
-    score = axes.T @ gram[1:, 0]  # under slow noise alone normal with variances `size`
+    score = axes.T @ joint[1:, 0]  # under slow noise alone normal with variances `size`
     ideal = _chi_squares(size.size) @ size
     chance = (1 + np.count_nonzero(ideal >= score @ score)) / (_DRAWS + 1)
     strengths = np.geomspace(1e-3, 1e3, 61) / size[-1]
@@ -248,8 +248,10 @@ def _chi_squares(count: int) -> np.ndarray:
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
     shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), POINTS))
-    shapes = shapes * np.sqrt(samples.weight)[:, None]
-    return np.hstack([shapes * samples.rising[:, None], shapes * ~samples.rising[:, None]])
+    out, root = np.empty((len(shapes), 2 * shapes.shape[1]), order="F"), np.sqrt(samples.weight)
+    for half, branch in zip(np.split(out, 2, axis=1), (samples.rising, ~samples.rising), strict=True):
+        np.multiply(shapes, (root * branch)[:, None], out=half)
+    return out
 
 
 def _by_record(samples: Samples, values: np.ndarray) -> list[np.ndarray]:
