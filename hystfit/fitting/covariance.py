@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
 from hystfit.fitting.estimate import Estimate
+from hystfit.inference import blocks
 from hystfit.inference.blocks import chosen, triangle
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
@@ -89,8 +90,12 @@ def uncertainty(
     live = ~at_bound & ~inactive
     y = problem.scales.y
     few = int(live.sum()) <= FEW
-    live_columns = None if not few else jacobian if live.all() else jacobian[:, live]
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, live_columns)
+    columns = jacobian[:, live] if few else None
+    # A large one is computed again where it is needed again: the analysis of the residuals takes as much memory.
+    kept = rows if rows.size <= blocks.NUMBERS else None
+    del jacobian, rows
+    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns)
+    del columns
     time = analysis.correlation_time if correlated or root is not None else 1.0
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
@@ -100,6 +105,7 @@ def uncertainty(
     slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
         root = np.zeros((int(on.sum()), x.size))
+        rows = chosen(problem.linearize_misfit(x)[1], used) if kept is None else kept
         root[:, on] = least_squares_root(slow, rows if on.all() else rows[:, on], overwrite=True) * y
     if root is not None:
         ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-NUMBERS = 2**22  # of an array that is computed at once (32 MiB in double precision)
+NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
 
 
 def parts(size: int, other: int) -> Iterator[slice]:

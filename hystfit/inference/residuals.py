@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
-from hystfit.inference.blocks import chosen, gram, qr
+from hystfit.inference.blocks import chosen, gram, parts, qr
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes
 from hystfit.inference.noise.setting import Setting
@@ -55,11 +55,12 @@ class ResidualAnalysis:
         Args:
             setting: the data in the form that noise models need.
             residual: weighted residuals [y], shape (R T,).
-            jacobian: weighted derivatives with respect to the parameters, shape (R T, p); None without them.
+            jacobian: weighted derivatives with respect to the parameters, shape (R T, p), destroyed where it is large; None
+                without them.
         """
         samples = Samples.of(setting)
         on = samples.on.reshape(-1)
-        basis = np.zeros((int(on.sum()), 0)) if jacobian is None else qr(chosen(jacobian, on))[0]
+        basis = np.zeros((int(on.sum()), 0)) if jacobian is None else qr(chosen(jacobian, on), overwrite=True)[0]
         return cls(samples, residual[on], basis)
 
     @functools.cached_property
@@ -247,10 +248,11 @@ def _chi_squares(count: int) -> np.ndarray:
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
-    shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), POINTS))
-    out, root = np.empty((len(shapes), 2 * shapes.shape[1]), order="F"), np.sqrt(samples.weight)
-    for half, branch in zip(np.split(out, 2, axis=1), (samples.rising, ~samples.rising), strict=True):
-        np.multiply(shapes, (root * branch)[:, None], out=half)
+    out, root = np.empty((samples.place.size, 2 * POINTS), order="F"), np.sqrt(samples.weight)
+    for part in parts(len(out), 2 * POINTS):
+        shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place[part]), jnp.asarray(length), POINTS))
+        for half, branch in zip(np.split(out[part], 2, axis=1), (samples.rising, ~samples.rising), strict=True):
+            np.multiply(shapes, (root * branch)[part, None], out=half)
     return out
 
 
