@@ -50,8 +50,8 @@ def triangle(rows: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "m p"]:
     """R of `qr` alone, m = min(n, p)."""
     n, p = rows.shape
     blocks = _tall(n, p)
-    pieces = [np.linalg.qr(rows[part], mode="r") for part in blocks]
-    return pieces[0] if len(pieces) == 1 else np.linalg.qr(np.vstack(pieces), mode="r")
+    pieces = [np.asarray(np.linalg.qr(rows[part], mode="r")) for part in blocks]
+    return pieces[0] if len(pieces) == 1 else np.asarray(np.linalg.qr(np.vstack(pieces), mode="r"))
 
 
 def _tall(n: int, p: int) -> list[slice]:
