@@ -218,7 +218,7 @@ def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path
 )
 def test_a_late_response_is_exported_forward_only(model: hf.Series, tmp_path: Path) -> None:
     assert model.obstacle("export") is None
-    assert (model.obstacle("inverse") is None) == (model.led() is not None)
+    assert (model.obstacle("inverse") is None) == (model.output_resonance() is not None)
     program, u = build(model, tmp_path), path(-1.0, 1.0)
     expected = np.asarray(hf.simulate(model, u, 0.002)[0])
     assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)

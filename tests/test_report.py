@@ -24,7 +24,8 @@ from hystfit.outcome import Status
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.results import plots, report
-from hystfit.results.result import FitResult, ParameterEstimate
+from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.result import FitResult
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hystfit.fitting.verdict import with_left_out
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality.baselines import Baselines, play_positions
-from hystfit.results.accuracy import Limits, lasting
+from hystfit.results.accuracy import Limits, persistent_error
 
 N = 600
 T = np.arange(N) / 100
@@ -178,7 +178,7 @@ def test_limits_follow_what_the_data_admit():
 
 def test_an_error_of_one_sample_does_not_last():
     errors = np.array([0.0, 9.0, 0.0, 2.0, -3.0, 4.0, 0.0])
-    assert lasting(errors).max() == 2.0
+    assert persistent_error(errors).max() == 2.0
 
 
 def test_a_sequential_result_is_judged_by_the_same_limits():

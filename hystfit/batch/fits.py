@@ -18,7 +18,8 @@ from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Column, Status, Table
 from hystfit.registry import near
-from hystfit.results.result import FitResult, provenance
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.batch/1"
 _ERRORS = ("rmse", "error_percent", "max_error_percent")
@@ -222,7 +223,7 @@ class Fits:
     # -- overviews ------------------------------------------------------------------------------------------------------------
 
     def worst(self, count: int = _WORST) -> tuple[Row, ...]:
-        """Loops that need a look: those without a fit first, then those not usable, then the largest errors."""
+        """Loops to inspect: first those without a fit, then unusable ones, then those with the largest errors."""
         rank = lambda row: (row.status is not Status.FAILED, row.usable, -(row.error_percent or 0.0))
         return tuple(sorted(self.rows, key=rank)[:count])
 

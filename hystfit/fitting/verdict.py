@@ -20,7 +20,14 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
-from hystfit.results.accuracy import accuracy_note, is_noise, lasting, misses_the_loop, other_family, shortcomings
+from hystfit.results.accuracy import (
+    accuracy_note,
+    better_family_warning,
+    exceeded_limits,
+    is_noise,
+    is_single_valued_error,
+    persistent_error,
+)
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
@@ -37,7 +44,7 @@ _OFFSET = 0.5  # part of the test error that remains, below which a constant off
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
-    """What a verdict rests on.
+    """The data on which a verdict is based.
 
     Attributes:
         problem: what was fitted.
@@ -100,7 +107,7 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
     notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
-    found = (other_family(fitted.train, fitted.baselines), _initial_state(fitted))
+    found = (better_family_warning(fitted.train, fitted.baselines), _initial_state(fitted))
     notes += [note for note in found if note is not None]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
         notes += coverage_notes(fitted.data)
@@ -122,18 +129,18 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         text = f"{train.n} samples for {parameters} parameters: the fit is not tested by any sample"
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
-    unexplained = misses_the_loop(train.rmse, baselines) and not white
+    unexplained = is_single_valued_error(train.rmse, baselines) and not white
     if not fitted.model.from_saturation and percent <= _POOR and _is_single_valued(train, baselines, unexplained):
         text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
-    poor = None if white else _poor(fitted, unexplained)
+    poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
         return poor
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if white:
         return Status.OK, _noise_notes(fitted)
-    rough = shortcomings(train, fitted.rows, baselines)
+    rough = exceeded_limits(train, fitted.rows, baselines)
     return (Status.ROUGH if rough else Status.OK), [warn(Code.ROUGH_FIT, text) for text in rough]
 
 
@@ -142,7 +149,7 @@ def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -
     return exact or (unexplained and is_noise(min(train.rmse, baselines.curve), baselines))
 
 
-def _poor(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
+def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
     """Status and reason where the model does not describe the loop.
 
     The usual method has run from several starts; another one that did not converge says nothing about the model.
@@ -171,7 +178,7 @@ def _poor(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None
 
 def _noise_notes(fitted: Fitted) -> list[Note]:
     if fitted.percent <= _POOR and (
-        fitted.percent <= _ROUGH or not misses_the_loop(fitted.train.rmse, fitted.baselines)
+        fitted.percent <= _ROUGH or not is_single_valued_error(fitted.train.rmse, fitted.baselines)
     ):
         return []
     text = (
@@ -195,7 +202,7 @@ def _no_loop(data: Dataset) -> Note:
 
 def _initial_state(fitted: Fitted) -> Note | None:
     """A warning where the largest error lies in the first half cycle: the device did not start in the state of the model."""
-    size = [lasting(row) for row in fitted.rows]
+    size = [persistent_error(row) for row in fitted.rows]
     worst = int(np.argmax([row.max() for row in size]))
     record, errors = fitted.data[worst], size[worst]
     largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
@@ -234,7 +241,7 @@ class Trial:
     notes: tuple[Note, ...]
 
 
-def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
+def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
     """Judge a fit on records that were not fitted.
 
     Args:
@@ -246,7 +253,7 @@ def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool =
         HystfitError: the model cannot predict the records.
     """
     try:
-        records = [result.in_own_units(result.model.prepared(record)) for record in records]
+        records = [result.in_fitted_units(result.model.prepared(record)) for record in records]
         runs = [result.predict(record, refit_offset=refit_offset) for record in records]
     except HystfitError as error:
         raise type(error)(f"test data: {error}") from error
@@ -260,7 +267,7 @@ def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool =
         status = Status.POOR
         text = f"test data: the error is {percent:.3g} % of the range: the model does not describe these records"
         notes += _error(Code.TEST_ERROR, text)
-    elif reasons := shortcomings(metrics, rows, baselines):
+    elif reasons := exceeded_limits(metrics, rows, baselines):
         status = Status.ROUGH
         notes += [warn(Code.TEST_ERROR, f"test data: {text}") for text in reasons]
     notes.append(accuracy_note(metrics, baselines, "test error"))

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen_steps import passed_rates, power_of, semi_implicit
-from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
+from hystfit.models.bouc_wen_steps import power_of, rate_integral, semi_implicit
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -73,7 +73,7 @@ class BoucWenForce(AbstractHysteresis):
             power = lambda q: power_of(jnp.abs(q), self.n - 1.0)
             slope = self.rho - jnp.where(q >= 0, up, down) * power(q) * q
             middle = jnp.minimum(q + 0.5 * x * slope, one)  # the power there keeps the second order
-            return semi_implicit(q, x, self.rho, power(middle) * passed_rates(q, x, self.rho, up, down), one)
+            return semi_implicit(q, x, self.rho, power(middle) * rate_integral(q, x, self.rho, up, down), one)
 
         w = s * jax.lax.fori_loop(0, self.substeps, once, s * state[0])
         return w[None], self.offset + self.kappa_x * u1 + self.kappa_w * w
@@ -84,8 +84,8 @@ class BoucWenForce(AbstractHysteresis):
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
         states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
         u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
-        offsets = own_columns(records)
-        k = best_beside(np.column_stack([u, offsets]), states, y)
+        offsets = offset_columns(records)
+        k = best_column(np.column_stack([u, offsets]), states, y)
         theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets]), y)
         values = (theta[0], theta[1], rho[k], max(n[k], 1.05), theta[2])
         fields = lambda m: (m.kappa_x, m.kappa_w, m.rho, m.n, m.offset)
