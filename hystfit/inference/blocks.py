@@ -25,8 +25,8 @@ def chosen(rows: np.ndarray, on: np.ndarray) -> np.ndarray:
 
 def qr(
     rows: Float[np.ndarray, "n p"], *, overwrite: bool = False
-) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "p p"]]:
-    """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), of matrices with more rows than columns.
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "m p"]]:
+    """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), m = min(n, p).
 
     Args:
         rows: the matrix.

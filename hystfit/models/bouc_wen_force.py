@@ -15,6 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import power_of, rate_integral, semi_implicit
+from hystfit.models.c_code import CPart, template
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -77,6 +78,11 @@ class BoucWenForce(AbstractHysteresis):
 
         w = s * jax.lax.fori_loop(0, self.substeps, once, s * state[0])
         return w[None], self.offset + self.kappa_x * u1 + self.kappa_w * w
+
+    def c_part(self) -> CPart:
+        """One state; the substeps of `step`."""
+        names = ("kappa_x", "kappa_w", "rho", "sigma", "n", "w0", "offset", "substeps")
+        return CPart(template("bouc_wen_force.c"), 1, {name.upper(): getattr(self, name) for name in names})
 
     def start(self, records: Sequence[Record]) -> BoucWenForce:
         """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""

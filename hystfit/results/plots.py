@@ -140,8 +140,10 @@ def _selected_cycles(trace: _Trace) -> dict[str, tuple[int, slice]]:
         return {}
     size = np.where(counted, trace.residual, np.nan)
     errors = [float(np.nanmean(size[a : c + 1] ** 2)) for a, _, c in found]
-    at = {"first": 0, "last": len(found) - 1, "largest error": int(np.argmax(errors))}
-    return {name: (k + 1, slice(int(found[k, 0]), int(found[k, 2]) + 1)) for name, k in at.items()}
+    worst = int(np.argmax(errors))
+    at = {"first": 0, "last": len(found) - 1, "largest error": worst}
+    cut = lambda k: slice(int(found[k, 0]), int(found[k, 2]) + 1)
+    return {name: (k + 1, cut(k)) for name, k in at.items() if k != worst or name == "largest error"}
 
 
 def selects_cycles(result: FitResult) -> bool:

@@ -318,9 +318,10 @@ class FitResult:
         outside &= record.used
         if not outside.any():
             return None
+        span = f"{low:.4g} to {high:.4g} {record.u_unit}".rstrip()
         text = (
-            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs "
-            f"({low:.4g} to {high:.4g} {record.u_unit}): the prediction there is an extrapolation"
+            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs ({span}): the prediction "
+            "there is an extrapolation"
         )
         return warn(Code.EXTRAPOLATION, text)
 
