@@ -11,12 +11,11 @@ import dataclasses
 
 import numpy as np
 
+from hystfit.quality.baselines import play_positions
+
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
-NEAR = (
-    0.12,
-    0.2,
-    0.35,
-)  # range of a fit as a fraction of the shorter neighboring branch; the first with enough samples
+# Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
+NEAR = 0.12, 0.2, 0.35
 MOST_TURNS = 40
 
 
@@ -170,18 +169,6 @@ def _over_turns(
     return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
 
 
-def plays(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """Backlash (play) of every threshold [unit of u], started at rest in the middle, shape (T, K)."""
-    u = np.asarray(u, dtype=float)
-    low, high = u[:, None] - thresholds, u[:, None] + thresholds
-    out = np.empty(low.shape)
-    state = np.full(len(thresholds), u[0])
-    for k in range(u.size):
-        state = np.minimum(np.maximum(state, low[k]), high[k])
-        out[k] = state
-    return out
-
-
 def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 6000) -> float | None:
     """Share of the variance unexplained by a rate-independent model that velocity terms explain.
 
@@ -205,14 +192,15 @@ def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 60
     x = 2 * (u - u.min()) / np.ptp(u) - 1
     speed = np.gradient(x, t)
     scale = np.sqrt(np.mean(speed**2))
-    play = plays(x, np.geomspace(0.02, 0.8, 8))
+    play = play_positions(x, np.geomspace(0.02, 0.8, 8))
     base = [np.ones_like(x), x, x**2, x**3, t - t[0], *play.T, *(play**2).T]
     fast = [speed / scale, np.tanh(speed / scale), np.tanh(3 * speed / scale)]
-    slow, full = (_unexplained(np.stack(columns, axis=1)[used], y[used]) for columns in (base, base + fast))
+    slow, full = (unexplained(np.stack(columns, axis=1)[used], y[used], 1e-6) for columns in (base, base + fast))
     return float(1 - full / slow) if slow > 0 else 0.0
 
 
-def _unexplained(design: np.ndarray, y: np.ndarray) -> float:
+def unexplained(design: np.ndarray, y: np.ndarray, rcond: float) -> float:
+    """Mean square of what columns of any scale, shape (T, K), leave of y by least squares; `rcond` as for `numpy.linalg.lstsq`."""
     design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-    solution = np.linalg.lstsq(design, y, rcond=1e-6)[0]
+    solution = np.linalg.lstsq(design, y, rcond=rcond)[0]
     return float(np.mean((y - design @ solution) ** 2))

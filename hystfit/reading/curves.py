@@ -75,9 +75,8 @@ def split_curves(
         clock = table.columns[choice.time]
         runs_on = [k for k in restart if clock[k] > clock[k - 1]]
         if runs_on:
-            notes.append(
-                Note(Code.CURVES, f"{len(runs_on)} repeated header rows do not begin a curve: time continues there")
-            )
+            text = f"{len(runs_on)} repeated header rows do not begin a curve: time continues there"
+            notes.append(Note(Code.CURVES, text))
         restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
     new = np.zeros(table.rows, dtype=bool)
     new[restart] = True
@@ -127,11 +126,8 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
             continue
         count = len(set(labels_of(table, position).tolist()))
         if 1 < count <= table.rows / 2:
-            notes.append(
-                Note(
-                    Code.CURVES, f"column {name!r} has {count} values: --by {name} (by={name!r}) reads each as a record"
-                )
-            )
+            text = f"column {name!r} has {count} values: --by {name} (by={name!r}) reads each as a record"
+            notes.append(Note(Code.CURVES, text))
 
 
 def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError
+from hystfit.errors import DataError, ModelError, ParameterError, optional
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
@@ -184,10 +184,7 @@ class FitResult:
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        pandas = optional("pandas", "frames", "to_dataframe")
         rows = [{"name": p.name, **p.to_dict(), "doc": p.doc} for p in self.parameters]
         numbers = dict.fromkeys(("value", "stderr", "lower", "upper"), float)
         return pandas.DataFrame(rows).set_index("name").astype(numbers)
