@@ -31,12 +31,9 @@ def matrix(n: int, p: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(1000, 6), (100, 7), (33, 30), (5, 9)])
-def test_triangular_factors_are_those_of_the_whole(shape: tuple[int, int], small: int) -> None:
+def test_factors_are_those_of_the_whole(shape: tuple[int, int], small: int) -> None:
     rows = matrix(*shape)
-    R = blocks.triangle(rows)
     size = np.linalg.norm(rows, axis=0) + (np.linalg.norm(rows, axis=0) == 0)
-    np.testing.assert_allclose((R / size).T @ (R / size), (rows / size).T @ (rows / size), atol=1e-12)
-    np.testing.assert_array_equal(np.tril(R, -1), 0.0)
     Q, R = blocks.qr(rows.copy(), overwrite=True)
     np.testing.assert_array_equal(Q, blocks.qr(rows)[0])
     np.testing.assert_allclose(Q.T @ Q, np.eye(min(shape)), atol=1e-12)

@@ -94,6 +94,29 @@ def test_columns_of_every_kind_are_the_same_record(make, y: np.ndarray) -> None:
     np.testing.assert_allclose(t - t[0], T, atol=1e-8)
 
 
+def test_a_data_frame_takes_the_options_of_a_file() -> None:
+    frame = pd.DataFrame({"loop": np.arange(200) // 100, "field": U, "moment": U**2})
+    data = hf.read(frame, by="loop", rate=50.0, units="A/m,mT")
+    assert isinstance(data, hf.Dataset)
+    assert [len(record) for record in data] == [100, 100]
+    assert {(record.u_unit, record.y_unit) for record in data} == {("A/m", "mT")}
+    assert data[0].sampling_interval == pytest.approx(0.02)
+    with pytest.raises(DataError, match="leave out sheet="):
+        hf.read(frame, sheet="one")
+    with pytest.raises(ParameterError, match=r"hystfit\.read\(data, rate="):
+        hf.fit(MODEL, frame, rate=50.0)
+
+
+def test_complex_numbers_are_refused_and_masked_ones_are_missing() -> None:
+    """The imaginary part, and values under a mask, were used or dropped in silence."""
+    for call in (lambda: hf.Record(U, U + 1j), lambda: hf.fit(MODEL, U, list(U + 1j))):
+        with pytest.raises(DataError, match="complex"):
+            call()
+    record = hf.Record(U, np.ma.masked_greater(U, 2.5))
+    np.testing.assert_array_equal(np.isnan(record.y), U > 2.5)
+    assert 0 < record.used.sum() < U.size
+
+
 class Polars:
     """A data frame that offers what those of polars do: names in `columns`, columns by name, and no index."""
 

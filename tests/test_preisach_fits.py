@@ -15,7 +15,7 @@ from hystfit.errors import DataError, ModelError
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
 from hystfit.models.preisach.design_matrix import features
-from hystfit.models.preisach.levels import sharp_levels
+from hystfit.models.preisach.levels import sharp_levels, steep_levels
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
@@ -67,6 +67,34 @@ class TestWeights:
         seen = fit.reach > 0.5
         assert seen.sum() > 60
         np.testing.assert_allclose(np.asarray(fit.model.w)[seen], np.asarray(model.w)[seen], atol=5e-3)
+
+    @pytest.mark.parametrize("symmetric", [False, True])
+    def test_levels_are_dense_where_a_saturating_loop_switches(self, symmetric):
+        """A hard magnet that switches within 3 % of the fields: evenly spread levels miss its coercivity."""
+        field = np.concatenate([np.linspace(1, -1, 201), np.linspace(-1, 1, 201)[1:]])
+        sign = np.append(np.ones(201), -np.ones(200))
+        record = Record(field, np.tanh(30 * (field + 0.1 * sign)) + 0.1 * field)
+        fits = {
+            name: fit_preisach(record, 12, spacing=name, symmetric=symmetric, smoothness=[1e-6])
+            for name in ("square" if symmetric else "quantile", "uniform", "steep")
+        }
+        errors = [fit.nrmse_percent for fit in fits.values()]
+        assert errors[-1] < 0.3 * min(errors[:-1])
+        levels = np.asarray(fits["steep"].model.levels)
+        assert (levels[0], levels[-1]) == (-1.0, 1.0)
+        relays, _ = steep_levels([record], 9, 0.0 if symmetric else None, relays=True)
+        assert relays.size == 9
+        assert -1 < relays[0] < relays[-1] < 1
+
+    def test_a_steady_cycle_without_history_is_fitted_from_the_state_after_a_cycle(self):
+        """One period that begins at zero field, on a branch and not in the demagnetized state."""
+        model, period = truth(), np.sin(np.linspace(0, 2 * np.pi, 121))
+        record = Record(period, output(model, np.tile(period, 3))[-121:])
+        errors = [fit_preisach(r, model, smoothness=[1e-14]).nrmse_percent for r in (record, record.repeating())]
+        assert errors[0] > 1.0
+        assert errors[1] < 0.01
+        with pytest.raises(DataError, match="no period of a cycle"):
+            Record(period[:90], period[:90]).repeating()
 
     def test_cells_that_the_data_never_switched_are_told(self):
         model = truth("negative")

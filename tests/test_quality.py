@@ -832,3 +832,16 @@ def test_noise_is_no_loop_and_a_faint_loop_in_noise_is_one(seed):
     y = np.asarray(simulate(BoucWen(c=0.15, mu=0.1, tau=0.1, rho=0.5), u)[0])
     faint = check(Record(u=u, y=y + 0.1 * rng.normal(size=t.size), t=t))
     assert faint.records[0].shape.circulation == "counter-clockwise"
+
+
+def test_a_calibration_point_is_no_branch_of_a_loop():
+    """Reversal curves of a magnet, each after one sample at saturation: they show no direction of a loop."""
+    fields = [np.concatenate([[6.0], np.linspace(low, 6.0, 60)]) for low in (-1.0, -2.0, -3.0)]
+    weight = np.append(0.0, np.ones(60))
+    labels = {"u_unit": "Oe", "y_unit": "emu"}
+    curves = [
+        Record(u, np.tanh(u - 0.2 * u[1]), weight=weight, name=f"curve={k}", **labels) for k, u in enumerate(fields)
+    ]
+    report = check(Dataset(tuple(curves)))
+    assert [record.shape for record in report.records] == [None] * 3
+    assert not any("clockwise" in reason for item in report.determines for reason in item.reasons)

@@ -10,7 +10,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.quality.loops import loop_area
-from hystfit.results.quantities import QUANTITIES, Excitation, Trade, Unknown, applicable
+from hystfit.results.quantities import QUANTITIES, Excitation, Trade, Unknown, applicable, measured_quantities
 from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.report import html_report, text_report
 
@@ -74,6 +74,35 @@ def test_values_are_those_of_the_measured_loop_within_their_errors(fit, record):
     widths = [np.interp(level, branch, inputs) for branch in (smooth[: half + 1], smooth[half:][::-1])]
     coercive = found["coercive_input"]
     assert coercive.value == pytest.approx(0.5 * abs(widths[0] - widths[1]), abs=4 * coercive.stderr)
+
+
+def test_measured_quantities_need_no_model():
+    """A play of threshold 0.3 between -1 and 1: a parallelogram, of which the corners give everything."""
+    corners = np.array([[-1.0, -0.7], [-0.4, -0.7], [1.0, 0.7], [0.4, 0.7], [-1.0, -0.7]])
+    path = np.linspace(0, 4, 161)
+    loop = [np.interp(path, np.arange(5), corners[:, k]) for k in (0, 1)]
+    record = hf.Record(np.tile(loop[0][:-1], 3), np.tile(loop[1][:-1], 3), u_unit="A/m", y_unit="T")
+    half = hf.Record(0.5 * record.u, 0.5 * record.y, u_unit="A/m", y_unit="T", name="half")
+    found = measured_quantities(hf.Dataset((half, record)))
+    expected = {"loop_area": 0.84, "coercive_input": 0.3, "remanence": 0.3, "stroke": 1.4}
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=2e-3), name
+    wider = hf.Record(np.array([-1.0, 2.0]), np.zeros(2), u_unit="A/m", y_unit="T", name="wider")
+    assert measured_quantities(hf.Dataset((record, wider))) == {}
+
+
+def test_a_quantity_that_the_model_misses_is_named_with_the_measured_one():
+    """A Bouc-Wen law on a loop that switches: its error bar is far smaller than its error."""
+    inputs = np.linspace(-1, 1, 101)
+    branch = np.tanh(20 * (inputs - 0.5))
+    u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), 3)
+    y = np.tile(np.concatenate([branch[:-1], -branch[:-1]]), 3)
+    fit = hf.fit(TRUTH, hf.Record(u, y, u_unit="A/m", y_unit="T"), starts=1, noise="iid")
+    coercive = {q.name: q for q in fit.quantities}["coercive_input"]
+    assert coercive.measured == pytest.approx(0.5, abs=1e-6)
+    assert coercive.differs == (abs(coercive.value - 0.5) > 2 * coercive.stderr)
+    assert coercive.differs
+    assert "0.5 A/m in the measured loop" in text_report(fit)
 
 
 def test_errors_are_the_spread_of_draws_from_the_covariance(fit):
@@ -164,7 +193,7 @@ def test_gaps_have_their_reason(fit):
     found = {q.name: q for q in dataclasses.replace(fit, joint=unseen).quantities}
     assert found["loop_area"].reason is Unknown.NOT_DETERMINED
     assert found["loop_area"].to_dict() == {
-        "value": None, "stderr": None, "unit": "kN mm", "reason": "not-determined"
+        "value": None, "stderr": None, "unit": "kN mm", "reason": "not-determined", "measured": fit.quantities[0].measured
     }  # fmt: skip
     loose = dataclasses.replace(fit, joint=1e10 * fit.joint)
     assert {q.reason for q in loose.quantities if q.name == "remanence"} == {Unknown.NOT_DETERMINED}

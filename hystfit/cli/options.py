@@ -121,7 +121,8 @@ class Split:
         test_window: report the error on these samples, which are not fitted.
         test: another file (or data set) to report the error on.
         test_only: curves to report the error on (with --by), which are not fitted.
-        rest: input at which the device was in equilibrium before each record, such as 0; default: the first input of the record.
+        rest: input at which the device was in equilibrium before each record, such as 0, or "cycle" where each record is one
+            period of a steady cycle; default: the first input of the record.
         refit_offset: shift the prediction of each test record to its mean (another zero of the sensor).
     """
 
@@ -129,7 +130,7 @@ class Split:
     test_window: Part = None
     test: Part = None
     test_only: Part = None
-    rest: Annotated[float | None, Parameter(group=SPLIT)] = None
+    rest: Annotated[float | Literal["cycle"] | None, Parameter(group=SPLIT)] = None
     refit_offset: Flag = False
 
 

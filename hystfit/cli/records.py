@@ -171,8 +171,8 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     if test is not None and test_window is not None:
         test = test.map(lambda record: record.window(*test_window))
     if (level := split.rest) is not None:
-        train = train.map(lambda record: record.resting_on(level))
-        test = test and test.map(lambda record: record.resting_on(level))
+        before = lambda record: record.repeating() if level == "cycle" else record.resting_on(level)
+        train, test = train.map(before), test and test.map(before)
     _refuse_overlap(train, test)
     return train, test
 

@@ -1,14 +1,30 @@
-"""Changes of a column before a fit, on arrays: time from a sampling rate, clocks that repeat stamps, smoothing, integration."""
+"""Changes of a column before a fit, on arrays: real numbers, time from a sampling rate, coarse clocks, smoothing, integration."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError
 
 _ORDER = 2  # of the polynomials of the smoothing filter
+
+
+def real_numbers(values: Any) -> np.ndarray:
+    """A new array of floating-point numbers, masked values NaN.
+
+    Raises:
+        TypeError: complex numbers, or no numbers.
+        ValueError: text that is no number, or rows of different lengths.
+    """
+    array = np.asanyarray(values)
+    if np.iscomplexobj(array):
+        raise TypeError("complex numbers: give the real column that was measured, such as y.real")
+    if isinstance(array, np.ma.MaskedArray):
+        return array.astype(np.float64).filled(np.nan)
+    return np.array(values, dtype=np.float64)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.preparation import integral, interval_of, smooth
+from hystfit.data.preparation import integral, interval_of, real_numbers, smooth
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
 
+_OPEN = 0.03  # of the input's range: gap between the ends of one period
 _LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma", "metadata")
 
 
@@ -25,9 +26,7 @@ def median_interval(steps: np.ndarray) -> float | None:
 
 def _column(name: str, values: object) -> np.ndarray:
     try:
-        array = np.array(
-            values, dtype=np.float64
-        )  # a copy, so that later changes of the argument do not reach the record
+        array = real_numbers(values)  # a copy, so that later changes of the argument do not reach the record
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be numbers: {error}") from error
     if array.ndim != 1:
@@ -221,6 +220,30 @@ class Record:
         longer = self.replace(u=before(u0, self.u), y=before(np.nan, self.y), t=t, weight=before(0.0, self.weight))
         level = f"{u0:g} {self.u_unit}".rstrip()
         return longer.noted(Code.PREPARED, f"assumed in equilibrium at an input of {level} before the record begins")
+
+    def repeating(self, cycles: int = 1) -> Record:
+        """Prepend the record itself as unmeasured samples: it is one period of a motion that has long been steady.
+
+        The state before the first sample is then the one after the cycle, and no virgin branch. One cycle is enough for models
+        with return-point memory (plays, stops, Preisach); others take several.
+
+        Raises:
+            DataError: the input does not come back to where it began.
+        """
+        gap = abs(float(self.u[-1] - self.u[0]))
+        if cycles < 1 or gap > _OPEN * float(np.ptp(self.u)):
+            raise DataError(
+                f"record {self.name!r} is no period of a cycle: its input begins at {self.u[0]:g} and ends at {self.u[-1]:g} "
+                f"{self.u_unit}".rstrip()
+            )
+        before = lambda column, value: np.concatenate([np.full(cycles * len(self), value), column])
+        t = self.t
+        if t is not None:
+            period = t[-1] - t[0] + self.dt[-1]
+            t = np.concatenate([t - k * period for k in range(cycles, -1, -1)])
+        u = np.tile(self.u, cycles + 1)
+        longer = self.replace(u=u, y=before(self.y, np.nan), t=t, weight=before(self.weight, 0.0))
+        return longer.noted(Code.PREPARED, f"driven through its own cycle {cycles} x before it begins (a steady cycle)")
 
     def sampled(self, rate: float | None = None, dt: float | None = None) -> Record:
         """Copy whose samples are evenly spaced in time from 0 s on; any other time is replaced.

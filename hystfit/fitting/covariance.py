@@ -9,11 +9,11 @@ import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
 from hystfit.fitting.estimate import Estimate
-from hystfit.inference import blocks
-from hystfit.inference.blocks import chosen, triangle
+from hystfit.inference.blocks import chosen
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
+from hystfit.inference.triangle import triangle
 from hystfit.params.space import relative_size
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
@@ -80,35 +80,28 @@ def uncertainty(
     relative = relative_size(problem.space, x)
     sides = np.array([{None: 0.0, "lower": 1.0, "upper": -1.0}[side] for side in problem.at_bound(x)])
     at_bound = sides != 0
-    rows = chosen(jacobian, used)
-    R = triangle(rows)  # for all that does not depend on the order of the samples
-    steepness = rows.T @ residual[used]
-    J = R * relative
+    # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
+    rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
     natural = np.minimum(relative, np.asarray(space.coordinates.scale))
-    gain = np.linalg.norm(_centered(R, space.offsets)[0] * natural, axis=0)
+    gain = np.linalg.norm(_centered(rows, space.offsets)[0] * natural, axis=0)
     inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
     live = ~at_bound & ~inactive
     y = problem.scales.y
     few = int(live.sum()) <= FEW
-    columns = jacobian[:, live] if few else None
-    # A large one is computed again where it is needed again: the analysis of the residuals takes as much memory.
-    kept = rows if rows.size <= blocks.NUMBERS else None
-    del jacobian, rows
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns)
-    del columns
+    columns = lambda: (chosen(jacobian, used) * relative)[:, live]
+    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if few else None)
     time = analysis.correlation_time if correlated or root is not None else 1.0
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
     variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
     pushed = at_bound & (gain > 1e-9 * gain.max(initial=0.0))
-    on, square, sought = live | pushed, R, root is not None
+    on, square, sought = live | pushed, rows, root is not None
     slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
         root = np.zeros((int(on.sum()), x.size))
-        rows = chosen(problem.linearize_misfit(x)[1], used) if kept is None else kept
-        root[:, on] = least_squares_root(slow, rows if on.all() else rows[:, on], overwrite=True) * y
+        root[:, on] = least_squares_root(slow, jacobian[used][:, on] * y, overwrite=True)
     if root is not None:
-        ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
+        ratio = _ratio(root[:, live] * relative[live], columns(), plain)
         square, variance, unit = root, 1.0, 1 / plain
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
     below, above = _rooms(problem, x)
@@ -116,11 +109,13 @@ def uncertainty(
     inside = None
     if live.any() and plain > 0 and 0 < np.isfinite(room[on]).sum() <= FEW:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(pushed, 0.0 if sought else (steepness + ridge * x) / plain, 0.0)
+        slope = np.where(pushed, 0.0 if sought else (residual @ jacobian + ridge * x) / plain, 0.0)
         information = (square[:, on], variance, unit * ridge[on])
         bounds = (room[on], np.where(below < above, 1.0, -1.0)[on])
         inside = np.zeros((x.size, x.size))
-        inside[np.ix_(on, on)] = _inside(R[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on])
+        inside[np.ix_(on, on)] = _inside(
+            rows[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on]
+        )
     inner = _determined(problem, x, square, variance, live, None if estimate.penalty is None else unit * ridge, inside)
     inner["joint"][at_bound], inner["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from typing import Any
 
 from hystfit.config import require_x64
@@ -19,10 +20,13 @@ from hystfit.inference.objective import Loss
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
-from hystfit.reading.in_memory import is_frame, records_of
+from hystfit.reading.frames import is_frame
+from hystfit.reading.in_memory import records_of
+from hystfit.reading.read import read
 from hystfit.results.result import FitResult
 
 _OF_SEQUENTIAL = "duhem"  # the model that "auto" means where an identifier runs over the samples
+_OF_READ = signature(read).parameters
 
 
 def fit(
@@ -83,6 +87,11 @@ def fit(
         HystfitError: data, names or settings that cannot be used; the message names the remedy.
     """
     require_x64()
+    if of_read := [name for name in settings if name in _OF_READ and not is_sequential(method)]:
+        raise ParameterError(
+            f"{of_read[0]}= is an option of hystfit.read, which takes files and data frames: "
+            f"hystfit.fit(model, hystfit.read(data, {of_read[0]}=...))"
+        )
     records = records_of(data, y, t, u=u)
     tested = None if test is None else records_of(test, y, t, u=u) if is_frame(test) else records_of(test)
     options = {

@@ -46,14 +46,6 @@ def qr(
     return Q, R
 
 
-def triangle(rows: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "m p"]:
-    """R of `qr` alone, m = min(n, p)."""
-    n, p = rows.shape
-    blocks = _tall(n, p)
-    pieces = [np.asarray(np.linalg.qr(rows[part], mode="r")) for part in blocks]
-    return pieces[0] if len(pieces) == 1 else np.asarray(np.linalg.qr(np.vstack(pieces), mode="r"))
-
-
 def _tall(n: int, p: int) -> list[slice]:
     """Blocks of rows with at least as many rows as columns."""
     blocks = list(parts(n, p))

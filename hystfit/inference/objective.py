@@ -182,8 +182,9 @@ def linearized(
 
 def _flat(jacobian: np.ndarray) -> np.ndarray:
     """A Jacobian with 0 at a root at zero, or in a simulation beyond its stable range."""
-    steep = ~(np.abs(jacobian) < _STEEPEST)
-    return np.where(steep, 0.0, jacobian) if steep.any() else jacobian
+    if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
+        return jacobian
+    return np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)
 
 
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:

@@ -48,10 +48,11 @@ class _Turn:
 
 
 def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
+    if noise is None or noise <= 3e-4 * np.ptp(u) or u.size <= 7:
+        return u
     from scipy.signal import savgol_filter
 
-    noisy = noise is not None and noise > 3e-4 * np.ptp(u)
-    return np.asarray(savgol_filter(u, 7, 2)) if noisy and u.size > 7 else u
+    return np.asarray(savgol_filter(u, 7, 2))
 
 
 def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
@@ -80,18 +81,18 @@ def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, nea
 def _misfit(turn: _Turn, y: np.ndarray, spline: object, delays: np.ndarray) -> np.ndarray:
     """Residual sum of squares of the two polynomials at every delay, shape (D,)."""
     value = y[turn.index]
-    squares = []
-    for delay in delays:
-        when = turn.index - delay
-        s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
-        after = when > turn.at
-        columns = [np.ones_like(s)]
-        columns += [np.where(after, 0.0, s) ** power for power in range(1, SIDES[0] + 1)]
-        columns += [np.where(after, s, 0.0) ** power for power in range(1, SIDES[1] + 1)]
-        design = np.stack(columns, axis=1)
-        solution = np.linalg.lstsq(design, value, rcond=1e-9)[0]
-        squares.append(np.sum((value - design @ solution) ** 2))
-    return np.array(squares)
+    when = turn.index - delays[:, None]
+    s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
+    before, after = np.where(when > turn.at, 0.0, s), np.where(when > turn.at, s, 0.0)
+    columns = [
+        np.ones_like(s),
+        *(before**k for k in range(1, SIDES[0] + 1)),
+        *(after**k for k in range(1, SIDES[1] + 1)),
+    ]
+    basis, size, _ = np.linalg.svd(np.stack(columns, axis=2), full_matrices=False)
+    basis = np.where((size > 1e-9 * size[:, :1])[:, None, :], basis, 0.0)
+    fitted = basis @ (value @ basis)[:, :, None]
+    return np.sum((value - fitted[:, :, 0]) ** 2, axis=1)
 
 
 def _lowest(delays: np.ndarray, misfit: np.ndarray) -> float | None:

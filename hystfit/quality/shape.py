@@ -12,6 +12,7 @@ from hystfit.quality.loops import Loop, closed_loops, loop_area, loop_branches
 
 _SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
 _CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
+_FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
@@ -66,7 +67,8 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     closed = bool(spans) and max(stroke for _, _, stroke in spans) > 0.5 * np.ptp(u)
     if not closed:
         spans = [(int(a), int(c), abs(u[b] - u[a])) for a, b, c in cycles]
-    measured = lambda start, stop: stop - start >= 7 and np.isfinite(y[start : stop + 1]).all()
+    whole = lambda u, y: u.size > 7 and np.isfinite(y).all() and _FEWEST <= _turn(u) < u.size - _FEWEST
+    measured = lambda start, stop: whole(u[start : stop + 1], y[start : stop + 1])
     usable = [span for span in spans if measured(*span[:2])]
     if not usable:
         return None
@@ -100,10 +102,15 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     )
 
 
+def _turn(u: np.ndarray) -> int:
+    """The turning point inside one loop that begins at another."""
+    return int(np.argmin(u) if u[0] > 0.5 * (u.min() + u.max()) else np.argmax(u))
+
+
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
     lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= _CLOSED * np.ptp(u)
-    if not 0 < lowest < u.size - 1 or not closes or not abs(y[-1] - y[0]) <= _CLOSED * np.ptp(y):
+    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= _CLOSED * np.ptp(y):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)

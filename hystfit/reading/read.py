@@ -19,6 +19,7 @@ from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
 from hystfit.reading.file_bytes import inner_name
+from hystfit.reading.frames import frame_table, is_frame
 from hystfit.reading.raw_table import Table
 from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
@@ -34,7 +35,7 @@ _RARE = 0.5  # share of the rows with text below which a column of text holds co
 
 
 def read(
-    path: str | Path | Sequence[str | Path],
+    path: str | Path | Sequence[str | Path] | Any,
     *,
     time: Column | bool | None = None,
     input: Column | None = None,
@@ -60,7 +61,7 @@ def read(
     Args:
         path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5, also packed as .gz .bz2 .xz; or several of
             them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and
-            its output in the second.
+            its output in the second. Or a data frame (pandas, polars, a dictionary of columns).
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
             `time=False` reads without time.
         sigma: column with the standard deviation of the output of each sample, from which the weights follow.
@@ -84,9 +85,13 @@ def read(
     """
     layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding}
     columns = {"time": time, "input": input, "output": output}
-    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
-    treatment = Treatment(rate, dt, units, integrate, smooth)
-    return _read_all(path, lambda file: table_of(file, **layout), columns, rows | {"treatment": treatment}, name)
+    options = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    options["treatment"] = Treatment(rate, dt, units, integrate, smooth)
+    if is_frame(path):
+        if file_options := [key for key, value in layout.items() if value is not None]:
+            raise DataError(f"a data frame is no file: leave out {file_options[0]}=")
+        return assemble(frame_table(path), **columns, **options, name=name or "data")
+    return _read_all(path, lambda file: table_of(file, **layout), columns, options, name)
 
 
 def table_of(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,9 +17,15 @@ from jaxtyping import Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.params.units import quantity
-from hystfit.quality.loops import cycles
+from hystfit.quality.loops import cycles, reversals
 
 _CYCLES, _POINTS = 3, 400
+_WHOLE, _GRID = (
+    0.01,
+    2001,
+)  # gap to the fitted range, in parts of it, within which a measured cycle covers it; inputs of its branches
+_TURN = 0.05  # of the input's range: smallest reversal that ends a measured branch
+_APART = 2.0  # standard errors between a model's quantity and the measured one that are worth a word
 _LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
@@ -239,6 +246,7 @@ class QuantityEstimate:
         value: None where it is unknown.
         stderr: standard error to first order; None where it is unknown.
         reason: why one of them is unknown; None where both are known.
+        measured: that of the measured loops, without a model; None where no measured cycle covers the fitted range.
     """
 
     name: str
@@ -246,10 +254,23 @@ class QuantityEstimate:
     stderr: float | None
     unit: str
     reason: Unknown | None = None
+    measured: float | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the model's value is further than two standard errors from the measured one."""
+        known = self.value is not None and self.stderr is not None and self.measured is not None
+        return known and abs(self.value - self.measured) > _APART * self.stderr  # type: ignore[operator]
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
-        return {"value": self.value, "stderr": self.stderr, "unit": self.unit, "reason": self.reason}
+        return {
+            "value": self.value,
+            "stderr": self.stderr,
+            "unit": self.unit,
+            "reason": self.reason,
+            "measured": self.measured,
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -300,6 +321,38 @@ class Excitation:
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
         """Creep a decade in percent of the step, from outputs over `step`, shape (count, T)."""
         return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, 2] - y[:, 1])
+
+
+def measured_quantities(data: Dataset) -> dict[str, float]:
+    """Quantities of the loops as measured, by name, without a model: medians over the loops that cover the range of all records.
+
+    Samples are joined by straight lines. Empty where no two successive branches cover the range.
+    """
+    excitation = Excitation.of(data)
+    inputs = np.linspace(excitation.low, excitation.high, _GRID)
+    branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    for record in data:
+        turns = np.unique([0, *reversals(record.u, _TURN * float(np.ptp(record.u))), len(record) - 1]).tolist()
+        found = [(record.u[b] > record.u[a], _branch(record, a, b, inputs)) for a, b in itertools.pairwise(turns)]
+        for pair in itertools.pairwise(found):
+            if all(branch is not None for _, branch in pair):
+                for rises, branch in pair:
+                    branches[bool(rises)].append(branch)
+    if not branches[True]:
+        return {}
+    loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.trade is Trade.FORCE_DRIVEN)
+    values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
+    return {name: value for name, value in values.items() if np.isfinite(value)}
+
+
+def _branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:
+    """The measured output at inputs between two turning points; None where the branch does not cover them."""
+    kept = first + np.flatnonzero(record.used[first : last + 1])
+    kept = kept[np.argsort(record.u[kept], kind="stable")]
+    u, slack = record.u[kept], _WHOLE * float(inputs[-1] - inputs[0])
+    if not kept.size or u[0] > inputs[0] + slack or u[-1] < inputs[-1] - slack:
+        return None
+    return np.interp(inputs, u, record.y[kept])
 
 
 def _interval(data: Dataset) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,14 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.params.space import relative_size
-from hystfit.results.quantities import QUANTITIES, Excitation, QuantityEstimate, Unknown, applicable
+from hystfit.results.quantities import (
+    QUANTITIES,
+    Excitation,
+    QuantityEstimate,
+    Unknown,
+    applicable,
+    measured_quantities,
+)
 from hystfit.results.result import FitResult
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
@@ -31,12 +39,13 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     size, linear = relative_size(space, x), np.array([info.linear for info in space.infos], dtype=bool)
     excitation = Excitation.of(result.data)
     values = _values(result, excitation, lambda record: _perturbed(result, record, _STEP * size, linear))
-    scales, rows = result.problem.scales, []
+    scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{y} {u}": scales.y * scales.u}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
-        rows.append(_estimate(result, name, float(y[0]), change, size, natural))
+        one = _estimate(result, name, float(y[0]), change, size, natural)
+        rows.append(dataclasses.replace(one, measured=measured.get(name)))
     return tuple(rows)
 
 

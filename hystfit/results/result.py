@@ -120,6 +120,11 @@ class FitResult:
         """
         return _view("quantity_estimates:quantity_estimates")(self)
 
+    @functools.cached_property
+    def answer(self) -> tuple[tuple[str, str], ...]:
+        """Names and values at the top of the report, the most important first."""
+        return _view("report.answer:numbers_of")(self)
+
     @property
     def usable(self) -> bool:
         """Whether the status is `Status.OK`."""

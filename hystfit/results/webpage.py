@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import html
 import io
 import json
@@ -32,11 +33,15 @@ class Picture:
     caption: str
     wide: bool = False
 
+    @functools.cached_property
+    def svg(self) -> bytes:
+        """The figure as vector graphics, laid out once."""
+        return svg(self.figure)
+
     def html(self) -> str:
         """As vector graphics within the page."""
-        drawn = svg(self.figure)
         source, panels = (
-            base64.b64encode(drawn).decode("ascii"),
+            base64.b64encode(self.svg).decode("ascii"),
             html.escape(json.dumps(_panels(self.figure)), quote=True),
         )
         words, mark = html.escape(self.caption, quote=True), ' class="wide"' if self.wide else ""

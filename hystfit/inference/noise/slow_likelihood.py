@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dpttrf, dpttrs
 
 from hystfit.inference.blocks import gram, parts, qr
+from hystfit.inference.noise.even_noise import EvenRows
 from hystfit.inference.noise.setting import Setting
 
 POINTS = 12  # inducing points of curves over the input
@@ -157,6 +158,15 @@ class Contrasts:
     length: float = 1.0
 
     @functools.cached_property
+    def rows(self) -> np.ndarray:
+        """[basis, residual, shapes]."""
+        return np.asfortranarray(np.column_stack([self.basis, self.residual, self.shapes]))
+
+    @functools.cached_property
+    def _even(self) -> EvenRows | None:
+        return EvenRows.of(self.rows, self.samples.gap, self.samples.weight)
+
+    @functools.cached_property
     def expected(self) -> float:
         """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
         along, n = self.basis.T @ self.shapes, self.residual.size
@@ -171,8 +181,11 @@ class Contrasts:
         Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior.
         """
         n, p = self.basis.shape
-        solve, log_det = _solver(self.samples, ratio, time)
-        joint = gram([self.basis, self.residual, self.shapes], solve)
+        if self._even is not None:
+            joint, log_det = self._even.at(ratio, time)
+        else:
+            solve, log_det = _solver(self.samples, ratio, time)
+            joint = gram([self.basis, self.residual, self.shapes], solve)
         factor = np.linalg.cholesky(joint[:p, :p] + 1e-12 * np.trace(joint[:p, :p]) * np.eye(p))
         half = scipy.linalg.solve_triangular(factor, joint[:p, p:], lower=True)
         inner = joint[p:, p:] - half.T @ half

@@ -7,10 +7,12 @@ from typing import Literal
 
 import numpy as np
 
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.quality.reversal_curves import ReversalFamily
 
-Spacing = Literal["quantile", "square", "uniform", "reversal-curves", "given"]
+Spacing = Literal["quantile", "square", "uniform", "steep", "reversal-curves", "given"]
+_BINS = 400  # of the input's range, in which slopes are averaged
 
 
 def choose_levels(
@@ -62,6 +64,47 @@ def choose_levels(
     else:
         values = low + (high - low) * share if spacing == "uniform" else np.quantile(u, share)
     return _rising(values, high - low), center
+
+
+def steep_levels(records: Sequence[Record], n: int, center: float | None, *, relays: bool) -> tuple[np.ndarray, float]:
+    """Levels over the range of measured inputs, denser where the rising or the falling branches are steep, and the center.
+
+    Args:
+        records: measured loops.
+        n: cells, or relay levels, along each axis.
+        center: about which the levels are symmetric; None spreads them over the range, whose middle is the center.
+        relays: n levels in the middle of intervals; else n + 1 edges of cells.
+
+    Raises:
+        DataError: a constant input.
+    """
+    low, high = min(float(r.u.min()) for r in records), max(float(r.u.max()) for r in records)
+    if low == high:
+        raise DataError(f"the input is constant ({low:g}): it gives no range for thresholds")
+    axis = np.linspace(low, high, _BINS + 1)
+    branches = [part for sign in (1, -1) if (part := _slopes(records, axis, sign))[0].size]
+    if center is not None:
+        half = max(high - center, center - low)
+        low, high = center - half, center + half
+        branches = [(np.append(u, 2 * center - u), np.append(slope, slope)) for u, slope in branches]
+    edges = sharp_levels([(np.append(u, [low, high]), np.append(s, [0.0, 0.0])) for u, s in branches], n, power=0.75)
+    if center is not None:
+        edges = 0.5 * (edges + 2 * center - edges[::-1])
+    return 0.5 * (edges[1:] + edges[:-1]) if relays else edges, 0.5 * (low + high)
+
+
+def _slopes(records: Sequence[Record], axis: np.ndarray, sign: int) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of the bins that rising (sign 1) or falling branches cross, and the mean slope dy/du in each."""
+    run, rise = np.zeros((2, axis.size - 1))
+    for record in records:
+        kept = np.flatnonzero(np.isfinite(record.y))
+        u, y = record.u[kept], record.y[kept]
+        moves = sign * np.diff(u) > 0
+        middle = 0.5 * (u[1:] + u[:-1])[moves]
+        run += np.histogram(middle, axis, weights=np.diff(u)[moves])[0]
+        rise += np.histogram(middle, axis, weights=np.diff(y)[moves])[0]
+    crossed = run != 0
+    return 0.5 * (axis[1:] + axis[:-1])[crossed], rise[crossed] / run[crossed]
 
 
 def levels_of_family(family: ReversalFamily, n: int, *, relays: bool) -> np.ndarray:

@@ -22,7 +22,7 @@ from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.everett import mirror, second_differences
-from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family
+from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family, steep_levels
 from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
@@ -153,9 +153,9 @@ class Preisach(AbstractPlane):
             elements: "cells" or "relays".
             initial: state before the record.
             spacing: "quantile" (equal shares of the samples), "square" (distances from the center that grow as squares),
-                "uniform", "reversal-curves" (denser where such curves are steep; the model then starts from the saturation
-                that they came from, regardless of `initial`), or "given" (leave the levels alone); None takes "square" where
-                symmetric, "quantile" elsewhere.
+                "uniform", "steep" (denser where the branches are steep), "reversal-curves" (denser where such curves are
+                steep; the model then starts from the saturation that they came from, regardless of `initial`), or "given"
+                (leave the levels alone); None takes "square" where symmetric, "quantile" elsewhere.
             depth: extrema that the sample-by-sample form remembers; the compiled form has no limit.
 
         Raises:
@@ -213,6 +213,10 @@ class Preisach(AbstractPlane):
             levels = levels_of_family(family, self.n, relays=self.elements == "relays")
             center = 0.5 * float(levels[0] + levels[-1])
             initial: Rest = "positive" if family.rising else "negative"
+        elif self.spacing == "steep":
+            initial, relays = self.initial, self.elements == "relays"
+            about = float(self.center) if self.symmetric else None
+            levels, center = steep_levels(records, self.n, about, relays=relays)
         else:
             initial = self.initial
             levels, center = choose_levels(
@@ -235,7 +239,7 @@ class Preisach(AbstractPlane):
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the input leaves the levels, beyond which the model has no relays."""
         low, high = float(self.levels[0]), float(self.levels[-1])
-        slack = 1e-9 * (high - low)
+        slack = 1e-4 * (high - low)  # calibration points and the noise of a field sensor lie so far outside
         out = (u < low - slack) | (u > high + slack)
         if self.elements == "relays" or not out.any():
             return ()
@@ -306,7 +310,7 @@ class Preisach(AbstractPlane):
         known = sorted({even(size) for size in _SIZES if size <= min(distinct, _MOST[self.from_saturation])})
         changes += [{"n": size} for size in ([k for k in known if k < n][-1:] + [k for k in known if k > n][:1])]
         if not self.from_saturation:
-            spacings = ("square", "uniform") if self.symmetric else ("quantile", "uniform")
+            spacings = ("square", "uniform", "steep") if self.symmetric else ("quantile", "uniform", "steep")
             changes += [{"n": n, "spacing": spacing} for spacing in spacings if spacing != self.spacing]
             if not self.symmetric and not _start_at_an_end(records):
                 changes += [{"n": n, "initial": rest} for rest in get_args(Rest) if rest != self.initial]

@@ -54,12 +54,16 @@ def loops_of(data: Dataset) -> str:
 
 
 def answer(result: FitResult, wording: Wording | None = None) -> list[tuple[str, str]]:
-    """Names and values, the most important first."""
-    commands = next_commands(result, wording or Wording())
+    """Names and values, the most important first, and the next commands."""
+    return [*result.answer, ("Next", "\n".join(next_commands(result, wording or Wording())))]
+
+
+def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
+    """Names and values without commands; `result.answer` keeps them."""
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
         rows.append(lag)
-    return [*rows, ("Not determined", _undetermined(result)), ("Next", "\n".join(commands))]
+    return (*rows, ("Not determined", _undetermined(result)))
 
 
 def _error(result: FitResult) -> str:
@@ -85,7 +89,8 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             continue
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
-        rows.append((_capital(one.label), f"{value}{known} {q.unit}".rstrip()))
+        beside = f"; {f'{q.measured:.4g} {q.unit}'.rstrip()} in the measured loop" if q.differs else ""
+        rows.append((_capital(one.label), f"{value}{known} {q.unit}".rstrip() + beside))
     return rows
 
 

@@ -15,7 +15,7 @@ from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
-from hystfit.results.webpage import Page, Picture, svg
+from hystfit.results.webpage import Page, Picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +66,7 @@ def html_report(
     result: FitResult, *, test: Data | None = None, refit_offset: bool = False, wording: Wording | None = None
 ) -> str:
     """One self-contained HTML page with its pictures."""
-    return _page(result, pictures(result, test=test, refit_offset=refit_offset), wording or Wording())
+    return _page(result, _captioned(pictures(result, test=test, refit_offset=refit_offset)), wording or Wording())
 
 
 def notebook_view(result: FitResult) -> str:
@@ -77,13 +77,16 @@ def notebook_view(result: FitResult) -> str:
     return fragment(headline(result), (advice, *tables, result.notes))
 
 
-def _page(result: FitResult, figures: dict[str, Figure], wording: Wording) -> str:
-    shown = [Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures]
+def _captioned(figures: dict[str, Figure]) -> dict[str, Picture]:
+    return {name: Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures}
+
+
+def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str:
     status = "Usable." if result.usable else f"Not usable as it is: {wording.translate(result.advice)}."
     in_words = lambda notes: [wording.translate(str(note)) for note in notes]
     sections = [
         ("Verdict", [in_words(verdict(result))]),
-        ("Pictures", [shown]),
+        ("Pictures", [list(shown.values())]),
         (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
         (ERRORS, [metrics_table(result)]),
         ("Parameters", [parameter_table(result, meaning=True), fixed_words(result)]),
@@ -98,7 +101,8 @@ def _png(figure: Figure) -> bytes:
 
     buffer = io.BytesIO()
     figure.dpi = _DPI
-    FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws everything twice
+    # `savefig` draws everything twice; stronger compression takes longer than drawing the curves
+    FigureCanvasAgg(figure).print_png(buffer, pil_kwargs={"compress_level": 1})
     figure.dpi = 100
     return buffer.getvalue()
 
@@ -140,10 +144,10 @@ def write_into(
 ) -> None:
     """Write the files of `write` into an existing folder, with its arguments."""
     wording = wording or Wording()
-    figures = pictures(result, test=test, refit_offset=refit_offset)
+    shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
     (folder / "report.txt").write_text(wording.translate(text_report(result, wording)), encoding="utf-8")
-    for name, figure in figures.items():
-        (folder / f"{name}.png").write_bytes(_png(figure))
-        figure.set_layout_engine("none")  # as laid out for the PNG
-        (folder / f"{name}.svg").write_bytes(svg(figure))
-    (folder / "report.html").write_text(_page(result, figures, wording), encoding="utf-8")
+    for name, picture in shown.items():
+        (folder / f"{name}.png").write_bytes(_png(picture.figure))
+        picture.figure.set_layout_engine("none")  # as laid out for the PNG
+        (folder / f"{name}.svg").write_bytes(picture.svg)
+    (folder / "report.html").write_text(_page(result, shown, wording), encoding="utf-8")

@@ -28,14 +28,14 @@ def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
 
 
 def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
-    """Quantities of the trade with their standard errors, and the reason where one is unknown.
+    """Quantities of the trade with their standard errors, those of the measured loops, and the reason where one is unknown.
 
     Args:
         result: the fit.
         meaning: with a column that defines them.
     """
     left = lambda head: Column(head, left=True)
-    columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), left("")]
+    columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), Column("measured"), left("")]
     rows = [_quantity_row(q) for q in result.quantities]
     return Table([*columns, left("definition")], rows) if meaning else Table(columns, [row[:-1] for row in rows])
 
@@ -43,7 +43,8 @@ def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
 def _quantity_row(q: QuantityEstimate) -> list[str]:
     one = QUANTITIES[q.name]
     shown = ("-", "-") if q.value is None else rounded(q.value, q.stderr)
-    return [one.label, *shown, q.unit, "" if q.reason is None else q.reason.text, one.doc]
+    measured = "-" if q.measured is None else f"{q.measured:.4g}"
+    return [one.label, *shown, q.unit, measured, "" if q.reason is None else q.reason.text, one.doc]
 
 
 def _row(name: str, family: list[ParameterEstimate]) -> list[str]:
