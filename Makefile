@@ -56,9 +56,10 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 mutations: setup  ## put faults into library and surrogates, and see that the experiments notice each (experiments/MUTATIONS.md)
 	$(BIN)/python experiments/mutations.py
 
-hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, NIST
+hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, full disks, interrupts, NIST
 	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
 	$(BIN)/python -m tests.hard.fits
+	$(BIN)/python -m tests.hard.faults
 	$(BIN)/python -m tests.hard.strd
 
 benchmarks: setup  ## speed beside other programs: one table of ratios, which fails below the recorded floors
@@ -83,7 +84,8 @@ VERSIONED := tests/test_versions.py tests/test_saved_fits.py tests/test_bouc_wen
 versions: setup  ## a selection of tests under the oldest and the newest Python and dependencies that are to be had
 	$(BIN)/python -m pip install --quiet 'uv>=0.8'
 	@status=0; for case in "3.11 lowest-direct" "3.13 highest"; do set -- $$case; \
-	  found=$$(UV_PYTHON_DOWNLOADS=never $(BIN)/uv python find $$1 2>/dev/null) || { echo "skipped: no Python $$1 on this machine"; continue; }; \
+	  found=$$(PATH=$$(printf '%s:' "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/$$1.*/bin)$$PATH \
+	    UV_PYTHON_DOWNLOADS=never $(BIN)/uv python find $$1 2>/dev/null) || { echo "skipped: no Python $$1 on this machine"; continue; }; \
 	  echo "== Python $$1, $$2"; env=build/versions/$$1; \
 	  $(BIN)/uv venv --quiet --clear --python $$found $$env && \
 	  $(BIN)/uv pip install --quiet --resolution $$2 --python $$env/bin/python --editable '.[bayes,files,frames]' \

@@ -93,12 +93,15 @@ def force(u, dt, kappa_x, kappa_w, rho, sigma, n, w, offset, substeps):
     before = u[0]
     for k in range(u.size):
         s = -1.0 if u[k] < before else 1.0
-        half = 0.5 * rho * abs(u[k] - before) / substeps
+        x = abs(u[k] - before) / substeps
         before = u[k]
         q = s * w
         for _ in range(substeps):
-            kappa = (1.0 if q >= 0 else 2 * sigma - 1) * abs(q) ** (n - 1)
-            q = min(((1 - half * kappa) * q + 2 * half) / (1 + half * kappa), 1.0)
+            rate = 1.0 if q >= 0 else 2 * sigma - 1
+            middle = min(q + 0.5 * rho * x * (1 - rate * abs(q) ** (n - 1) * q), 1.0)
+            below = min(max(-q, 0.0), rho * x)
+            half = 0.5 * abs(middle) ** (n - 1) * (rho * x + 2 * (sigma - 1) * below)
+            q = max(min(((1 - half) * q + rho * x) / (1 + half), 1.0), q)
         w = s * q
         y[k] = offset + kappa_x * u[k] + kappa_w * w
     return y

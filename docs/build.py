@@ -90,7 +90,7 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
 
 
 def copy_results(source: Path) -> None:
-    """Copy the numbers and pictures of the experiments, and the changelog, as pages."""
+    """Copy the numbers and pictures of the experiments, the changelog and the promises, as pages."""
     for page in sorted((ROOT / "experiments").glob("*/RESULTS.md")):
         target = source / "results" / page.parent.name
         target.mkdir(parents=True)
@@ -98,6 +98,7 @@ def copy_results(source: Path) -> None:
         for picture in page.parent.glob("*.png"):
             shutil.copy2(picture, target)
     shutil.copy2(ROOT / "CHANGELOG.md", source / "changelog.md")
+    shutil.copy2(ROOT / "SECURITY.md", source / "promises.md")
 
 
 def copy_notebooks(source: Path, quick: bool) -> None:

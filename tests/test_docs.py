@@ -104,3 +104,16 @@ def test_public_names_say_what_they_take(name):
         assert undocumented(member) == []
     elif inspect.isfunction(member) and len(inspect.signature(member).parameters) >= 3:
         assert "Args:" in member.__doc__
+
+
+@pytest.mark.parametrize("page", ["SECURITY.md", "docs/guide/hard-use.md"])
+def test_commands_of_promises_name_tests_that_exist(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    modules = re.findall(r"`python -m (tests[.\w]+)", text)
+    commands = re.findall(r"`pytest (tests/\w+\.py)(?: -k (\"[^\"]+\"|\w+))?`", text)
+    assert len(modules) + len(commands) == text.count("`python -m ") + text.count("`pytest ")
+    assert all((ROOT / f"{module.replace('.', '/')}.py").is_file() for module in modules)
+    for path, chosen in commands:
+        names = re.findall(r"def (test_\w+)", (ROOT / path).read_text(encoding="utf-8"))
+        for word in re.findall(r"\w+", chosen):
+            assert word in ("or", "and", "not") or any(word in name for name in names), f"{path} -k {word}"

@@ -15,6 +15,7 @@ import hystfit as hf
 from hystfit.errors import DataError, HystfitError
 from hystfit.sampling import files
 
+from .hard import faults
 from .saved_examples import fitted, posterior_of
 
 
@@ -189,3 +190,20 @@ def test_a_run_file_that_is_damaged_is_refused_or_computed_again(old, tmp_path):
                 np.testing.assert_array_equal(draw().draws, whole)
             except DataError:
                 assert sampler == "emcee"
+
+
+def test_runs_of_shell_verbs_are_judged_by_what_they_leave(old, tmp_path):
+    """The judge of `tests.hard.faults`, whose full form runs each verb dozens of times."""
+    judge = lambda status, said="hystfit: no space left": faults.fault_of("fit", tmp_path / "fit", status, said)
+    assert judge(2) == judge(130, "") == ""
+    for status, said in ((0, ""), (-11, ""), (2, "Traceback (most recent call last): ..."), (2, "")):
+        assert judge(status, said)
+    old.save(tmp_path / "fit", report=False)
+    assert judge(0, "") == judge(130, "") == ""
+    (tmp_path / "fit" / "records.npz").write_bytes(b"")
+    assert "records.npz" in judge(130, "")
+
+
+@pytest.mark.slow
+def test_a_fit_survives_full_disks_interrupts_and_a_second_run():
+    assert faults.main(2, list(faults.KINDS), ["fit"]) == 0

@@ -77,7 +77,9 @@ def test_an_origin_far_away_changes_no_value_error_or_status(model) -> None:
 def test_more_weights_than_samples_of_which_most_are_at_zero_are_reported_as_poor():
     t = np.linspace(0, 4, 60)
     u = np.sin(2 * np.pi * t) * (0.2 + 0.2 * t)
-    y = np.asarray(hf.simulate(hf.BoucWenForce(kappa_x=1.0, kappa_w=3.0, rho=6.0), u)[0])  # clockwise: no Preisach model
+    y = np.asarray(
+        hf.simulate(hf.BoucWenForce(kappa_x=1.0, kappa_w=3.0, rho=6.0), u)[0]
+    )  # clockwise: no Preisach model
     result = hf.fit(hf.Preisach.of(12), hf.Record(u=u, y=y, t=t))
     assert len(result.x) > 60
     assert sum(p.at_bound is not None for p in result.parameters) > 60

@@ -262,6 +262,27 @@ def test_a_fit_opens_as_it_was_saved(result, saved):
     assert {path.name for path in saved.iterdir()} == {"result.json", "model.json", "records.npz", "manifest.json"}
 
 
+def test_a_fit_with_weights_near_their_bounds_opens_as_it_was_saved(tmp_path):
+    """Its covariance is that of a truncated normal; a saved fit keeps one half of it."""
+    made = hf.fit("prandtl-ishlinskii:plays=4", loop(), starts=1)
+    assert hf.load_fit(made.save(tmp_path / "fit", report=False)).to_dict() == made.to_dict()
+
+
+def test_a_damaged_covariance_is_refused_under_a_manifest_that_fits(saved):
+    """The reader of .npz files meets damage in one array when that array is read, not when the file is opened."""
+    content = (saved / "records.npz").read_bytes()
+    place = content.index(b"known.npy")
+    damages = {
+        "name": content[:place] + b"unown.npy" + content[place + 9 :],
+        "content": content[: place + 40] + bytes([content[place + 40] ^ 255]) + content[place + 41 :],
+    }
+    for damaged in damages.values():
+        (saved / "records.npz").write_bytes(damaged)
+        reseal(saved)
+        with pytest.raises(DataError, match=r"records\.npz"):
+            hf.load_fit(saved)
+
+
 def test_a_posterior_opens_as_it_was_saved(result, sampled):
     made, opened = posterior_of(result), hf.load_posterior(sampled)
     np.testing.assert_array_equal(opened.draws, made.draws)
@@ -320,6 +341,7 @@ WRONG = {
     "number": ("residuals", {"sigma": "0.1", "correlation_time_samples": 1.0, "error_ratio_to_iid": 1.0}),
     "truth": ("method", {"name": "lm", "starts": True, "in_best_basin": 1}),
     "covariance": ("covariance", [[1.0]]),
+    "variance": ("covariance", (-np.eye(5)).tolist()),
     "parameters": ("parameters", {"c": 1.0}),
     "names": ("free_names", ["c"]),
     "metrics": ("metrics", {"train": None, "test": None}),

@@ -98,6 +98,8 @@ def _compared(
     trial = evaluate_on(result, measured, refit_offset=refit_offset) if measured and finite else None
     notes = list(dict.fromkeys(note for record in data for note in record.notes if note.code is Code.UNITS))
     notes += [] if trial is None else [note for note in trial.notes if note not in notes]
+    advice = dict.fromkeys(line for record in data for line in result.model.advice(record.u, record.dt))
+    notes += [warn(Code.MODEL_ADVICE, line) for line in advice]
     for record in data:
         if trial is None or not record.used.any():
             whole = record.replace(weight=np.ones(len(record)))

@@ -12,7 +12,7 @@ from hystfit.cli.catalog import finish_table
 from hystfit.cli.options import STDOUT, Output, Trust, lists, named_values
 from hystfit.cli.write import items, record_columns
 from hystfit.errors import DataError, ParameterError
-from hystfit.outcome import Table
+from hystfit.outcome import Code, Severity, Table
 from hystfit.signals.registry import SIGNALS
 
 if TYPE_CHECKING:
@@ -310,6 +310,8 @@ def _respond(
     y = model.free_run(u, blank.dt)
     if not np.isfinite(y).all():
         raise DataError(f"{what} is not finite on this signal: sample it faster (--rate) or change --set")
+    for line in model.advice(u, blank.dt):
+        blank = blank.noted(Code.MODEL_ADVICE, line, Severity.WARNING)
     return blank.replace(y=y + (noise or 0.0) * np.random.default_rng(seed).standard_normal(y.size))
 
 

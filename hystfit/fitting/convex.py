@@ -8,31 +8,19 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
-from jaxtyping import Array
 
 from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.objective import Objective
+from hystfit.inference.blocks import chosen, parts, spread
+from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 from hystfit.models.design import FAR
 from hystfit.outcome import Code, Note
-from hystfit.params.host_arrays import to_device
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 0))
 _BLOCKS = 5
-
-
-@eqx.filter_jit
-def _respond(objective: Objective, x: Array, at: Array) -> tuple[Array, Array]:
-    """Prediction with the linear parameters at zero, (R T,), and the response to each of them, (R T, p)."""
-    x = x.at[at].set(0.0)
-    predict = lambda w: objective.predict(x.at[at].set(w)).reshape(-1)
-    zero = jnp.zeros(at.shape[0], x.dtype)
-    return predict(zero), jax.jacfwd(predict)(zero)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,15 +60,19 @@ class LinearSystem:
         if np.isfinite(upper).any() or (np.isfinite(lower) & (lower != 0)).any():
             names = [problem.space.names[k] for k in at]
             raise ModelError(f"linear parameters must be free or >= 0 for a convex fit: {names}; use method='trf'")
-        base, columns = (np.asarray(v) for v in _respond(problem.objective, to_device(x), to_device(at)))
+        without = np.array(x, dtype=float)
+        without[at] = 0.0
+        misfit, columns = linearized(problem.objective, without, at)
         batch = problem.objective.batch
         weight = np.asarray(batch.weight).reshape(-1)
         used = weight > 0
         root = np.sqrt(weight[used])
-        target = (np.asarray(batch.y).reshape(-1) - base)[used] * root
+        columns = chosen(columns.reshape(used.size, -1), used)
+        if (root != 1).any():
+            columns = columns * root[:, None]
         ridged = np.array([not problem.space.infos[k].per_record for k in at])
         block = _block_of(used, batch.u.shape)
-        return cls(columns[used] * root[:, None], target, ~np.isfinite(lower), ridged, block, weight[used])
+        return cls(columns, -misfit.reshape(-1)[used] * root, ~np.isfinite(lower), ridged, block, weight[used])
 
     def take(self, at: Sequence[int]) -> LinearSystem:
         """The system with some of its columns only."""
@@ -110,13 +102,19 @@ class LinearSystem:
         Returns:
             The matrices, the scale of each column, and the number of samples of each block.
         """
-        scale = self.columns.std(axis=0)
+        scale = spread(self.columns)
         scale = np.where(scale > 1e-9 * max(scale.max(initial=0.0), 1e-300), scale, np.inf)
         constant = ~self.ridged  # an offset has no spread, and needs no common scale
         scale[constant] = 1.0
-        joint = np.column_stack([self.columns / scale, self.target - self.columns @ self.origin])
-        blocks = [joint[self.block == k] for k in range(self.block.max() + 1)]
-        return np.stack([part.T @ part for part in blocks]), scale, np.array([len(part) for part in blocks])
+        n, p = self.columns.shape
+        grams = np.zeros((int(self.block.max()) + 1, p + 1, p + 1))
+        for part in parts(n, p + 1):
+            some, block = self.columns[part], self.block[part]
+            joint = np.column_stack([some / scale, self.target[part] - some @ self.origin])
+            for k in np.unique(block):
+                rows = joint[block == k]
+                grams[k] += rows.T @ rows
+        return grams, scale, np.bincount(self.block)
 
 
 def linear_positions(problem: Problem) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
 from hystfit.fitting.estimate import Estimate
+from hystfit.inference.blocks import chosen
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
@@ -87,7 +88,7 @@ def uncertainty(
     live = ~at_bound & ~inactive
     y = problem.scales.y
     few = int(live.sum()) <= FEW
-    columns = lambda: (jacobian[used] * relative)[:, live]
+    columns = lambda: (chosen(jacobian, used) * relative)[:, live]
     analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if few else None)
     time = analysis.correlation_time if correlated or root is not None else 1.0
     freedom = max(int(used.sum()) - int(live.sum()), 1)
@@ -97,7 +98,7 @@ def uncertainty(
     on, square, sought = live | pushed, rows, root is not None
     slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
-        part = least_squares_root(slow, jacobian[used][:, on] * y)
+        part = least_squares_root(slow, jacobian[used][:, on] * y, overwrite=True)
         root = np.zeros((len(part), x.size))
         root[:, on] = part
     if root is not None:
@@ -207,7 +208,7 @@ def _inside(
     """Second moments about an estimate near bounds (`active_bounds`), shape (p, p).
 
     Args:
-        rows: Jacobian of what was minimized, shape (n, p).
+        rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
         ridge: of the same, shape (p,).
         plain: variance of its residuals.
         information: square root of the information (m, p), the variance of its rows, and its ridge (p,).
@@ -224,7 +225,8 @@ def _inside(
     known = (root.T @ root + np.diag(prior / size**2)) / variance
     # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
     away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (slope / size)
-    return back @ about_estimate(known, known @ away, bounds[0] * size, bounds[1]) @ back.T
+    moments = back @ about_estimate(known, known @ away, bounds[0] * size, bounds[1]) @ back.T
+    return 0.5 * (moments + moments.T)  # a saved fit keeps one half
 
 
 def _centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

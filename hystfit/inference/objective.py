@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
+from hystfit.inference.blocks import parts
 from hystfit.models.base import run
 from hystfit.models.parallel.kernel import linear_run
 from hystfit.models.parallel.route import Route, on_gpu, route
@@ -55,13 +56,15 @@ class Objective(eqx.Module):
         r = self.predict(x) - self.batch.y
         return jnp.where(self.batch.weight > 0, jnp.where(jnp.isfinite(r), r, BROKEN * self.size), 0.0)
 
-    def linearize(self, x: Float[Array, " p"]) -> tuple[Float[Array, "R T"], Float[Array, "R T p"]]:
-        """`residual` and its derivatives, in one forward pass."""
-        if self._steps_suit_lanes:
+    def linearize(
+        self, x: Float[Array, " p"], directions: Float[Array, "k p"] | None = None
+    ) -> tuple[Float[Array, "R T"], Float[Array, "R T k"]]:
+        """`residual` and its derivatives, with respect to x or along directions, in one forward pass."""
+        if directions is None and self._steps_suit_lanes:
             r, J = self._linear_runs(x)
         else:
             push = lambda t: jax.jvp(self.residual, (x,), (t,))
-            r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
+            r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]) if directions is None else directions)
         return r, jnp.moveaxis(J, 0, -1)
 
     def linearize_at(self, z: Float[Array, " p"]) -> tuple[Float[Array, " n"], Float[Array, "p n"]]:
@@ -145,23 +148,43 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
 
 
 @compiled
-def _linearize(objective: Objective, x: Array) -> tuple[Array, Array]:
-    return objective.linearize(x)
+def _linearize(objective: Objective, x: Array, directions: Array | None) -> tuple[Array, Array]:
+    return objective.linearize(x, directions)
 
 
-def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:
+def linearized(
+    objective: Objective, x: Any, at: np.ndarray | None = None
+) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
     """`Objective.linearize` on the host, by one compiled program for all uses; 0 for derivatives whose squares cannot be added.
+
+    On long records as many derivatives at once as fit a block, one program for all groups.
 
     Args:
         objective: what is fitted.
         x: physical parameters, shape (p,).
+        at: numbers of the parameters to which the derivatives are, in rising order, shape (k,); default: all.
     """
-    residual, jacobian = _linearize(objective, np.asarray(x, float))
-    residual, jacobian = np.asarray(residual), np.asarray(jacobian)
+    x = np.asarray(x, float)
+    every = at is None or len(at) == x.size
+    directions = np.eye(x.size) if at is None else np.eye(x.size)[at]
+    groups = list(parts(len(directions), objective.batch.u.size))
+    if len(groups) <= 1:
+        residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, None if every else directions))
+        return residual, _flat(jacobian)
+    out = np.empty((*objective.batch.u.shape, len(directions)))
+    for group in groups:
+        some = np.zeros((groups[0].stop, x.size))
+        some[: group.stop - group.start] = directions[group]
+        residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, some))
+        out[..., group] = _flat(jacobian[..., : group.stop - group.start])
+    return residual, out
+
+
+def _flat(jacobian: np.ndarray) -> np.ndarray:
+    """A Jacobian with 0 at a root at zero, or in a simulation beyond its stable range."""
     if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
-        return residual, jacobian
-    # A root at zero, or a simulation beyond its stable range.
-    return residual, np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)
+        return jacobian
+    return np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)
 
 
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:
@@ -170,7 +193,7 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
     Args:
         objective: gives weights, size and loss.
         residual: shape (R, T).
-        jacobian: derivatives of the residuals, shape (R, T, p); None for the misfit alone.
+        jacobian: derivatives of the residuals, shape (R, T, p), overwritten where they may be; None for the misfit alone.
     """
     root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
     misfit, slope = (root * residual).reshape(-1), None
@@ -178,7 +201,8 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
         misfit, slope = (np.asarray(v) for v in bend_slope(to_device(misfit), objective.bend, objective.loss))
     if jacobian is None:
         return misfit
-    rows = (root[..., None] * jacobian).reshape(-1, jacobian.shape[-1])
+    own = jacobian if jacobian.flags.writeable else jacobian.copy()
+    rows = np.multiply(own, root[..., None], out=own).reshape(-1, jacobian.shape[-1])
     return misfit, rows if slope is None else slope[:, None] * rows
 
 

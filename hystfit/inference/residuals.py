@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
+from hystfit.inference.blocks import gram, parts, qr
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes
 from hystfit.inference.noise.setting import Setting
@@ -65,7 +66,9 @@ class ResidualAnalysis:
     @functools.cached_property
     def basis(self) -> Float[np.ndarray, "n p"]:
         """Orthonormal basis of the derivatives."""
-        return np.zeros((self.residual.size, 0)) if self.derivatives is None else np.linalg.qr(self.derivatives())[0]
+        return (
+            np.zeros((self.residual.size, 0)) if self.derivatives is None else qr(self.derivatives(), overwrite=True)[0]
+        )
 
     @functools.cached_property
     def rows(self) -> list[np.ndarray]:
@@ -113,8 +116,8 @@ class ResidualAnalysis:
     def _curved(self) -> SlowNoiseFit:
         slow = self.slow.noise
         ratio = (slow.white / slow.slow) ** 2
-        candidates = [self._with_curve(length) for length in _LENGTHS]
-        return fit_slow_noise(min(candidates, key=lambda contrasts: contrasts.at(ratio, slow.time)[0]))
+        length = min(_LENGTHS, key=lambda length: self._with_curve(length).at(ratio, slow.time)[0])
+        return fit_slow_noise(self._with_curve(length))
 
     @functools.cached_property
     def curve_size(self) -> float | None:
@@ -229,13 +232,12 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
         return None
     columns = curves(samples, _LENGTH)
-    rows = np.asfortranarray(np.column_stack([basis, residual, columns]))
-    gram, p = rows.T @ analysis.slow.noise.solve(rows), basis.shape[1]
-    gram = gram[p:, p:] - gram[p:, :p] @ np.linalg.solve(gram[:p, :p], gram[:p, p:])
-    size, axes = np.linalg.eigh(gram[1:, 1:])
+    joint, p = gram([basis, residual, columns], analysis.slow.noise.solve), basis.shape[1]
+    joint = joint[p:, p:] - joint[p:, :p] @ np.linalg.solve(joint[:p, :p], joint[:p, p:])
+    size, axes = np.linalg.eigh(joint[1:, 1:])
     kept = size > 1e-8 * size[-1]
     size, axes = size[kept], axes[:, kept]
-    score = axes.T @ gram[1:, 0]  # under slow noise alone normal with variances `size`
+    score = axes.T @ joint[1:, 0]  # under slow noise alone normal with variances `size`
     ideal = _chi_squares(size.size) @ size
     chance = (1 + np.count_nonzero(ideal >= score @ score)) / (_DRAWS + 1)
     strengths = np.geomspace(1e-3, 1e3, 61) / size[-1]
@@ -253,9 +255,12 @@ def _chi_squares(count: int) -> np.ndarray:
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
-    shapes = inducing_shapes(samples.place, length, POINTS, on=np)
-    shapes = shapes * np.sqrt(samples.weight)[:, None]
-    return np.hstack([shapes * samples.rising[:, None], shapes * ~samples.rising[:, None]])
+    out, root = np.empty((samples.place.size, 2 * POINTS), order="F"), np.sqrt(samples.weight)
+    for part in parts(len(out), 2 * POINTS):
+        shapes = inducing_shapes(samples.place[part], length, POINTS, on=np)
+        for half, branch in zip(np.split(out[part], 2, axis=1), (samples.rising, ~samples.rising), strict=True):
+            np.multiply(shapes, (root * branch)[part, None], out=half)
+    return out
 
 
 def _by_record(samples: Samples, values: np.ndarray) -> list[np.ndarray]:

@@ -25,6 +25,8 @@ Scheme = Literal["midpoint", "explicit", "exact"]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LONG = 8.0  # alpha |dv| up to which the quadrature is exact to rounding
+_UNSTABLE = 2.0  # alpha |dv| from which an explicit step enlarges a deviation
+_ALTERNATES = {"explicit": 1.0, "midpoint": 2.0}  # alpha |dv| above which a step reverses a deviation
 
 
 class Duhem(AbstractHysteresis):
@@ -34,8 +36,8 @@ class Duhem(AbstractHysteresis):
     lengths of the coefficient arrays less one (3 and 2 in the paper). `from_powers` and `powers` go to and from the
     paper's powers of v. The output is linear in f, g and w0. The state is the output w alone (local memory).
 
-    `scheme` is used for fitting and simulation alike: "midpoint" (closed form, unconditionally stable), "explicit"
-    (stable for alpha |dv| < 2), or "exact" (integrates each sample exactly, for coarse sampling).
+    `scheme` is used for fitting and simulation alike: "midpoint" (closed form, second order, unconditionally stable),
+    "explicit" (first order, stable for alpha |dv| < 2), or "exact" (integrates each sample exactly, for coarse sampling).
 
     Raises:
         ModelError: an unknown scheme.
@@ -194,6 +196,20 @@ class Duhem(AbstractHysteresis):
         """A quarter of half the range beyond the range of f and g."""
         center, half = float(self.center), float(self.half)
         return center - 1.25 * half, center + 1.25 * half
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """Where a step is too long for the scheme: beyond its stable range, or so that the error alternates in sign."""
+        drive = float(self.alpha) * float(np.max(np.abs(np.diff(u)), initial=0.0))
+        remedy = (
+            "sample faster, or take the exact step (scheme='exact'; at the shell :scheme=exact after the model's name)"
+        )
+        if self.scheme == "exact" or drive <= _ALTERNATES[self.scheme]:
+            return ()
+        if self.scheme == "explicit" and drive >= _UNSTABLE:
+            return (
+                f"alpha |dv| reaches {drive:.2g} in one sample, and the explicit step is stable below {_UNSTABLE:g}: {remedy}",
+            )
+        return (f"alpha |dv| reaches {drive:.2g} in one sample, where the error of each step changes sign: {remedy}",)
 
     def c_part(self) -> CPart:
         """All schemes are in one template; tables of the exact one are written where it is used."""

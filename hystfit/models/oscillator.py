@@ -42,7 +42,8 @@ class BoucWenOscillator(AbstractHysteresis):
     infinite force. It dissipates for r_load + r_unl >= 0; both >= 0 are the admissible softening forms of Erlicher and Point (2004).
     A fit reports k, kz, b1 and b2 too.
 
-    Runge-Kutta of fourth order, `substeps` a sample. `between` is the force between samples: "bandlimited" (sinc, for evenly sampled
+    Runge-Kutta, `substeps` a sample: of fourth order, but of about second order where the velocity or z changes sign, as at every
+    reversal. `between` is the force between samples: "bandlimited" (sinc, for evenly sampled
     records of a smooth force; the first and last 24 samples do not count in a fit), "linear", or "hold" (the steps of a D/A
     converter). Only "linear" and "hold" are causal. At rest without force until the first sample.
 

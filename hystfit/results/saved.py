@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -81,27 +82,32 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
         DataError: not such a file.
     """
     place = place or str(file)
+    with _damage_told(place), np.load(file, allow_pickle=False) as stored:
+        described = parse(str(stored["labels"]), f"{place}: labels")
+        records = []
+        for k, labels in enumerate(described.listed("records")):
+            arrays = {name: stored[f"{name}{k}"] for name in ("u", "y", "t", "weight") if f"{name}{k}" in stored}
+            if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
+                raise ValueError(f"{wrong[0]}{k} holds no real numbers")
+            records.append(Record(**arrays, **_labels_of(Stored(labels, f"{place}: record {k}"))))
+        return Dataset(tuple(records), name=described.text("name"))
+
+
+@contextlib.contextmanager
+def _damage_told(place: str) -> Iterator[None]:
+    """Errors of a damaged .npz file in words: it is a zip archive, and its reader meets one with errors of many kinds."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
-            described = parse(str(stored["labels"]), f"{place}: labels")
-            records = []
-            for k, labels in enumerate(described.listed("records")):
-                arrays = {name: stored[f"{name}{k}"] for name in ("u", "y", "t", "weight") if f"{name}{k}" in stored}
-                if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
-                    raise ValueError(f"{wrong[0]}{k} holds no real numbers")
-                records.append(Record(**arrays, **_labels_of(Stored(labels, f"{place}: record {k}"))))
-            return Dataset(tuple(records), name=described.text("name"))
+        yield
     except HystfitError:
         raise
-    # An .npz file is a zip archive, and its reader meets a damaged one with errors of many kinds.
     except (OSError, KeyError, ValueError, TypeError, EOFError, MemoryError, OverflowError, NotImplementedError,
             RuntimeError, SyntaxError, AttributeError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
         raise DataError(f"{place} does not hold records as hystfit saves them: {error}") from error
 
 
-def _covariance_in(content: bytes) -> tuple[np.ndarray, np.ndarray] | None:
+def _covariance_in(content: bytes, place: str) -> tuple[np.ndarray, np.ndarray] | None:
     """The covariance that is kept beside the records, as its upper triangle, of the parameters that have errors and of all."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+    with _damage_told(place), np.load(io.BytesIO(content), allow_pickle=False) as stored:
         if "joint" not in stored:
             return None
         upper, known = np.asarray(stored["joint"], dtype=float), np.asarray(stored["known"])
@@ -180,7 +186,7 @@ def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
     described = parse(files.contents["model.json"], place("model.json"))
     try:
         data = load_records(io.BytesIO(files.contents["records.npz"]), place("records.npz"))
-        covariance = _covariance_in(files.contents["records.npz"])
+        covariance = _covariance_in(files.contents["records.npz"], place("records.npz"))
         result = result_of(stored, described, data, covariance, trust=trust)
     except HystfitError as error:
         if str(folder) in str(error):

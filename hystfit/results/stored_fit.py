@@ -184,7 +184,10 @@ def _covariance(stored: Stored, p: int) -> np.ndarray:
         raise DataError(
             f"{stored.place}: 'covariance' is no table of {p} by {p} numbers; restore the file, or fit again"
         )
-    return np.array(rows, dtype=float).reshape(p, p)
+    table = np.array(rows, dtype=float).reshape(p, p)
+    if (np.diag(table) < 0).any():
+        raise DataError(f"{stored.place}: 'covariance' has a negative variance; restore the file, or fit again")
+    return table
 
 
 def _metrics(stored: Stored | None) -> Metrics | None:

@@ -224,6 +224,7 @@ def agrees(opened: Any, stored: Any) -> bool:
         "notes",
         "parameters",
         "evidence",
+        "quantities",
     )
     keys = [key for key in stored if key in opened and key not in computed]
     return all(same(opened[key], stored[key]) for key in keys if key not in ("verdict", "identifiability"))

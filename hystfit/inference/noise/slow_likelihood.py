@@ -15,6 +15,7 @@ import scipy  # loads its subpackages when they are first used, which optimize i
 from jaxtyping import Float
 from scipy.linalg.lapack import dpttrf, dpttrs
 
+from hystfit.inference.blocks import gram, parts, qr
 from hystfit.inference.noise.even_noise import EvenRows
 from hystfit.inference.noise.setting import Setting
 
@@ -129,9 +130,10 @@ class SlowNoiseFit:
 
     def projected(self, basis: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
         """basis' Sigma basis, averaged over the uncertainty of the noise."""
-        basis = np.asfortranarray(basis)
-        parts = [share * basis.T @ noise.apply(basis) for share, noise in zip(self.shares, self.others, strict=True)]
-        return np.sum(parts, axis=0)
+        averaged = lambda columns: sum(
+            share * noise.apply(columns) for share, noise in zip(self.shares, self.others, strict=True)
+        )
+        return gram([basis], averaged)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,8 +169,11 @@ class Contrasts:
     @functools.cached_property
     def expected(self) -> float:
         """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
-        rest = self.shapes - self.basis @ (self.basis.T @ self.shapes)
-        return self.power * self.residual.size / float(np.sum(rest**2))
+        along, n = self.basis.T @ self.shapes, self.residual.size
+        squares = (
+            np.sum((self.shapes[part] - self.basis[part] @ along) ** 2) for part in parts(n, self.shapes.shape[1])
+        )
+        return self.power * n / float(sum(squares))
 
     def at(self, ratio: float, time: float) -> tuple[float, float, float]:
         """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at a ratio of white to slow variance.
@@ -177,13 +182,13 @@ class Contrasts:
         """
         n, p = self.basis.shape
         if self._even is not None:
-            gram, log_det = self._even.at(ratio, time)
+            joint, log_det = self._even.at(ratio, time)
         else:
             solve, log_det = _solver(self.samples, ratio, time)
-            gram = self.rows.T @ solve(self.rows)
-        factor = np.linalg.cholesky(gram[:p, :p] + 1e-12 * np.trace(gram[:p, :p]) * np.eye(p))
-        half = scipy.linalg.solve_triangular(factor, gram[:p, p:], lower=True)
-        inner = gram[p:, p:] - half.T @ half
+            joint = gram([self.basis, self.residual, self.shapes], solve)
+        factor = np.linalg.cholesky(joint[:p, :p] + 1e-12 * np.trace(joint[:p, :p]) * np.eye(p))
+        half = scipy.linalg.solve_triangular(factor, joint[:p, p:], lower=True)
+        inner = joint[p:, p:] - half.T @ half
         log_det += 2 * float(np.sum(np.log(np.diag(factor))))
         if inner.shape[0] == 1:
             square = max(float(inner[0, 0]), 1e-300) / (n - p)
@@ -244,13 +249,20 @@ def _spread(function: Callable[[np.ndarray], float], center: np.ndarray) -> Floa
     return axes * np.minimum(1 / np.sqrt(np.maximum(size, 1e-12)), _WIDEST)
 
 
-def least_squares_root(fit: SlowNoiseFit, jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "k p"]:
+def least_squares_root(
+    fit: SlowNoiseFit, jacobian: Float[np.ndarray, "n p"], *, overwrite: bool = False
+) -> Float[np.ndarray, "k p"]:
     """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'; k is the smaller of n and p.
 
     From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
+
+    Args:
+        fit: the noise.
+        jacobian: J.
+        overwrite: whether J may be destroyed, to save its size in memory.
     """
-    size = np.linalg.norm(jacobian, axis=0)
+    Q, T = qr(jacobian, overwrite=overwrite)
+    size = np.linalg.norm(T, axis=0)
     size[size == 0] = 1.0
-    Q, T = np.linalg.qr(jacobian / size)
     factor = np.linalg.cholesky(fit.projected(Q))
-    return scipy.linalg.solve_triangular(factor, T, lower=True) * size
+    return scipy.linalg.solve_triangular(factor, T / size, lower=True) * size

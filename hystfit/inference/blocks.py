@@ -1,0 +1,79 @@
+"""Linear algebra on long records in blocks of rows or columns: next to the data, memory holds what is asked for and one block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
+
+
+def parts(size: int, other: int) -> Iterator[slice]:
+    """Slices of an axis of `size` entries, so that a block of them with `other` entries along the other axis has at most `NUMBERS`."""
+    width = max(NUMBERS // max(other, 1), 1)
+    for begin in range(0, size, width):
+        yield slice(begin, min(begin + width, size))
+
+
+def chosen(rows: np.ndarray, on: np.ndarray) -> np.ndarray:
+    """rows[on] for a mask on, shape (n,): a view where the rows chosen are the first ones, as they are of one padded record."""
+    count = int(np.count_nonzero(on))
+    return rows[:count] if on[:count].all() else rows[on]
+
+
+def qr(
+    rows: Float[np.ndarray, "n p"], *, overwrite: bool = False
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "m p"]]:
+    """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), m = min(n, p).
+
+    Args:
+        rows: the matrix.
+        overwrite: whether Q may take its place.
+    """
+    n, p = rows.shape
+    blocks = _tall(n, p)
+    if len(blocks) == 1:
+        return np.linalg.qr(rows)
+    Q, triangles = rows if overwrite else np.empty((n, p)), []
+    for part in blocks:
+        Q[part], triangle = np.linalg.qr(rows[part])
+        triangles.append(triangle)
+    inner, R = np.linalg.qr(np.vstack(triangles))
+    for k, part in enumerate(blocks):
+        Q[part] = Q[part] @ inner[k * p : (k + 1) * p]
+    return Q, R
+
+
+def _tall(n: int, p: int) -> list[slice]:
+    """Blocks of rows with at least as many rows as columns."""
+    blocks = list(parts(n, p))
+    if len(blocks) > 1 and min(blocks[0].stop, n - blocks[-1].start) < p:
+        width = max(blocks[0].stop, 2 * p)
+        begins = [begin for begin in range(0, n, width) if n - begin >= p]
+        blocks = [slice(a, b) for a, b in zip(begins, [*begins[1:], n], strict=True)]
+    return blocks
+
+
+def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:
+    """X' apply(X) for columns X that stay where they are, with `apply` on as many of them at once as fit a block.
+
+    Args:
+        columns: arrays of shapes (n, k_i) or (n,), side by side in X.
+        apply: of some of the columns, in Fortran order as LAPACK takes them.
+    """
+    groups = [part[:, None] if part.ndim == 1 else part for part in columns]
+    pieces = []
+    for group in groups:
+        for part in parts(group.shape[1], len(group)):
+            applied = apply(np.asfortranarray(group[:, part]))
+            pieces.append(np.concatenate([left.T @ applied for left in groups]))
+    return np.hstack(pieces)
+
+
+def spread(columns: Float[np.ndarray, "n p"]) -> Float[np.ndarray, " p"]:
+    """Standard deviation of each column, by blocks of rows."""
+    n, p = columns.shape
+    mean = columns.sum(axis=0) / n
+    return np.sqrt(sum(np.sum((columns[part] - mean) ** 2, axis=0) for part in parts(n, p)) / n)

@@ -1,0 +1,103 @@
+"""Long records in blocks: the numbers of plain linear algebra, within the memory of a block."""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.inference import blocks, objective
+
+T = np.arange(3000) / 500
+U = 20 * (1 - np.cos(2 * np.pi * T)) * (0.4 + 0.1 * T)
+
+
+@pytest.fixture(params=[64, 700, 40_000])
+def small(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Blocks far smaller than the matrices of these tests."""
+    monkeypatch.setattr(blocks, "NUMBERS", request.param)
+    return request.param
+
+
+def matrix(n: int, p: int) -> np.ndarray:
+    """Columns of very different sizes, one of them zero."""
+    columns = np.random.default_rng(0).normal(size=(n, p)) * np.geomspace(1e-6, 1e6, p)
+    columns[:, p // 2] = 0.0
+    return columns
+
+
+@pytest.mark.parametrize("shape", [(1000, 6), (100, 7), (33, 30), (5, 9)])
+def test_factors_are_those_of_the_whole(shape: tuple[int, int], small: int) -> None:
+    rows = matrix(*shape)
+    size = np.linalg.norm(rows, axis=0) + (np.linalg.norm(rows, axis=0) == 0)
+    Q, R = blocks.qr(rows.copy(), overwrite=True)
+    np.testing.assert_array_equal(Q, blocks.qr(rows)[0])
+    np.testing.assert_allclose(Q.T @ Q, np.eye(min(shape)), atol=1e-12)
+    np.testing.assert_allclose(Q @ (R / size), rows / size, atol=1e-12)
+
+
+def test_sums_are_those_of_the_whole(small: int) -> None:
+    rows = np.asfortranarray(matrix(1000, 6))
+    np.testing.assert_allclose(blocks.spread(rows), rows.std(axis=0), rtol=1e-12)
+    widths: list[int] = []
+
+    def doubled(part: np.ndarray) -> np.ndarray:
+        assert part.flags.f_contiguous
+        widths.append(part.shape[1])
+        return 2.0 * part
+
+    found = blocks.gram([rows[:, :2], rows[:, 2], rows[:, 3:]], doubled)
+    np.testing.assert_allclose(found, 2 * rows.T @ rows, rtol=1e-9, atol=1e-9)
+    assert max(widths) * 1000 <= max(small, 1000)
+    assert all((part.stop - part.start) * 6 <= max(small, 6) for part in blocks.parts(1000, 6))
+
+
+def loop() -> hf.Record:
+    """Plays with slow noise, and with a model error."""
+    rng = np.random.default_rng(3)
+    y = np.asarray(hf.simulate(hf.BoucWen(c=0.2, mu=0.5, tau=0.05, rho=0.4), U)[0])
+    return hf.Record(u=U, y=y + 0.02 * rng.normal(size=U.size), t=T)
+
+
+def fitted() -> dict[str, Any]:
+    """A default fit of plays: values, errors, noise."""
+    result = hf.fit(hf.PrandtlIshlinskii.of(6), loop(), starts=1)
+    return {p.name: (p.value, p.stderr) for p in result.parameters} | {"status": str(result.status)}
+
+
+def test_a_fit_in_blocks_is_the_fit_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, shapes = fitted(), []
+    monkeypatch.setattr(blocks, "NUMBERS", 10_000)
+    compute = objective._linearize
+
+    def watched(*given: Any) -> Any:
+        shapes.append(given[0].batch.u.size * len(given[2]))
+        return compute(*given)
+
+    monkeypatch.setattr(objective, "_linearize", watched)
+    parted = fitted()
+    assert max(shapes) <= 10_000 < 8 * max(shapes)
+    assert parted.pop("status") == whole.pop("status")
+    for name, pair in whole.items():
+        assert (pair[1] is None) == (parted[name][1] is None)
+        got, expected = (np.array(values, dtype=float) for values in (parted[name], pair))
+        np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-9, equal_nan=True)
+
+
+def test_the_weights_need_their_columns_and_a_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arrays of NumPy: scaled, centered and joined columns of the whole record would be seven times as much."""
+    monkeypatch.setattr(blocks, "NUMBERS", 10_000)
+    t = np.arange(20_000) / 500
+    record = hf.Record(u=20 * (1 - np.cos(2 * np.pi * t)), y=t, t=t)
+    problem = hf.Problem(hf.PrandtlIshlinskii.of(20).start([record]), record)
+    x = problem.space.vector(problem.model)
+    fit_ridge(LinearSystem.of(problem, x))
+    tracemalloc.start()
+    fit_ridge(LinearSystem.of(problem, x))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.3 * problem.objective.batch.u.size * len(problem.space) * 8
