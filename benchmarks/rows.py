@@ -13,20 +13,20 @@ class Row:
 
     Attributes:
         name: what was computed, and beside whom: the key of its floor.
-        ours_s: median seconds of hystfit.
+        ours_s: median seconds of hystfit; None where it was skipped.
         peer_s: median seconds of the peer; None where it was skipped.
-        skipped: why there is no peer.
+        skipped: why there is no ratio.
     """
 
     name: str
-    ours_s: float
+    ours_s: float | None
     peer_s: float | None
     skipped: str = ""
 
     @property
     def ratio(self) -> float | None:
         """The peer's time over that of hystfit: above 1, hystfit is faster."""
-        return None if self.peer_s is None else self.peer_s / self.ours_s
+        return None if self.peer_s is None or self.ours_s is None else self.peer_s / self.ours_s
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

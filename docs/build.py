@@ -19,6 +19,10 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 sys.path.insert(0, str(HERE))
+OPEN_IN = (
+    "Open in {{download}}`Jupyter <files/{name}.ipynb>`, or as {{download}}`Python file <files/{name}.py>` with cells in VS Code, "
+    "Spyder or PyCharm."
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -104,17 +108,23 @@ def copy_notebooks(source: Path, quick: bool) -> None:
         quick: without outputs.
     """
     import jupytext
+    import nbformat
 
-    (source / "notebooks").mkdir(exist_ok=True)
+    files = source / "notebooks" / "files"  # to download, beside the pages
+    files.mkdir(parents=True)
     for path in sorted((ROOT / "notebooks").glob("[0-9]*.py")):
-        target, run = source / "notebooks" / f"{path.stem}.ipynb", path.parent / "out" / f"{path.stem}.ipynb"
+        target, run = files / f"{path.stem}.ipynb", path.parent / "out" / f"{path.stem}.ipynb"
+        shutil.copy2(path, files)
         if quick:
             jupytext.write(jupytext.read(path), target)
-            continue
-        if not run.exists() or run.stat().st_mtime < path.stat().st_mtime:
-            command = [sys.executable, str(path.parent / "run.py"), "--quick", path.stem]
-            subprocess.run(command, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
-        shutil.copy2(run, target)
+        else:
+            if not run.exists() or run.stat().st_mtime < path.stat().st_mtime:
+                command = [sys.executable, str(path.parent / "run.py"), "--quick", path.stem]
+                subprocess.run(command, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+            shutil.copy2(run, target)
+        page = nbformat.read(target, nbformat.NO_CONVERT)
+        page.cells.insert(1, nbformat.v4.new_markdown_cell(OPEN_IN.format(name=path.stem)))
+        nbformat.write(page, files.parent / target.name)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
 ]
-exclude_patterns = ["parts", "gallery_scripts", "gallery/*.ipynb", "gallery/*.py"]
+exclude_patterns = ["parts", "gallery_scripts", "gallery/*.ipynb", "gallery/*.py", "notebooks/files"]
 suppress_warnings = ["config.cache", "mystnb.unknown_mime_type", "ref.python"]
 
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]

@@ -24,12 +24,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import hystfit as hf
 from hystfit.errors import DataError
 from hystfit.outcome import Status
 from hystfit.reading.datasets import FOLDER_VARIABLE
 
 EXIT = {Status.OK: 0, Status.MISSED: 1, Status.SKIPPED: 77}
+
+
+def times(record: hf.Record) -> np.ndarray:
+    """Times of a record that has them [t_unit], shape (T,)."""
+    assert record.t is not None
+    return record.t
 
 
 def arguments(description: str, sections: Sequence[str] = ()) -> argparse.Namespace:

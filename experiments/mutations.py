@@ -120,7 +120,7 @@ def write(name: str, body: str) -> None:
 
 def main() -> None:
     """Run the mutations of the experiments named."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("experiments", nargs="*", help="names or folders; all by default")
     parser.add_argument("--only", default="", help="mutations whose name contains this; MUTATIONS.md stays")
     parser.add_argument("--list", action="store_true", help="names only")

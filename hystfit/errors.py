@@ -1,5 +1,8 @@
 """Errors that a user can act on: every message names what was found and the remedy."""
 
+import importlib
+from typing import Any
+
 
 class HystfitError(ValueError):
     """Base of all errors that hystfit raises on purpose; the command line turns one into exit status 2."""
@@ -26,3 +29,20 @@ class MissingExtraError(HystfitError):
 
     def __init__(self, package: str, extra: str, purpose: str):
         super().__init__(f"{purpose} needs the package {package!r}: pip install 'hystfit[{extra}]'")
+
+
+def optional(package: str, extra: str, purpose: str) -> Any:
+    """An optional package, imported now.
+
+    Args:
+        package: its name.
+        extra: of hystfit that installs it.
+        purpose: what needs it, as the subject of a message.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(package, extra, purpose) from error

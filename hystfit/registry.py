@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import operator
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -103,9 +104,9 @@ def near(name: str, known: Iterable[str]) -> str:
 
 
 def attribute(place: str) -> Any:
-    """What "module:name" refers to, imported now."""
+    """What "module:name" refers to, imported now; the name may have dots."""
     module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
+    return operator.attrgetter(name)(importlib.import_module(module))
 
 
 _PREFIX = "user_file_"
@@ -191,10 +192,6 @@ def file_digest(file: Path) -> str | None:
 
 def refuse_unfinished(kind: type, error: type[HystfitError] = ParameterError) -> None:
     """Refuse a class that lacks methods that its base class requires.
-
-    Args:
-        kind: the class.
-        error: class of the error raised.
 
     Raises:
         HystfitError: it lacks some; the message names the class, its file and the methods.

@@ -25,6 +25,7 @@ from hystfit.models.registry import make_model
 from hystfit.params.space import ParameterSpace
 
 _EAGER = 5  # samples of the run without jit
+_FEW = 13  # samples of the associative form
 
 
 class Probe(NamedTuple):
@@ -79,6 +80,7 @@ def check_model(
     _require(bool(np.isfinite(y).all()), f"{name}: the output is not finite at sample {_first_bad(y)}")
     _check_eager(model, probe, y, name)
     _check_continuation(model, probe, y, name)
+    _check_state_map(model, probe, y, name)
     if not counts_samples:
         _check_repetition(model, probe, y, end, name)
     _check_time(model, probe, y, name)
@@ -102,17 +104,19 @@ def _probe(seed: int, amplitude: float, center: float, dt: float, samples: int) 
     return Probe(center + amplitude * np.clip(u, -1.0, 1.0), steps, samples // 2)
 
 
-def _agree(found: Any, expected: Any, law: str, rtol: float = 1e-12) -> None:
-    """Equal to rtol times the largest expected value."""
+def _agree(found: Any, expected: Any, law: str, rtol: float = 1e-12, *, allowed: float | None = None) -> None:
+    """Equal to rtol times the largest expected value, or to an absolute error that is allowed."""
     found, expected = np.asarray(found), np.asarray(expected)
-    size = max(float(np.max(np.abs(expected), initial=0.0)), 1e-300)
     if found.shape != expected.shape:
         raise AssertionError(f"{law}: shape {found.shape}, expected {expected.shape}")
+    if allowed is None:
+        allowed = rtol * max(float(np.max(np.abs(expected), initial=0.0)), 1e-300)
     error = np.abs(found - expected)
-    if not (error <= rtol * size).all():
-        at = np.unravel_index(int(np.argmax(np.where(np.isnan(error), np.inf, error))), error.shape or (1,))
+    if not (error <= allowed).all():
+        at = np.unravel_index(int(np.argmax(np.where(np.isnan(error), np.inf, error))), error.shape)
+        place = tuple(int(k) for k in at)
         raise AssertionError(
-            f"{law}: off by {np.max(error):.3g} (largest value {size:.3g}) at {tuple(int(i) for i in at)}"
+            f"{law}: off by {error[at]:.3g}, {found[at]:.9g} for {expected[at]:.9g} at {place}, allowed {allowed:.3g}"
         )
 
 
@@ -150,6 +154,14 @@ def _check_continuation(model: Any, probe: Probe, y: np.ndarray, name: str) -> N
     second, _ = simulate(model, late, np.concatenate([probe.dt[cut:], np.zeros(cut)]), resume=middle)
     halves = np.concatenate([first[size - cut :], second[: size - cut]])
     _agree(halves, y, f"{name}: a run in two halves, the first after a rest, must equal one run")
+
+
+def _check_state_map(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: str) -> None:
+    """The associative form, on a few samples."""
+    if model.associative:
+        at_once = eqx.filter_jit(lambda model, u, dt: model.sweep_at_once(model.init(u[0]), u[0], u, dt)[1])
+        found = at_once(model, jnp.asarray(probe.u[:_FEW]), jnp.asarray(probe.dt[:_FEW]))
+        _agree(found, y[:_FEW], f"{name}: state_map must be what a step does to the state", 1e-10)
 
 
 def _check_repetition(model: Any, probe: Probe, y: np.ndarray, end: Any, name: str) -> None:
@@ -243,13 +255,12 @@ def _check_gradients(
         )
         size = float(np.max(np.abs(column)))
         law = f"{name}: reverse mode in {label} against forward mode"
-        _agree_absolute(reverse[k], weights @ column, 1e-11 * probe.u.size * max(size, 1e-300), law)
+        _agree(reverse[k], weights @ column, law, allowed=1e-11 * probe.u.size * max(size, 1e-300))
         if bases[k] in flat:
             _require(size == 0.0, f"{name}: the derivative in {label} is declared to be zero, found {size:.3g}")
         elif bases[k] not in kinked:
-            allowed = tolerance * float(np.max(np.abs(expected))) + noise[k]
             law = f"{name}: derivative in {label} against central differences"
-            _agree_absolute(column, expected, allowed, law)
+            _agree(column, expected, law, allowed=tolerance * float(np.max(np.abs(expected))) + noise[k])
 
 
 def _differences(
@@ -282,14 +293,6 @@ def _step(x: float, info: Any) -> float:
     if room == 0.0:
         raise AssertionError(f"a parameter lies on its bound {x:g}: give the model values inside the bounds")
     return min(h, 0.5 * room) if math.isfinite(room) else h
-
-
-def _agree_absolute(found: Any, expected: Any, allowed: float, law: str) -> None:
-    found, expected = np.atleast_1d(found), np.atleast_1d(expected)
-    error = np.abs(found - expected)
-    if not (error <= allowed).all():
-        at = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
-        raise AssertionError(f"{law}: {found[at]:.9g} against {expected[at]:.9g} at {at}, allowed {allowed:.3g}")
 
 
 def _check_start(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: str) -> None:

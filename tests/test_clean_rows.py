@@ -23,7 +23,7 @@ def _table(path: Path, monkeypatch: pytest.MonkeyPatch, parser: str | None) -> T
     """The table as read by a parser, or cell by cell without one; the message where the file is refused."""
     with monkeypatch.context() as patch:
         if parser is None:
-            patch.setattr(text, "_clean_block", lambda *_, **__: None)
+            patch.setattr(text, "clean_block", lambda *_, **__: None)
         else:
             patch.setattr(clean_rows, "_parsed", PARSERS[parser])
         try:

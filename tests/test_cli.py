@@ -3,10 +3,13 @@
 import csv
 import dataclasses
 import errno
+import html
 import inspect
 import itertools
 import json
 import os
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +17,12 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.cli.options import bounds_of, named_values
+from hystfit.cli.options import Reading, bounds_of, command_words, named_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import show
 from hystfit.errors import HystfitError
+from hystfit.outcome import Status
+from hystfit.results.report import Wording, html_report, text_report
 from hystfit.results.saved import load_fit
 
 PARAMETER_KEYS = {"value", "stderr", "unit", "lower", "upper", "fixed", "at_bound", "identifiable"}
@@ -279,6 +284,61 @@ def test_refit_offset_takes_the_mean_error_out(folder, loop, fitted, capsys):
         errors.append(content["metrics"]["test"]["rmse"])
     assert errors[0] == pytest.approx(5, abs=0.05)
     assert errors[1] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("words", "package", "extra"),
+    [
+        (["sample", "FIT"], "blackjax", "bayes"),
+        (["sample", "FIT", "--sampler", "nested"], "blackjax", "bayes"),
+        (["sample", "FIT", "--sampler", "emcee", "--out", "NEW"], "h5netcdf", "bayes"),
+        (["sample", "FIT", "--sampler", "emcee", "--out", "NEW"], "xarray", "bayes"),
+        (["sample", "FIT", "--sampler", "emcee", "--out", "NEW"], "corner", "bayes"),
+        (["calibrate", "FIT", "--scheduler", "tcp://127.0.0.1:1"], "distributed", "batch"),
+        (["batch", "LOOP", "--model", "bouc-wen", "--table", "parquet"], "pyarrow", "frames"),
+        (["batch", "LOOP", "--model", "bouc-wen", "--table", "netcdf"], "xarray", "frames"),
+        (["simulate", "bouc-wen", "--out", "NEW.nc"], "h5netcdf", "frames"),
+        (["fit", "BOOK"], "openpyxl", "files"),
+        (["fit", "TABLE"], "h5py", "files"),
+    ],
+)
+def test_a_verb_names_the_extra_that_it_lacks_and_leaves_nothing(
+    words, package, extra, loop, fitted, tmp_path, monkeypatch, capsys
+):
+    """Before any work: a package that is not installed is found at once."""
+    (tmp_path / "a.xlsx").write_bytes(b"PK\x03\x04")
+    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    names = {"FIT": fitted, "LOOP": loop, "NEW": tmp_path / "new", "NEW.nc": tmp_path / "new.nc"}
+    names |= {"BOOK": tmp_path / "a.xlsx", "TABLE": tmp_path / "a.h5"}
+    monkeypatch.setitem(sys.modules, package, None)
+    assert run([str(names.get(word, word)) for word in words]) == 2
+    assert f"{package!r}: pip install 'hystfit[{extra}]'" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "a.xlsx"]
+
+
+def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, capsys):
+    """The commands at its top can be pasted into a shell, wherever the fit and the loop are; without --out there is no fit to name."""
+    out = tmp_path / "my fit"
+    assert run(["fit", str(loop), "--time=0", "--model", "bouc-wen", "--out", str(out), "--starts", "1"]) == 0
+    assert f"hystfit predict '{out}' NEW_LOOP" in (out / "report.txt").read_text().replace("\n    ", " ")
+    rows = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", (out / "report.html").read_text(), re.DOTALL))
+    assert html.unescape(rows["Next"]).splitlines()[1] == f"hystfit invert '{out}' REFERENCE"
+    capsys.readouterr()
+    assert run(["fit", str(loop), "--time=0", "--model", "bouc-wen", "--starts", "1"]) == 0
+    assert "the same command with --out fit keeps this fit" in " ".join(capsys.readouterr().out.split())
+    saved = load_fit(out)
+    (tmp_path / "again").mkdir()
+    saved.save(tmp_path / "again" / "x")
+    assert (
+        f"hystfit export {tmp_path / 'again' / 'x'} --c code" in (tmp_path / "again" / "x" / "report.html").read_text()
+    )
+    poor = dataclasses.replace(saved, status=Status.NOT_CONVERGED)
+    assert f"hystfit check {loop}" in " ".join(text_report(poor).split())
+    text = text_report(poor, Wording(loop=command_words([str(loop)], Reading(time="0")), translate=as_options))
+    assert f"hystfit compare {loop} --time=0" in " ".join(text.split())
+    page = html_report(poor, wording=Wording(translate=as_options))
+    assert "--method trf" in page
+    assert "method=" not in page
 
 
 def test_report_again(fitted, folder, capsys):

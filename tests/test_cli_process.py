@@ -203,14 +203,15 @@ def test_without_a_cache_folder_commands_still_run(process, tmp_path):
     assert process("datasets", env_more=more).returncode == 0
 
 
-def test_help_starts_without_the_numerical_libraries():
+def test_help_and_the_list_of_models_start_without_the_numerical_libraries():
     code = (
-        "import sys, hystfit\nfrom hystfit.cli import run\nassert run(['--help']) == 0\n"
+        "import sys, hystfit\nfrom hystfit.cli import run\nassert run(['--help']) == 0\nassert run(['models']) == 0\n"
         "heavy = {'jax', 'numpy', 'scipy', 'matplotlib', 'equinox'} & set(sys.modules)\nassert not heavy, heavy"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert all(verb in done.stdout for verb in cli.VERBS)
+    assert "bouc-wen" in done.stdout
 
 
 def test_a_reader_that_stops_early_changes_no_status(process, folder):

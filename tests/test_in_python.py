@@ -144,6 +144,16 @@ def test_units_of_columns_are_kept_and_missing_values_stay_missing() -> None:
     assert (record.u_name, record.u_unit, record.y_unit) == ("u_V", "V", "um")
 
 
+def test_a_first_date_that_is_missing_leaves_out_its_row_alone() -> None:
+    from hystfit.reading.in_memory import records_of
+
+    dates = pd.Series(pd.to_datetime(T, unit="s"))
+    dates[0] = pd.NaT
+    (record,) = records_of(pd.DataFrame({"date": dates, "u": U, "y": U**2}))
+    np.testing.assert_array_equal(record.u, U[1:])
+    np.testing.assert_allclose(record.t, T[1:] - T[1], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -386,3 +386,62 @@ def test_the_answer_stands_at_the_top_of_the_page_and_the_text(result):
     assert text.index("\nAnswer\n") < text.index("\nVerdict\n")
     poor = dataclasses.replace(result, status=Status.POOR)
     assert "hystfit compare LOOP" in report.html_report(poor)
+
+
+def test_a_picture_is_enlarged_in_data_coordinates(browser, tmp_path):
+    """The point under the pointer stays, marks keep to the labels of the new ticks, linked axes follow, and named ticks stay."""
+    from matplotlib.figure import Figure
+
+    from hystfit.results.webpage import Page, Picture
+
+    x, figures = np.arange(11.0), [Figure(figsize=(5.6, 4.0), layout="constrained") for _ in range(2)]
+    for ax in (pair := figures[0].subplots(2, 1, sharex=True)):
+        ax.plot(x, 1e-7 * x, "o")
+        ax.axhline(5e-7, color="red")
+    named = figures[1].subplots()
+    named.semilogx(10.0 ** (x - 5), x, "o")
+    named.set_yticks([0, 10], ["low", "high"])
+    shown = [Picture(figure, "points") for figure in figures]
+    (tmp_path / "page.html").write_text(Page("Zoom", "Usable.", True, (), [("Pictures", [shown])]).render())
+    page, faults = browser.new_page(viewport={"width": 1000, "height": 800}), []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto((tmp_path / "page.html").as_uri())
+    look = """(k) => {
+        const middle = (e) => { const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; };
+        const group = document.querySelectorAll("dialog svg [id^=axes]")[k], ticks = group.lastElementChild;
+        const marks = [...group.querySelectorAll(":scope > g:not([id^=matplotlib]) use")].map(middle);
+        return { marks, ticks: [...ticks.querySelectorAll("text")].map((t) => [t.textContent, ...middle(t)]) };
+    }"""
+    page.locator("figure img").first.click()
+    before, other = page.evaluate(look, 0)["marks"], page.evaluate(look, 1)["marks"]
+    page.mouse.move(*before[6])
+    page.mouse.wheel(0, -400 * np.log(2))
+    after = page.evaluate(look, 0)
+    marks = np.array(after["marks"])
+    np.testing.assert_allclose(marks[6], before[6], atol=1)
+    np.testing.assert_allclose(np.diff(marks, axis=0), 2 * np.diff(before, axis=0), atol=0.5)
+    across = [
+        (float(text), place) for text, place, up in after["ticks"] if up > max(y for _, _, y in after["ticks"]) - 3
+    ]
+    assert len(across) >= 3
+    np.testing.assert_allclose(
+        [place for _, place in across], np.interp([v for v, _ in across], x, marks[:, 0]), atol=2
+    )
+    along = [(float(text), up) for text, _, up in after["ticks"] if up < max(y for _, _, y in after["ticks"]) - 3]
+    assert pair[0].yaxis.get_offset_text().get_text() == "1e−6"
+    np.testing.assert_allclose([up for _, up in along], [np.interp(10 * v, x, marks[:, 1]) for v, _ in along], atol=4)
+    linked = np.array(page.evaluate(look, 1)["marks"])
+    np.testing.assert_allclose(linked[:, 0], marks[:, 0], atol=0.5)
+    np.testing.assert_allclose(linked[:, 1], np.array(other)[:, 1], atol=0.5)
+    page.keyboard.press("0")
+    np.testing.assert_allclose(page.evaluate(look, 0)["marks"], before, atol=0.01)
+    page.locator("dialog button").click()
+    page.locator("figure img").nth(1).click()
+    before = page.evaluate(look, 0)["marks"]
+    page.keyboard.press("+")
+    after = page.evaluate(look, 0)
+    np.testing.assert_allclose(np.array(after["marks"])[:, 1], np.array(before)[:, 1], atol=0.5)
+    places = np.interp([np.log10(float(text)) for text, *_ in after["ticks"]], x - 5, np.array(after["marks"])[:, 0])
+    np.testing.assert_allclose([place for _, place, _ in after["ticks"]], places, atol=3)
+    page.close()
+    assert faults == []

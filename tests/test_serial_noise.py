@@ -13,6 +13,7 @@ from hystfit.data.batch import Batch
 from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise import OrnsteinUhlenbeck, Setting
+from hystfit.inference.noise.even_noise import EvenRows
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import CHANCE, ResidualAnalysis, analyze
@@ -57,6 +58,29 @@ def test_tridiagonal_algebra_is_that_of_the_dense_covariance():
     rows = np.asfortranarray(np.random.default_rng(2).normal(size=(n, 4)))
     np.testing.assert_allclose(noise.solve(rows), np.linalg.solve(plain, rows), rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(noise.apply(rows), (plain + 0.49 * shapes @ shapes.T) @ rows, rtol=1e-10)
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 0.3, 1e6])
+@pytest.mark.parametrize("time", [0.2, 5.0, 400.0])
+def test_even_samples_have_the_dense_covariance_in_cosine_coordinates(ratio, time):
+    n, step, weight = 41, 0.7, 2.5
+    gap, rows = np.append(np.inf, np.full(n - 1, step)), np.random.default_rng(1).normal(size=(n, 3))
+    apart = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    dense = weight * np.exp(-apart / time) + ratio * np.eye(n)
+    even = EvenRows.of(rows, gap, np.full(n, weight))
+    gram, log_det = even.at(ratio, time)
+    np.testing.assert_allclose(gram, rows.T @ np.linalg.solve(dense, rows), rtol=1e-9)
+    assert log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
+
+
+def test_only_one_even_record_of_one_weight_has_cosine_coordinates():
+    gap, rows, weight = np.append(np.inf, np.ones(9)), np.ones((10, 1)), np.ones(10)
+    assert EvenRows.of(rows, gap, weight) is not None
+    for at, value in ((4, np.inf), (4, 1.001)):
+        uneven = gap.copy()
+        uneven[at] = value
+        assert EvenRows.of(rows, uneven, weight) is None
+    assert EvenRows.of(rows, gap, np.append(weight[1:], 2.0)) is None
 
 
 def test_the_restricted_likelihood_is_that_of_the_filter():
@@ -132,7 +156,7 @@ def left_of(u: np.ndarray, J: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, Re
     batch = Batch.of(hf.Record(u=u, y=y))
     full = np.zeros((batch.u.shape[1], J.shape[1] + 1))
     full[:T] = np.column_stack([y - J @ x, J])
-    return x, ResidualAnalysis.of(Setting.of(batch), full[:, 0], full[:, 1:])
+    return x, ResidualAnalysis.of(Setting.of(batch), full[:, 0], lambda: J)
 
 
 @pytest.mark.parametrize("white", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])

@@ -255,6 +255,15 @@ def test_every_part_has_its_page_or_section(pages):
     assert [name for name in public if f"hystfit.{name}" not in reference] == []
 
 
+def test_every_notebook_can_be_opened_elsewhere(pages, site):
+    for path in sorted((ROOT / "notebooks").glob("[0-9]*.py")):
+        page = pages[f"notebooks/{path.stem}.html"]
+        found = {Path(link).name: site / "notebooks" / link for link in page.links if "_downloads" in link}
+        assert found[path.name].read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
+        assert '"cells"' in found[f"{path.stem}.ipynb"].read_text(encoding="utf-8")
+        assert "Open in" not in found[f"{path.stem}.ipynb"].read_text(encoding="utf-8")
+
+
 def test_every_page_has_a_title_and_resolving_links(pages, site):
     for name, page in pages.items():
         assert page.title.replace("hystfit", "").strip(" -—") or name == "index.html", name

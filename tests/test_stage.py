@@ -215,7 +215,11 @@ def test_several_devices_are_refused_where_one_is_needed():
 
 def test_jacobian_and_its_closed_inverse():
     kinematics = Kinematics(amplification=6.44, arm=40.0, direction=0.3)
-    np.testing.assert_allclose(kinematics.jacobian() @ kinematics.inverse_jacobian(), np.eye(3), atol=1e-12)
+    psi = 0.3 + 2 * np.pi / 3 * np.arange(3)
+    extensions = (
+        np.stack([np.cos(psi), np.sin(psi), np.full(3, 40.0)], axis=1) / 6.44
+    )  # of x, y and theta, as the class has it
+    np.testing.assert_allclose(kinematics.jacobian() @ extensions, np.eye(3), atol=1e-12)
     reach = np.abs(np.asarray(Kinematics().jacobian())).sum(axis=1) * 12
     assert reach[0] == pytest.approx(103, abs=0.2)  # the paper's workspace
     assert reach[1] == pytest.approx(89, abs=0.5)

@@ -12,6 +12,7 @@ from hystfit.fitting.fit import with_test
 from hystfit.fitting.verdict import with_left_out
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
+from hystfit.quality import baselines
 from hystfit.quality.baselines import Baselines, play_positions
 from hystfit.results.accuracy import Limits, persistent_error
 
@@ -162,6 +163,22 @@ def test_plays_equal_a_plain_loop():
         p = np.maximum(value - radii, np.minimum(value + radii, p))
         rows.append(p)
     np.testing.assert_array_equal(play_positions(u, radii), rows)
+
+
+@pytest.mark.parametrize("refit_offset", [False, True])
+def test_yardsticks_do_not_depend_on_the_blocks_of_samples(monkeypatch, refit_offset):
+    rng = np.random.default_rng(2)
+    u = np.cumsum(rng.normal(size=(3, 400)), axis=1)
+    y = [0.3 * play_positions(row, np.array([2.0]))[:, 0] + rng.normal(size=400) + k for k, row in enumerate(u)]
+    weight = np.where(np.arange(400) % 7 == 3, 0.0, 1.0)
+    records = [hf.Record(u=a, y=b, weight=weight, name=str(k)) for k, (a, b) in enumerate(zip(u, y, strict=True))]
+    train, test = Dataset(tuple(records[:2])), records[2:]
+    of = lambda: [Baselines.of(train), Baselines.of(train, test, refit_offset=refit_offset)]
+    at_once = of()
+    monkeypatch.setattr(baselines, "_BLOCK", 37)
+    for blocks, whole in zip(of(), at_once, strict=True):
+        for name in ("line", "curve", "plays"):
+            assert getattr(blocks, name) == pytest.approx(getattr(whole, name), rel=1e-9)
 
 
 def test_baselines_are_those_of_plain_regressions():

@@ -13,7 +13,7 @@ from generate.model_facts import Facts, facts
 from generate.style import both
 from hystfit.cli.catalog import PLACES
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import MODELS, Entry
+from hystfit.models.entries import MODELS, Entry
 from hystfit.params.param import leaves_of
 from hystfit.params.units import Scales
 

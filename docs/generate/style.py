@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -45,18 +46,20 @@ def scheme(text: str) -> Iterator[None]:
 
 
 def save_both(draw: Callable[[], Figure], target: Path) -> None:
-    """Draw a figure in both schemes, as NAME.light.svg and NAME.dark.svg.
+    """Draw a figure once, and write it as NAME.light.svg and, with the other color of text and axes, as NAME.dark.svg.
 
     Args:
         draw: makes the figure.
         target: path without a suffix.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
+    light, content = SCHEMES["light"], io.StringIO()
+    with scheme(light):
+        figure = draw()
+        figure.savefig(content, format="svg", metadata={"Date": None})
+        plt.close(figure)
     for name, text in SCHEMES.items():
-        with scheme(text):
-            figure = draw()
-            figure.savefig(f"{target}.{name}.svg", metadata={"Date": None})
-            plt.close(figure)
+        Path(f"{target}.{name}.svg").write_text(content.getvalue().replace(light, text), encoding="utf-8")
 
 
 def both(path: str, alt: str) -> str:

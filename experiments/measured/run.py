@@ -207,7 +207,7 @@ DRIFT_HEAD = ["model", "initial rest at", "creep, % per decade", "+-", "measured
 
 def main() -> None:
     """Run, check and write the page."""
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments((__doc__ or "").partition("\n")[0])
     hf.enable_x64()
     folder = Path(__file__).resolve().parent
     results = Results(folder, options.quick, options.out)

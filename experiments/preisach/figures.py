@@ -10,6 +10,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from common import times
 from measured import Measured
 
 import hystfit as hf
@@ -51,7 +52,7 @@ def properties(out: Path, wiped: list[hf.Record], loops: hf.Record) -> None:
     """Wiping-out and congruency (paper's Figs. 7 to 12)."""
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
     for record, label in zip(wiped, ("0, 150, 100, 180, 120 V", "0, 180, 120 V"), strict=True):
-        left.plot(record.t - record.t[-501], record.y, label=label)
+        left.plot(times(record) - times(record)[-501], record.y, label=label)
         middle.plot(record.u, record.y, label=label)
     left.set(xlabel="time since 180 V [s]", ylabel="displacement [um]", title="S3: wiping-out")
     middle.set(xlabel="voltage [V]", ylabel="displacement [um]", title="S4: wiping-out")
@@ -118,11 +119,12 @@ def measured(out: Path, found: Measured) -> None:
     axes[0, 1].set_title("density of the cells")
     plot_forc_diagram(found.diagram, axes[0, 2])
     axes[0, 2].set_title("FORC diagram")
-    loops, shown = found.loops, found.loops.t < found.loops.t[0] + 30
+    loops, passed = found.loops, times(found.loops) - times(found.loops)[0]
+    shown = passed < 30
     axes[1, 0].plot(loops.u[shown], loops.y[shown], lw=0.8, label="measured")
     axes[1, 0].plot(loops.u[shown], found.runs["cells"][shown], "--", lw=0.8, label="cells")
     axes[1, 0].set(xlabel="command [V]", ylabel="displacement [um]", title="minor loops, first 30 s")
-    small = shown & (np.abs(loops.t - loops.t[0] - 20) < 5)
+    small = shown & (np.abs(passed - 20) < 5)
     axes[1, 1].plot(loops.u[small], loops.y[small], lw=0.8, label="measured")
     axes[1, 1].plot(loops.u[small], found.runs["cells"][small], "--", lw=0.8, label="cells")
     axes[1, 1].set(xlabel="command [V]", ylabel="displacement [um]", title="the same, 15 to 25 s")

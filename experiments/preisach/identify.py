@@ -42,7 +42,7 @@ def static_model(record: hf.Record) -> hf.Preisach:
     return fit_preisach(record, blank(), smoothness=(1e-6,), offsets="shared").model
 
 
-def table_model(record: hf.Record) -> hf.TabulatedPreisach:
+def table_model(record: hf.Record) -> AbstractHysteresis:
     """The paper's table on levels of 15 V, eqs. (2) to (5)."""
     return hf.fit(hf.TabulatedPreisach.of(CURVES), record).model
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from common import Results
+from common import Results, times
 
 import hystfit as hf
 from hystfit.models.preisach import fit_forc, forc_diagram
@@ -108,7 +108,7 @@ def minor_loops(results: Results, model: hf.Record, test: hf.Record) -> dict[str
     results.add("measured minor loops: lag of the major loop, ms", 1e3 * lag.seconds)
     runs = {"cells": fit.predict(passed(test).u), "compare's choice": winner.predict(test)}
     size = _local_size(test)
-    late = test.t >= test.t[0] + CLOSE
+    late = times(test) >= times(test)[0] + CLOSE
     parts = {"whole": np.ones(len(test), bool), f"after {CLOSE:g} s": late}
     parts["loops of less than half the range"] = late & (size < 0.5 * size.max())
     span = float(np.ptp(test.y))

@@ -73,7 +73,7 @@ def judge(case: Case, quick: bool) -> tuple[list, bool, float | None]:
 
 def main() -> None:
     """Run, check and write the page."""
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments((__doc__ or "").partition("\n")[0])
     hf.enable_x64()
     folder = Path(__file__).resolve().parent
     results = Results(folder, options.quick, options.out)
@@ -95,7 +95,8 @@ def main() -> None:
     if not options.quick:
         results.add("described records", sum(case.usable for case in cases))
         results.add("share within 1.5 of the best model", sum(r <= FACTOR for r in described) / max(len(described), 1))
-    page = f"# Records of known kind\n\n{__doc__.splitlines()[0]} Written by `run.py`.\n\n{table(HEAD, rows)}"
+    about = (__doc__ or "").partition("\n")[0]
+    page = f"# Records of known kind\n\n{about} Written by `run.py`.\n\n{table(HEAD, rows)}"
     complete = not (options.quick or options.out or results.skipped)
     (folder if complete else results.out).joinpath("RESULTS.md").write_text(page, encoding="utf-8")
     results.finish()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from common import Results, table
+from common import Results, table, times
 
 from hystfit import Lag, LogCreep, Record, Series, simulate
 from hystfit.fitting.fit import fit
@@ -19,7 +19,7 @@ CREEP = {"hold": "none", "noise": NOISE, "walk": 1e-4}
 
 def _held_out(model: Any, record: Record) -> tuple[float, float]:
     """RMS and largest error in percent of the range after the trained part, the model driven by the input from the first sample on."""
-    late = record.t > TRAINED
+    late = times(record) > TRAINED
     error = (np.asarray(simulate(model, record.u, record.dt)[0]) - record.y)[late]
     span = np.ptp(record.y[late])
     return float(100 * np.sqrt(np.mean(error**2)) / span), float(100 * np.abs(error).max() / span)
@@ -30,7 +30,7 @@ def measured(results: Results) -> str:
     if (loaded := results.load("measured", "piezo_dbo/test")) is None:
         return ""
     (record,) = loaded
-    train = record.segment(0, int(np.searchsorted(record.t, TRAINED)))
+    train = record.segment(0, int(np.searchsorted(times(record), TRAINED)))
     core = Series(Lag(), AsymmetricBoucWen()).start([train])
     hysteresis, (first,) = identify_in_stages(core, [Phase(train, settings={"noise": NOISE})])
     whole = Series(*hysteresis.parts, LogCreep(gamma=(0.005,)))
@@ -43,6 +43,8 @@ def measured(results: Results) -> str:
     )
     fitted = fit(both, train, start="model", starts=1)
     online = identify_online(Ukf.of(core, train, start="model", noise=NOISE), train, block=400)
+    for result in (first, second, third, online):
+        assert result.free_run is not None
     rows = []
     for name, model, inside in (
         ("filter, hysteresis", hysteresis, first.free_run),

@@ -7,8 +7,9 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit import BoucWen, Record, SecondOrder, Series, simulate
+from hystfit import Record, SecondOrder, Series, simulate
 from hystfit.control import invert
+from hystfit.models.base import AbstractHysteresis
 from hystfit.stage import Actuator, Sensor, axis_plant, perturbed, piezo, upsample
 
 LIMITS = (-20.0, 120.0)
@@ -25,7 +26,7 @@ def modulated(duration: float = 20.0, rate: float = 500.0) -> tuple[np.ndarray, 
     return t, np.minimum(u, 160 * t)
 
 
-def bare() -> BoucWen:
+def bare() -> AbstractHysteresis:
     """The hysteresis of the actuator alone."""
     return piezo().parts[0]
 
@@ -35,7 +36,7 @@ def hysteresis_record(seed: int, noise: float = 0.005, signal=modulated) -> Reco
     return Actuator(model=bare(), sensor=Sensor(noise, 0.001)).record(*signal(), seed=seed)
 
 
-def off(model: BoucWen, factors: dict[str, float]) -> BoucWen:
+def off(model: AbstractHysteresis, factors: dict[str, float]) -> AbstractHysteresis:
     """The model with its parameters multiplied by factors."""
     return perturbed(Series(model, *piezo().parts[1:]), **factors).parts[0]
 

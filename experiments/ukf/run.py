@@ -29,7 +29,7 @@ HERE = Path(__file__).resolve().parent
 
 def main() -> None:
     """Compute all numbers, tables and figures."""
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments((__doc__ or "").partition("\n")[0])
     hf.enable_x64()
     results = Results(HERE, options.quick, options.out)
     loops, circles = identification.loops_and_creep(results)

@@ -1,6 +1,7 @@
 """Levenberg-Marquardt for many records of one length in one compiled program: every start of every record in one loop.
 
-A loop over records is faster on a CPU than a batched program, in which every record takes as many steps as the slowest.
+A loop over records is faster on a CPU than a batched program, in which every record takes as many steps as the slowest. On a GPU the
+records go together.
 """
 
 from __future__ import annotations
@@ -19,13 +20,12 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
+from hystfit.models.parallel.route import each, on_gpu
 
 _SHORT = 256  # samples of the short form on which starts are compared
 _STEPS, _MORE = 25, 60  # of every start, of the best one
-_ROUGH, _FINE = (
-    1e-5,
-    1e-13,
-)  # predicted decrease of the cost, relative to it, at which starts and the best one have converged
+# Predicted decrease of the cost, relative to it, at which starts and the best one have converged.
+_ROUGH, _FINE = 1e-5, 1e-13
 _ROUNDING = 1e-28  # decrease for each sample that is below rounding errors
 _LEAST, _MOST = 1e-12, 1e10  # damping
 _LONGEST = 4.0  # step in z, infinity norm
@@ -102,6 +102,9 @@ class _Point(NamedTuple):
     matrix: Array
 
 
+_Carry = tuple[_Point, Array, Array, Array]  # point, damping, convergence, linearizations
+
+
 @eqx.filter_jit
 def _solve(
     full: Objective, short: Objective | None, starts: Array, count: Array
@@ -110,15 +113,26 @@ def _solve(
     capacity, several, p = starts.shape
     number = lambda tree, k: jax.tree_util.tree_map(lambda rows: rows[k], tree)
 
-    def one(k: Array, solved: tuple[Array, ...]) -> tuple[Array, ...]:
-        objective = number(full, k)
-        rough = objective if short is None else number(short, k)
-        begin = lambda z: _descend(_normal(rough), z, rough.batch.u.size, _ROUGH, _STEPS)
-        ends, _, taken = jax.lax.map(begin, number(starts, k))
-        z = ends.z[jnp.argmin(ends.cost)]
+    def begun(k: Array, z: Array) -> tuple[_Point, Array, Array]:
+        rough = number(full if short is None else short, k)
+        return _descend(_normal(rough), z, rough.batch.u.size, _ROUGH, _STEPS)
+
+    def ended(k: Array, ends: _Point, taken: Array) -> tuple[Array, ...]:
+        objective, z = number(full, k), ends.z[jnp.argmin(ends.cost)]
         point, converged, more = _descend(_normal(objective), z, objective.batch.u.size, _FINE, _MORE)
-        values = (point.z, point.cost, converged, jnp.sum(taken) + more, ends.cost)
-        return tuple(rows.at[k].set(value) for rows, value in zip(solved, values, strict=True))
+        return point.z, point.cost, converged, jnp.sum(taken) + more, ends.cost
+
+    def one(k: Array, solved: tuple[Array, ...]) -> tuple[Array, ...]:
+        ends, _, taken = jax.lax.map(lambda z: begun(k, z), number(starts, k))
+        return tuple(rows.at[k].set(value) for rows, value in zip(solved, ended(k, ends, taken), strict=True))
+
+    if on_gpu():  # all starts of all records, then all records
+        records = jnp.minimum(jnp.arange(capacity), count - 1)
+        pairs = jnp.repeat(records, several), starts[records].reshape(-1, p)
+        ends, _, taken = jax.tree_util.tree_map(
+            lambda rows: rows.reshape(capacity, several, *rows.shape[1:]), each(lambda at: begun(*at), pairs)
+        )
+        return each(lambda at: ended(*at), (records, ends, taken))
 
     numbers = jnp.zeros(capacity)
     empty = (
@@ -135,8 +149,7 @@ def _normal(objective: Objective) -> Callable[[Array], _Point]:
     """Normal equations in unconstrained coordinates; an infinite cost where they are not finite."""
 
     def at(z: Array) -> _Point:
-        push = lambda direction: jax.jvp(objective.misfit_at, (z,), (direction,))
-        residual, columns = jax.vmap(push, out_axes=(None, 0))(jnp.eye(z.size))
+        residual, columns = objective.linearize_at(z)
         point = _Point(z, 0.5 * residual @ residual, columns @ residual, columns @ columns.T)
         finite = functools.reduce(jnp.logical_and, [jnp.isfinite(value).all() for value in point])
         return point._replace(cost=jnp.where(finite, point.cost, jnp.inf))
@@ -147,21 +160,16 @@ def _normal(objective: Objective) -> Callable[[Array], _Point]:
 def _descend(
     normal: Callable[[Array], _Point], z: Array, samples: int, gain: float, most: int
 ) -> tuple[_Point, Array, Array]:
-    """Levenberg-Marquardt from z: where it ended, whether it converged, and the number of linearizations.
+    """Levenberg-Marquardt from z: where it ended, whether it converged, and the number of linearizations, `most` at most.
 
-    Args:
-        normal: normal equations at a point.
-        z: start, unconstrained, shape (p,).
-        samples: number of residuals.
-        gain: predicted decrease of the cost, relative to it, at which it has converged.
-        most: linearizations at most.
+    It has converged where the predicted decrease of the cost is below `gain` times the cost.
     """
 
-    def goes_on(carry: tuple[_Point, Array, Array, Array]) -> Array:
+    def goes_on(carry: _Carry) -> Array:
         _, damping, converged, k = carry
         return ~converged & (damping < _MOST) & (k < most)
 
-    def once(carry: tuple[_Point, Array, Array, Array]) -> tuple[_Point, Array, Array, Array]:
+    def once(carry: _Carry) -> _Carry:
         point, damping, _, k = carry
         step, predicted = _step(point, damping)
         converged = predicted <= gain * point.cost + _ROUNDING * samples

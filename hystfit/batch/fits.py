@@ -7,7 +7,7 @@ import dataclasses
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone
-from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table
 from hystfit.registry import near
 from hystfit.results.plots import MANY
@@ -122,8 +122,6 @@ class Fits:
         number = self._number(name)
         return fit_alone(self.work, self.sources[number], self.rows[number])
 
-    # -- the table ------------------------------------------------------------------------------------------------------------
-
     def columns(self) -> dict[str, list[Any]]:
         """All rows as columns of text and numbers; NaN and "" where unknown."""
         nan = lambda value: math.nan if value is None else float(value)
@@ -153,10 +151,7 @@ class Fits:
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        pandas = optional("pandas", "frames", "to_dataframe")
         frame = pandas.DataFrame(self.columns())
         frame.attrs = {"schema": SCHEMA, "model": self.model, "units": self.column_units()}
         return frame
@@ -167,10 +162,7 @@ class Fits:
         Raises:
             MissingExtraError: xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise MissingExtraError("xarray", "frames", "to_xarray") from error
+        xarray = optional("xarray", "frames", "to_xarray")
         columns, units = self.columns(), self.column_units()
         loops = columns.pop("loop")
         data = {
@@ -187,11 +179,7 @@ class Fits:
             MissingExtraError: the package for this kind of file is not installed.
         """
         path = Path(path)
-        writers: dict[str, Callable[[Path], object]] = {
-            ".csv": self._write_csv,
-            ".parquet": self._write_parquet,
-            ".nc": self._write_netcdf,
-        }
+        writers = {".csv": self._write_csv, ".parquet": self._write_parquet, ".nc": self._write_netcdf}
         if path.suffix not in writers:
             raise DataError(f"a table is written as {', '.join(writers)}, got {path.name!r}")
         try:
@@ -210,20 +198,12 @@ class Fits:
             writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
 
     def _write_parquet(self, path: Path) -> None:
-        try:
-            import pyarrow  # noqa: F401
-        except ImportError as error:
-            raise MissingExtraError("pyarrow", "frames", "a Parquet table") from error
+        optional("pyarrow", "frames", "a Parquet table")
         self.to_dataframe().to_parquet(path, engine="pyarrow", index=False)
 
     def _write_netcdf(self, path: Path) -> None:
-        try:
-            import h5netcdf  # noqa: F401
-        except ImportError as error:
-            raise MissingExtraError("h5netcdf", "frames", "a netCDF table") from error
+        optional("h5netcdf", "frames", "a netCDF table")
         self.to_xarray().to_netcdf(path, engine="h5netcdf")
-
-    # -- overviews ------------------------------------------------------------------------------------------------------------
 
     def worst(self, count: int = _WORST) -> tuple[Row, ...]:
         """Loops to inspect: first those without a fit, then unusable ones, then those with the largest errors."""

@@ -89,10 +89,6 @@ def _key(path: str) -> str:
 def units_of(sources: Sequence[Source], reading: Mapping[str, Any]) -> dict[str, str]:
     """Units of the first loop that can be read, to which the others are converted.
 
-    Args:
-        sources: files and records.
-        reading: arguments of `hystfit.read`.
-
     Raises:
         DataError: no loop can be read.
     """

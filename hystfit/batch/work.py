@@ -73,11 +73,8 @@ class Work:
         check_settings(*(chosen[name] for name in ("method", "starts", "loss", "noise", "start")))
         require_seed(chosen["seed"])
         work = cls(make_model(model) if isinstance(model, type) else model, chosen, dict(reading), {})
-        if (
-            work.searches
-            and work.model == AUTO
-            and (changed := changed_settings({k: v for k, v in chosen.items() if k != "seed"}))
-        ):
+        compared = work.searches and work.model == AUTO
+        if compared and (changed := changed_settings({k: v for k, v in chosen.items() if k != "seed"})):
             raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
         if not work.searches:
             space = ParameterSpace.of(make_model(work.model), fix=chosen["fix"], free=chosen["free"])
@@ -100,12 +97,13 @@ class Work:
 
 @dataclasses.dataclass
 class _Loop:
-    """State of one loop: its record, its fit setup, its estimate, or the reason why it has no fit."""
+    """State of one loop: its record, its fit setup, its task where others are solved with it, its estimate, and its row at the end."""
 
     source: Source
     name: str
     record: Record | None = None
     fit_setup: FitSetup | None = None
+    task: Task | None = None
     estimate: Estimate | None = None
     row: Row | None = None
 
@@ -135,29 +133,27 @@ def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, An
 def _fit(work: Work, loops: Sequence[_Loop]) -> None:
     """Give every loop its row."""
     if work.searches:
-        for loop in loops:
-            _attempt(loop, lambda loop: _search(work, loop))
+        _each(_search, work, loops)
         return
-    for loop in loops:
-        _attempt(loop, lambda loop: _pose(work, loop))
-    _solve(work, [loop for loop in loops if loop.row is None])
-    for loop in loops:
-        _attempt(loop, lambda loop: _judge(work, loop))
+    _each(_pose, work, loops)
+    _solve_together(loops)
+    _each(_judge, work, loops)
 
 
-def _attempt(loop: _Loop, step: Callable[[_Loop], object]) -> None:
-    if loop.row is not None:
-        return
-    try:
-        step(loop)
-    except Exception as error:  # a batch does not end with one of its loops
-        loop.fails(error)
+def _each(step: Callable[[Work, _Loop], object], work: Work, loops: Sequence[_Loop]) -> None:
+    """A step of the loops that have no row yet; a batch does not end with one of its loops."""
+    for loop in loops:
+        if loop.row is None:
+            try:
+                step(work, loop)
+            except Exception as error:
+                loop.fails(error)
 
 
 def _read(work: Work, source: Source) -> list[_Loop]:
     try:
         return [_Loop(source, name, record) for name, record in source.loops(work.reading)]
-    except Exception as error:  # as in `_attempt`
+    except Exception as error:  # as in `_each`
         loop = _Loop(source, source.name)
         loop.fails(error)
         return [loop]
@@ -165,7 +161,7 @@ def _read(work: Work, source: Source) -> list[_Loop]:
 
 def _alike(work: Work, loop: _Loop) -> Record:
     """The record converted to the units of the batch."""
-    loop.record = loop.record.in_units(**work.units)  # type: ignore[union-attr]
+    loop.record = cast(Record, loop.record).in_units(**work.units)
     return loop.record
 
 
@@ -177,38 +173,36 @@ def _search(work: Work, loop: _Loop) -> None:
 def _pose(work: Work, loop: _Loop) -> None:
     options = {name: work.options[name] for name in _POSED}
     named = isinstance(work.model, str)
-    loop.fit_setup = set_up_fit(make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options)
+    loop.fit_setup = fit_setup = set_up_fit(
+        make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options
+    )
+    if fit_setup.method == _TOGETHER:
+        starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)
+        loop.task = Task.of(fit_setup.problem, starts)
 
 
-def _solve(work: Work, loops: Sequence[_Loop]) -> None:
-    """Solve together those that can be, a bucket at a time."""
-    buckets: dict[Any, list[tuple[_Loop, Task]]] = defaultdict(list)
+def _solve_together(loops: Sequence[_Loop]) -> None:
+    """Solve those that can be solved with others, a bucket at a time."""
+    buckets: dict[Any, list[_Loop]] = defaultdict(list)
     for loop in loops:
-        if loop.fit_setup is not None and loop.fit_setup.method == _TOGETHER:
-            _attempt(loop, lambda loop: _enter(work, loop, buckets))
-    for tasks in buckets.values():
-        size = tasks[0][1].capacity
-        for part in (tasks[k : k + size] for k in range(0, len(tasks), size)):
-            solved = solve_together([task for _, task in part])
-            for (loop, _), estimate in zip(part, solved, strict=True):
-                loop.estimate = estimate
-
-
-def _enter(work: Work, loop: _Loop, buckets: dict[Any, list[tuple[_Loop, Task]]]) -> None:
-    fit_setup = cast(FitSetup, loop.fit_setup)
-    starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)
-    task = Task.of(fit_setup.problem, starts)
-    buckets[task.key].append((loop, task))
+        if loop.row is None and loop.task is not None:
+            buckets[loop.task.key].append(loop)
+    for alike in buckets.values():
+        tasks = [cast(Task, loop.task) for loop in alike]
+        size = tasks[0].capacity
+        solved = [estimate for k in range(0, len(tasks), size) for estimate in solve_together(tasks[k : k + size])]
+        for loop, estimate in zip(alike, solved, strict=True):
+            loop.estimate = estimate
 
 
 def _judge(work: Work, loop: _Loop) -> None:
     watch, fit_setup, record = Stopwatch(), cast(FitSetup, loop.fit_setup), cast(Record, loop.record)
-    estimate = loop.estimate or solve(
-        fit_setup.problem, fit_setup.method, work.options["starts"], work.options["seed"], fit_setup.points
+    starts, seed, noise = (work.options[name] for name in ("starts", "seed", "noise"))
+    estimate = loop.estimate or solve(fit_setup.problem, fit_setup.method, starts, seed, fit_setup.points)
+    loop.row = row_of(
+        loop.name, loop.source.file, record, judge(fit_setup, estimate, noise=noise, seed=seed, watch=watch)
     )
-    result = judge(fit_setup, estimate, noise=work.options["noise"], seed=work.options["seed"], watch=watch)
-    loop.row = row_of(loop.name, loop.source.file, record, result)
-    loop.fit_setup = loop.estimate = None  # arrays of the record are not kept
+    loop.fit_setup = loop.task = loop.estimate = None  # arrays of the record are not kept
 
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import platform
@@ -26,6 +27,7 @@ u.csv+y.csv is one record with its input in the first file and its output in the
 Start with: hystfit fit LOOP --out fit
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
+_COLLECTION = 100_000  # new objects between garbage collections; imports and traces make a million that stay
 _CACHE_BYTES = 2**28  # of compiled programs; those unused for longest are removed first
 
 
@@ -89,6 +91,7 @@ def keep_programs() -> None:
 
 def main() -> None:
     """Entry point of the `hystfit` command."""
+    gc.set_threshold(_COLLECTION, *gc.get_threshold()[1:])
     keep_programs()
     compile_whole_loops()
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it

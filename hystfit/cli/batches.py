@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,8 +14,9 @@ from cyclopts import Parameter
 
 from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress
-from hystfit.errors import DataError, HystfitError, ParameterError
+from hystfit.errors import DataError, HystfitError, ParameterError, optional
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.inference.noise.registry import NOISES
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
 Format = Literal["parquet", "netcdf"]
 _ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
+_PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
 _RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
 _FEW = 32  # loops below which further processes take longer to start than to compute
 
@@ -75,6 +78,9 @@ def batch(
     if not loops:
         raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
     count = _count(reports)
+    for form in table or []:  # before hours of fits
+        for package in _PACKAGES[form]:
+            optional(package, "frames", f"--table {form}")
     found = len(sources_of(list(loops)))
     options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "start": start}
     options |= {"starts": starts, "seed": seed, "fix": named_values(fix or []), "free": free or []}
@@ -120,7 +126,7 @@ def _count(reports: str) -> int | None:
 
 def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
     """Reports of the loops that need a look and have a fit: address by name of the loop."""
-    from hystfit.results.report import write_into
+    from hystfit.results.report import Wording, write_into
 
     addresses: dict[str, str] = {}
     chosen = [row for row in fits.worst(len(fits)) if row.values][:count]
@@ -134,6 +140,6 @@ def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
             name = re.sub(r"[^\w.-]+", "_", Path(row.name).name)[:80]
             place = folder / "reports" / f"{name}-{(row.sha256 or '')[:8]}"
             place.mkdir(parents=True, exist_ok=True)
-            write_into(result, place)
+            write_into(result, place, wording=Wording("fit", shlex.quote(row.name), saved=False, translate=as_options))
             addresses[row.name] = f"reports/{place.name}/report.html"
     return addresses

@@ -29,7 +29,7 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
         name: a model, or several joined by +, or my_model.py:MyModel.
         json: print JSON.
     """
-    from hystfit.models.registry import MODELS, make_model
+    from hystfit.models.entries import MODELS
 
     entry = MODELS.get(name or "")
     if name is None:
@@ -41,12 +41,12 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
         }
         blocks = ["\n".join([heading, *groups[place].lines("  ")]) for place, heading in PLACES.items()]
         text = "\n\n".join([*blocks, _EXAMPLE])
-        listed = {
-            key: {"place": entry.place, "about": entry.doc, "settings": entry.settings()}
-            for key, entry in MODELS.items()
-        }
-        content: dict[str, Any] = {"models": listed}
+        known = MODELS if json else {}  # settings import the models
+        about = {k: {"place": one.place, "about": one.doc, "settings": one.settings()} for k, one in known.items()}
+        content: dict[str, Any] = {"models": about}
     else:
+        from hystfit.models.registry import make_model
+
         table = _parameters(entry.make() if entry else make_model(name))
         settings = entry.settings() if entry else {}
         count = len(table.rows)

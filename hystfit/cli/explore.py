@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import shlex
 import threading
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hystfit.cli.interrupts import INTERRUPTED
-from hystfit.cli.options import DEFAULT_READING, Loop, Reading, named_values
+from hystfit.cli.options import DEFAULT_READING, Loop, Reading, changed_reading, command_words, named_values
 from hystfit.cli.records import load
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import progress
 from hystfit.errors import ParameterError
 from hystfit.reading import datasets
@@ -50,7 +49,9 @@ def explore(
         raise ParameterError(f"--at {missing[0]} needs a value: --at {missing[0]}=1")
     with progress("reading"):
         record = single(load([loop], reading))
-        page = Explorer(Session(record, model, start=values, source=_source(loop, record, reading)), port)
+        page = Explorer(
+            Session(record, model, start=values, source=_source(loop, record, reading), translate=as_options), port
+        )
     try:
         with page:
             print(f"{record.name}: {page.url}\nCtrl-C ends the explorer", flush=True)
@@ -66,9 +67,7 @@ def _source(loop: str, record: Record, reading: Reading) -> Source:
     """How the record is read again at the shell and in Python."""
     from hystfit.explorer.session import Source
 
-    changed = {k: v for k, v in dataclasses.asdict(reading).items() if v != getattr(DEFAULT_READING, k)}
-    options = [f"--{name}" if value is True else f"--{name}={value}" for name, value in changed.items()]
-    shell = shlex.join([loop, *options])
+    changed, shell = changed_reading(reading), command_words([loop], reading)
     call = lambda names: ", ".join(f"{name}={changed[name]!r}" for name in changed if name in names)
     if Path(loop).exists() or loop not in datasets.names():
         arguments = ", ".join(filter(None, [repr(loop), call(changed)]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,10 +18,12 @@ from hystfit.cli.options import (
     Reading,
     SequentialSettings,
     Split,
+    command_words,
     lists,
     named_values,
 )
 from hystfit.cli.records import train_and_test
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress
 from hystfit.errors import ParameterError
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
@@ -29,6 +32,7 @@ from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
+    from hystfit.results.report import Wording
     from hystfit.results.result import FitResult
     from hystfit.results.webpage import Page
 
@@ -94,19 +98,31 @@ def fit(
 
         result = with_test(result, test, refit_offset=split.refit_offset)
 
+    from hystfit.results.report import text_report
+
+    wording = _wording(loops, reading, output.out)
+
     def save(folder: Path) -> None:
-        _save_fit(result, folder, test, split)
+        _save_fit(result, folder, test, split, wording)
 
-    return finish(str(result), result.to_dict(), output, save)
+    return finish(text_report(result, wording), result.to_dict(), output, save)
 
 
-def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Split) -> None:
+def _wording(loops: Sequence[str], reading: Reading, folder: Path | None) -> Wording:
+    """Places and options as the user wrote them; without a folder the fit is not saved."""
+    from hystfit.results.report import Wording
+
+    wording = Wording("fit", command_words(loops, reading), saved=False, translate=as_options)
+    return wording if folder is None else wording.at(folder)
+
+
+def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Split, wording: Wording) -> None:
     """Write a fit, its report and its pictures."""
     from hystfit.results.report import write_into
     from hystfit.results.saved import write_fit
 
     write_fit(result, folder)
-    write_into(result, folder, test=test, refit_offset=split.refit_offset)
+    write_into(result, folder, test=test, refit_offset=split.refit_offset, wording=wording)
 
 
 def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, seed: int) -> FitResult:
@@ -157,14 +173,16 @@ def compare(
         content["test"] = winner.test.to_dict() if winner.test else None
         text += f"\nwinner on the test data, which were not used for the ranking: {metrics_words(winner.test)}"
 
+    place = output.out or Path()
+
     def save(folder: Path) -> None:
         (folder / "comparison.txt").write_text(text + "\n", encoding="utf-8")
         (folder / "winner").mkdir()
-        _save_fit(winner, folder / "winner", test, split)
+        _save_fit(winner, folder / "winner", test, split, _wording(loops, reading, place / "winner"))
 
     def page() -> Page:
         from hystfit.cli.pages import compare_page
 
-        return compare_page(dataclasses.replace(comparison, winner=winner))
+        return compare_page(dataclasses.replace(comparison, winner=winner), place)
 
     return finish(text, content, output, save, status=winner.status, page=page)

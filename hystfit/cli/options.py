@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,6 +98,17 @@ class Reading:
     delimiter: Text = None
     decimal: Text = None
     encoding: Text = None
+
+
+def changed_reading(reading: Reading) -> dict[str, Any]:
+    """Options that differ from their defaults."""
+    return {k: v for k, v in dataclasses.asdict(reading).items() if v != getattr(DEFAULT_READING, k)}
+
+
+def command_words(loops: Iterable[str], reading: Reading) -> str:
+    """LOOP arguments with the options for reading them, quoted for a shell."""
+    options = [f"--{k}" if v is True else f"--{k}={v}" for k, v in changed_reading(reading).items()]
+    return shlex.join([*loops, *options])
 
 
 @Parameter(name="*")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +15,12 @@ from hystfit.params.units import axis_label
 from hystfit.results.labels import column_label
 from hystfit.results.plots import MEASURED, MODEL
 from hystfit.results.quantities import QUANTITIES
+from hystfit.results.report.answer import loops_of
 from hystfit.results.webpage import Block, Page, Picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.figure import Figure
 
     from hystfit.control.bands import InverseBands
@@ -64,6 +68,7 @@ def forc_page(
     units: Mapping[str, str],
     notes: Sequence[str],
     figures: Mapping[str, Any],
+    loop: str,
 ) -> Page:
     """The page of `hystfit forc`.
 
@@ -75,13 +80,14 @@ def forc_page(
         units: of the curves.
         notes: on the curves.
         figures: forc, coercivity and curves.
+        loop: the file with the options for reading it, quoted.
     """
     unit = units["u"]
     answer = [
         ("Median coercivity", f"{number(numbers.median_coercivity)} {unit}".rstrip()),
         ("Interaction of the ridge", f"{number(numbers.ridge)} {unit}".rstrip()),
         ("Density", how),
-        ("Next", "hystfit fit LOOP --model preisach-forc"),
+        ("Next", f"hystfit fit {loop} --model preisach-forc --out fit"),
     ]
     captions = {
         "forc": f"FORC diagram ({how}); red: positive, blue: negative; contours of a smoothed copy",
@@ -94,14 +100,14 @@ def forc_page(
     )
 
 
-def compare_page(comparison: Comparison) -> Page:
-    """The page of `hystfit compare`: the ranking, and the loop of the winner."""
-    winner, best = comparison.winner, comparison.rows[0]
+def compare_page(comparison: Comparison, folder: Path) -> Page:
+    """The page of `hystfit compare`, written into a folder: the ranking, and the loop of the winner."""
+    winner, best, fit = comparison.winner, comparison.rows[0], shlex.quote(str(folder / "winner"))
     answer = [
         ("Winner", best.name),
         ("Error on left-out data", f"{number(best.score_percent, '.3g')} % of the range"),
         ("Report on its fit", "winner/report.html"),
-        ("Next", "hystfit predict OUT/winner LOOP2\nhystfit invert OUT/winner REFERENCE"),
+        ("Next", f"hystfit predict {fit} NEW_LOOP\nhystfit invert {fit} REFERENCE"),
     ]
     text = comparison.text().splitlines()
     head = [line for line in text if line.startswith(("Error in", "'BIC", "'invert", "Compared"))]
@@ -137,6 +143,8 @@ def _sheet(width: float = 5.6, height: float = 4.0) -> Figure:
 
 def _ranking(comparison: Comparison) -> Figure:
     """Errors of all models that have one, the best at the top."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
     rows = [row for row in comparison.rows if row.score_percent is not None]
     figure = _sheet(5.6, 1.4 + 0.32 * len(rows))
     ax = figure.subplots()
@@ -146,14 +154,17 @@ def _ranking(comparison: Comparison) -> Figure:
             ax.plot(row.in_sample_percent, k, "o", mfc="none", color="#d55e00", label="fitted" if k == 0 else None)
     ax.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=8)
     ax.set(xscale="log", xlabel="error [% of the range]")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.invert_yaxis()
     ax.grid(axis="x", color="0.9", which="both")
     figure.legend(fontsize=8, frameon=False, ncols=2, loc="outside upper center")
     return figure
 
 
-def sample_page(posterior: Posterior) -> Page:
-    """The page of `hystfit sample`: parameters and quantities with intervals, and the pictures of the draws."""
+def sample_page(posterior: Posterior, folder: Path) -> Page:
+    """The page of `hystfit sample`, written into a folder: parameters and quantities with intervals, and the pictures of the draws."""
     rows = posterior.derived_rows
     interval = lambda row: (
         f"{number(row['median'])} ({number(row['lower'])} to {number(row['upper'])}) {row['unit']}".rstrip()
@@ -161,7 +172,10 @@ def sample_page(posterior: Posterior) -> Page:
     answer = [(QUANTITIES[row["name"]].label.capitalize(), interval(row)) for row in rows]
     chains, draws, _ = posterior.draws.shape
     answer += [("Draws", f"{chains} chains of {draws} by {posterior.sampler}, noise {posterior.noise}")]
-    answer += [("Next", "hystfit invert OUT REFERENCE\nhystfit profile OUT/fit")]
+    commands = (
+        f"hystfit invert {shlex.quote(str(folder))} REFERENCE\nhystfit profile {shlex.quote(str(folder / 'fit'))}"
+    )
+    answer += [("Next", commands)]
     captions = {
         "corner": "Joint distributions: contours of 50 and 90 %",
         "bands": "The loop, and 90 % bands over time: of the model output (blue), of a measurement (orange)",
@@ -180,19 +194,20 @@ def sample_page(posterior: Posterior) -> Page:
     return page_of(title, posterior.status, "sample", answer, sections)
 
 
-def profile_page(profiles: Profiles) -> Page:
+def profile_page(profiles: Profiles, fit: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
     answer = [(f"{p.name} ({level})", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
+    answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {shlex.quote(str(fit))}")]
     figure = Picture(
         profiles.plot(), "Profiles with their limits; dashed: the quadratic of the standard error", wide=True
     )
     sections = [("Pictures", [[figure]]), ("All limits", [list(map(str, profiles.profiles.values()))])]
-    title = f"{level} limits of {profiles.result.name} by profile likelihood, noise {profiles.noise}"
+    title = f"{level} limits of {profiles.result.name} by profile likelihood"
     return page_of(title, profiles.status, "profile", answer, [*sections, ("Notes", [notes_of(profiles.notes)])])
 
 
-def calibrate_page(calibration: Calibration) -> Page:
+def calibrate_page(calibration: Calibration, _: Path) -> Page:
     """The page of `hystfit calibrate`."""
     head = str(calibration).partition("\n")[0]
     low, high = calibration.coverage_band() if len(calibration.ranks) else (None, None)
@@ -210,15 +225,17 @@ def calibrate_page(calibration: Calibration) -> Page:
     return page_of(head.rpartition(":")[0], calibration.status, "calibrate", answer, sections)
 
 
-def design_page(proposal: Design) -> Page:
-    """The page of `hystfit design`: the input over time, and the errors that it leaves."""
+def design_page(proposal: Design, folder: Path) -> Page:
+    """The page of `hystfit design`, written into a folder: the input over time, and the errors that it leaves."""
     best, record = proposal.best, proposal.result.data[0]
     aims = proposal.families(proposal.aim)
     answer = [("Proposed input", best.name), ("Aim", ", ".join(aims))]
     for name, members in list(aims.items())[:4]:
         now, then = proposal.median(proposal.present, members), proposal.median(best.stderr, members)
         answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
-    answer.append(("Next", "measure with input.csv, then hystfit fit LOOP NEW"))
+    old = loops_of(proposal.result.data)
+    command = f"hystfit fit {old} NEW_LOOP --model {shlex.quote(proposal.result.name)} --out fit"
+    answer.append(("Next", f"measure with {folder / 'input.csv'}, then fit both records:\n{command}"))
     figure = _sheet()
     ax = figure.subplots()
     axis = np.arange(best.u.size) * (proposal.dt or 1.0)
@@ -274,7 +291,7 @@ def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], fi
         ("Input", f"{number(reach['lowest'])} to {number(reach['highest'])} {unit}".rstrip()),
         ("Samples met", f"{content['counts']['ok']} of {sum(content['counts'].values())}"),
         ("Not met", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
-        ("Next", "hystfit export FIT --c C"),
+        ("Next", f"hystfit export {shlex.quote(content['fit']['folder'])} --c code"),
     ]
     shown = [
         Picture(

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, Trust, bounds_of
 from hystfit.cli.records import load, load_one_sided, open_fit
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, record_columns, show, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity, Status
@@ -25,14 +26,14 @@ def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOU
     They are written into --out, or into the folder of the fit.
     """
     from hystfit.results.folders import check_writable
-    from hystfit.results.report import write
+    from hystfit.results.report import Wording, write
     from hystfit.results.saved import load_fit
 
     result = load_fit(folder, trust=trust)
     target = output.out or folder
     check_writable(target)
     with progress("drawing"):
-        write(result, target)
+        write(result, target, wording=Wording(translate=as_options).at(folder))
     show(str(result) + written(target, ["report.html", "report.txt", "pictures"]), result.to_dict(), output.json)
     return 0 if result.usable else 1
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
 from hystfit.cli.write import finish, named, progress, save_figure, write_csv
 from hystfit.outcome import Column, Status, Table
@@ -67,7 +67,9 @@ def forc(
 
         figures = _figures(diagram, numbers, family, units)
         _write_density(folder, diagram, numbers, units)
-        page = forc_page(family.words(), how, table, numbers, units, family.notes, figures)
+        page = forc_page(
+            family.words(), how, table, numbers, units, family.notes, figures, command_words(loops, reading)
+        )
         (folder / "report.html").write_text(page.render(), encoding="utf-8")
         for name, figure in figures.items():
             save_figure(figure, folder / f"{name}.png")

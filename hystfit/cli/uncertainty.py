@@ -10,6 +10,7 @@ from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
 from hystfit.cli.write import finish, named, progress, save_figure, write_csv
+from hystfit.errors import optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.registry import attribute
 from hystfit.sampling.registry import SAMPLERS
@@ -59,6 +60,9 @@ def sample(
     from hystfit.sampling.sample import sample as draw
 
     result = open_fit(fitdir, output, trust, "hystfit.sample")
+    if output.out is not None:  # before hours of sampling
+        for package in ("h5netcdf", "xarray", "corner"):
+            optional(package, "bayes", "--out of hystfit sample")
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
     run = None if output.out is None else output.out / "run"
@@ -79,7 +83,9 @@ def sample(
         for kind in ("corner", "trace", "rank", "bands"):
             save_figure(posterior.plot(kind), folder / f"{kind}.png")
 
-    return finish(str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior))
+    return finish(
+        str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior, output.out)
+    )
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
@@ -126,7 +132,7 @@ def profile(
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
     save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
-    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles))
+    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles, fitdir))
 
 
 def errors(
@@ -202,7 +208,9 @@ def calibrate(
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
     save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
-    return finish(str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration))
+    return finish(
+        str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration, output.out)
+    )
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
@@ -247,13 +255,15 @@ def design(
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
-    return finish(str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal))
+    return finish(
+        str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal, output.out)
+    )
 
 
-def _page(name: str, content: Any) -> Page:
+def _page(name: str, content: Any, folder: Path | None) -> Page:
     """A page of `hystfit.cli.pages`, closed figures and all."""
     import matplotlib.pyplot as plt
 
-    page = attribute(f"hystfit.cli.pages:{name}")(content)
+    page = attribute(f"hystfit.cli.pages:{name}")(content, folder)
     plt.close("all")
     return page

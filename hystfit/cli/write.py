@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
-from hystfit.errors import MissingExtraError
+from hystfit.errors import optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 
@@ -108,11 +108,8 @@ def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
     Raises:
         MissingExtraError: xarray or h5netcdf is not installed.
     """
-    try:
-        import h5netcdf  # noqa: F401
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError(str(error.name), "frames", "a netCDF file") from error
+    optional("h5netcdf", "frames", "a netCDF file")
+    xarray = optional("xarray", "frames", "a netCDF file")
     table = xarray.Dataset({name: ("sample", list(values)) for name, values in columns.items()})
     table.to_netcdf(path, engine="h5netcdf")
 

@@ -452,10 +452,6 @@ class Dataset:
                 return record
         raise DataError(f"no record {key!r}; there are {[r.name for r in self.records]}")
 
-    def select(self, names: Sequence[str]) -> Dataset:
-        """The records of these names, in this order."""
-        return Dataset(tuple(self[name] for name in names), name=self.name)
-
     def map(self, change: Callable[[Record], Record]) -> Dataset:
         """Apply a function to every record."""
         return Dataset(tuple(change(record) for record in self.records), name=self.name)

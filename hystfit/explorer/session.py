@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -72,6 +72,7 @@ class Session:
         *,
         start: Mapping[str, float] | None = None,
         source: Source | None = None,
+        translate: Callable[[str], str] = str,
     ):
         """Choose models for a record, and read starting values off it.
 
@@ -80,8 +81,10 @@ class Session:
             model: the first model; "auto" takes the one with the fewest parameters that suits the loop.
             start: values that replace those read off the record, by name.
             source: how the record is read again.
+            translate: from settings as in Python to the words of the reader.
         """
         require_x64()
+        self._translate = translate
         self.record, self._source, self.result = record, source or Source(), None
         suited = _suited(record)
         chosen = suited[0] if model == "auto" else model
@@ -236,22 +239,25 @@ class Session:
             model = result.model
             found = self._added(View(choice, model, model.prepared(self.record)))
             self.result = result
-            self._fit = {"state": "done", "result": _described(result), "view": found, "from": options}
+            self._fit = {"state": "done", "result": _described(result, self._translate), "view": found, "from": options}
         except Exception as error:
             known = isinstance(error, HystfitError)
-            self._fit = {"state": "failed", "error": str(error) if known else f"{type(error).__name__}: {error}"}
+            self._fit = {
+                "state": "failed",
+                "error": self._translate(str(error)) if known else f"{type(error).__name__}: {error}",
+            }
         finally:
             self._fitting.release()
 
 
-def _described(result: FitResult) -> dict[str, Any]:
+def _described(result: FitResult, translate: Callable[[str], str]) -> dict[str, Any]:
     """The verdict on a fit, and its standard errors."""
     return {
         "model": result.name,
         "status": str(result.status),
         "usable": result.usable,
-        "advice": result.advice,
-        "notes": [note.to_dict() for note in result.notes],
+        "advice": translate(result.advice),
+        "notes": [note.to_dict() | {"text": translate(note.text)} for note in result.notes],
         "stderr": {p.name: p.stderr for p in result.parameters if p.stderr is not None and np.isfinite(p.stderr)},
     }
 

@@ -12,6 +12,7 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
+from hystfit.inference.triangle import triangle
 from hystfit.params.space import relative_size
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
@@ -78,15 +79,16 @@ def uncertainty(
     relative = relative_size(problem.space, x)
     sides = np.array([{None: 0.0, "lower": 1.0, "upper": -1.0}[side] for side in problem.at_bound(x)])
     at_bound = sides != 0
-    rows = jacobian[used]
-    J = rows * relative
+    # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
+    rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
     natural = np.minimum(relative, np.asarray(space.coordinates.scale))
     gain = np.linalg.norm(_centered(rows, space.offsets)[0] * natural, axis=0)
     inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
     live = ~at_bound & ~inactive
     y = problem.scales.y
     few = int(live.sum()) <= FEW
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, (jacobian * relative)[:, live] if few else None)
+    columns = lambda: (jacobian[used] * relative)[:, live]
+    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if few else None)
     time = analysis.correlation_time if correlated or root is not None else 1.0
     freedom = max(int(used.sum()) - int(live.sum()), 1)
     plain = float(np.sum(residual**2)) / freedom
@@ -96,9 +98,9 @@ def uncertainty(
     slow = analysis.of_errors if correlated and not sought else None
     if slow is not None:
         root = np.zeros((int(on.sum()), x.size))
-        root[:, on] = least_squares_root(slow, rows[:, on] * y)
+        root[:, on] = least_squares_root(slow, jacobian[used][:, on] * y)
     if root is not None:
-        ratio = _ratio(root[:, live] * relative[live], J[:, live], plain)
+        ratio = _ratio(root[:, live] * relative[live], columns(), plain)
         square, variance, unit = root, 1.0, 1 / plain
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
     below, above = _rooms(problem, x)
@@ -106,7 +108,7 @@ def uncertainty(
     inside = None
     if live.any() and plain > 0 and 0 < np.isfinite(room[on]).sum() <= FEW:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(pushed, 0.0 if sought else (rows.T @ residual[used] + ridge * x) / plain, 0.0)
+        slope = np.where(pushed, 0.0 if sought else (residual @ jacobian + ridge * x) / plain, 0.0)
         information = (square[:, on], variance, unit * ridge[on])
         bounds = (room[on], np.where(below < above, 1.0, -1.0)[on])
         inside = np.zeros((x.size, x.size))

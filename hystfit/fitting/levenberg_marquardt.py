@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.objective import Objective
+from hystfit.models.parallel.route import each, on_gpu
 from hystfit.params.host_arrays import compiled
 
 # A step is accepted where the cost falls by more than _LEAST of what the linear model predicts, and the next one is longer where it
@@ -121,11 +122,11 @@ def _linearize(objective: Objective, z: np.ndarray, lanes: int) -> tuple[np.ndar
 @compiled
 def _linearize_first(objective: Objective, z: Float[Array, "lanes p"], count: Array) -> tuple[Array, Array]:
     """Misfit and derivatives at the first `count` points, zero at the others."""
-    eye = jnp.eye(z.shape[1])
+    if on_gpu():
+        return each(objective.linearize_at, z)
 
     def one(k: Array, rows: tuple[Array, Array]) -> tuple[Array, Array]:
-        push = lambda t: jax.jvp(objective.misfit_at, (z[k],), (t,))
-        misfit, jacobian = jax.vmap(push, out_axes=(None, 0))(eye)
+        misfit, jacobian = objective.linearize_at(z[k])
         return rows[0].at[k].set(misfit), rows[1].at[k].set(jacobian)
 
     samples = objective.batch.u.size

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hystfit.inference.problem import Problem
+from hystfit.inference.triangle import triangle
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
@@ -47,35 +48,27 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), np.asarray(problem.space.coordinates.kinds) != REAL
-    residual, jacobian = _linearize(problem, z)
-    cost, damping, converged = _cost(residual), 1e-6, False
+    cost, factor = _linearize(problem, z, order)
+    damping, converged = 1e-6, False
     for evaluations in range(1, steps):
         floor = _floor(problem, z)
         if not np.isfinite(cost + floor):
             return Polished(z, cost, False, evaluations)
-        triangle = np.linalg.qr(np.column_stack([jacobian[:, order], residual]), mode="r")
-        ordered, decrease = _step(triangle, int(offsets.sum()), damping)
+        ordered, decrease = _step(factor, int(offsets.sum()), damping)
         converged = decrease <= gain * cost + floor
         if converged or damping > _MOST:
             return Polished(z, cost, converged, evaluations)
         step = np.zeros(z.size)
         step[order] = ordered
         step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
-        new_residual, new_jacobian = _linearize(problem, z + step)
-        new_cost = _cost(new_residual)
+        new_cost, new_factor = _linearize(problem, z + step, order)
         blurred = _BLUR * np.sqrt(2 * cost * floor)  # where a smaller decrease cannot be seen, the linear model decides
         if new_cost < cost + (blurred if decrease < blurred else 0.0):
-            z, residual, jacobian, cost = z + step, new_residual, new_jacobian, new_cost
+            z, factor, cost = z + step, new_factor, new_cost
             damping = max(0.1 * damping, _LEAST)
         else:
             damping *= 10.0
     return Polished(z, cost, converged, steps)
-
-
-def _cost(residual: np.ndarray) -> float:
-    """Half the sum of squares; not finite after a step too far, which is taken back."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return 0.5 * float(residual @ residual)
 
 
 def _floor(problem: Problem, z: np.ndarray) -> float:
@@ -89,12 +82,16 @@ def _floor(problem: Problem, z: np.ndarray) -> float:
         return float(problem.used.sum() * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
 
 
-def _linearize(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray) -> tuple[float, np.ndarray]:
+    """The cost, and the triangular factor of [J, r] with the columns of J in an order; empty where the cost is not finite."""
     residual, jacobian = problem.linearize_misfit(problem.space.physical(z))
-    jacobian = jacobian * problem.space.slope(z)
     bounded = np.asarray(problem.space.coordinates.kinds) != REAL
-    nothing = np.linalg.norm(jacobian, axis=0) < _NOTHING * np.sqrt(problem.used.sum())
-    return residual, np.where(bounded & nothing, 0.0, jacobian)
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+        jacobian *= problem.space.slope(z)
+        size = np.sqrt(np.einsum("np,np->p", jacobian, jacobian))
+        jacobian[:, bounded & (size < _NOTHING * np.sqrt(problem.used.sum()))] = 0.0
+        cost = 0.5 * float(residual @ residual)
+    return cost, triangle(jacobian, residual, order) if np.isfinite(cost) else np.empty((0, 0))
 
 
 def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:

@@ -222,16 +222,7 @@ class AbstractIdentifier(eqx.Module):
 
 @eqx.filter_jit
 def run_stream(identifier: AbstractIdentifier, state: Any, stream: Sample) -> tuple[Any, Info]:
-    """`update` over a stream of samples.
-
-    Args:
-        identifier: the identifier.
-        state: its state before the first sample.
-        stream: samples with leaves of shape (T,).
-
-    Returns:
-        The state after them, and `Info` with leaves of shape (T, ...).
-    """
+    """`update` over a stream of samples with leaves of shape (T,): the state after them, and `Info` with leaves of shape (T, ...)."""
     return jax.lax.scan(lambda carry, sample: identifier.update(carry, sample), state, stream)
 
 
@@ -249,11 +240,7 @@ def free_only(model: AbstractHysteresis, names: Sequence[str], data: Dataset) ->
     names = list(dict.fromkeys(name.partition("@")[0] for name in names))
     every = ParameterSpace.of(model, free=names)
     chosen = {(leaf, position) for leaf, positions in map(every.find, names) for position in positions}
-    others = [
-        name
-        for name, (leaf, position, _) in zip(every.names, every.sources, strict=True)
-        if (leaf, position) not in chosen
-    ]
+    others = [name for name, source in zip(every.names, every.sources, strict=True) if source[:2] not in chosen]
     records = [record.name for record in data]
     return ParameterSpace.of(model, fix=others, free=names, scales=scales_of(data), records=records)
 

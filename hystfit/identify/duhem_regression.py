@@ -15,17 +15,18 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.identify.base import AbstractIdentifier, Judgment, Run, Sample
+from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.duhem import Duhem
 from hystfit.models.polynomial import legendre_to_powers, powers_to_legendre
@@ -251,29 +252,20 @@ def _padded(powers: np.ndarray, length: int) -> np.ndarray:
     return np.pad(powers, (0, length - powers.size))
 
 
-class Equation(NamedTuple):
-    """One row of the regression, sample by sample.
-
-    Attributes:
-        phi: regressors, shape (p,); zero where the row is not usable.
-        target: response; zero where the row is not usable.
-        usable: the input moved, and the output was measured at both ends of the step.
-        last: (u, y) of this sample, for the next row.
-    """
-
-    phi: Float[Array, " p"]
-    target: Float[Array, ""]
-    usable: Bool[Array, ""]
-    last: Float[Array, "2"]
-
-
 class LinearIdentifier(AbstractIdentifier):
-    """An identifier of the Duhem model by its one-step equation: target = phi . theta + error."""
+    """An identifier of the Duhem model by its one-step equation: target = phi . theta + error.
+
+    Its state is a NamedTuple with `theta` (p,) and `last`, (u, y) of the previous sample.
+    """
 
     solved: ClassVar[tuple[str, ...]] = ("w0",)
 
     regressor: eqx.AbstractVar[DuhemRegressor]
     theta0: eqx.AbstractVar[Float[Array, " p"]]
+
+    @abc.abstractmethod
+    def correct(self, state: Any, phi: Float[Array, " p"], error: Float[Array, ""]) -> Any:
+        """The state after a row of the regression: its regressors, and its response less that of the parameters so far."""
 
     @abc.abstractmethod
     def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
@@ -284,13 +276,17 @@ class LinearIdentifier(AbstractIdentifier):
         """alpha, f and g of the model, element by element."""
         return self.regressor.names
 
-    def equation(self, last: Float[Array, "2"], sample: Sample) -> Equation:
-        """The row of the step from the last sample (u, y) to this one."""
-        u0, y0 = last[0], last[1]
+    def update(self, state: Any, sample: Sample) -> tuple[Any, Info]:
+        """One sample; the state stays where the input rests or the output is missing at either end of the step."""
+        u0, y0 = state.last
         usable = ~sample.first & jnp.isfinite(y0) & jnp.isfinite(sample.y) & (sample.u != u0)
         clean = lambda value: jnp.where(usable, value, 0.0)  # a NaN must not enter the product with zero
         phi, target = self.regressor.row(clean(u0), clean(sample.u), clean(y0), clean(sample.y))
-        return Equation(clean(phi), clean(target), usable, jnp.stack([sample.u, sample.y]))
+        phi, error = clean(phi), clean(target) - clean(phi) @ state.theta
+        corrected = self.correct(state, phi, error)
+        state = jax.tree.map(lambda new, old: jnp.where(usable, new, old), corrected, state)
+        state = state._replace(last=jnp.stack([sample.u, sample.y]))
+        return state, Info(state.theta, jnp.where(usable, error * self.regressor.target_unit, jnp.nan), usable)
 
     def physical(self, theta: np.ndarray) -> np.ndarray:
         """alpha, f and g of the model, shape (..., p)."""
@@ -301,15 +297,12 @@ class LinearIdentifier(AbstractIdentifier):
         model = self.regressor.model(theta, first_output(record))
         return None if model is None else with_first_output(model, record)
 
-    def one_step(self, theta: np.ndarray, rows: Rows) -> np.ndarray:
-        """One-step errors of fixed parameters [y], shape (K,)."""
-        return (rows.target - rows.phi @ np.asarray(theta)) * float(self.regressor.target_unit)
-
     def judge(self, run: Run) -> Judgment:
         """`check`, and the RMS one-step error of the final parameters."""
         rows = self.regressor.rows(run.data)
         status, notes = self.check(run, rows)
-        return Judgment(status, notes, float(np.sqrt(np.mean(self.one_step(run.history[-1], rows) ** 2))))
+        errors = (rows.target - rows.phi @ run.history[-1]) * float(self.regressor.target_unit)
+        return Judgment(status, notes, float(np.sqrt(np.mean(errors**2))))
 
     def excitation(self, rows: Rows) -> Note | None:
         """A note where the rows do not determine all parameters."""
@@ -339,25 +332,28 @@ class LinearIdentifier(AbstractIdentifier):
         return Status.FAILED, [Note(Code.INVALID_MODEL, text, Severity.ERROR)]
 
 
-def starting_theta(
-    regressor: DuhemRegressor, model: AbstractHysteresis, records: Sequence[Record], start: str
-) -> Array:
-    """Starting values, shape (p,).
+def regression_of(
+    model: AbstractHysteresis, data: Dataset, basis: str, start: str
+) -> tuple[DuhemRegressor, Rows, Array]:
+    """The regressor scaled to records, their rows, and starting values of shape (p,).
 
     Args:
-        regressor: scaled to the records.
-        model: used with start "model", and for the orders and the scheme with start "data".
-        records: used with start "data", by `Duhem.start`.
-        start: "zero", "model" or "data".
+        model: a `Duhem`, which gives the orders and the scheme.
+        data: the records.
+        basis: see `DuhemRegressor`.
+        start: "zero", the values of the "model", or "data" by `Duhem.start`.
 
     Raises:
-        ParameterError: an unknown start.
+        ParameterError: an unknown start or basis.
+        ModelError, DataError: see `DuhemRegressor.of`; too few samples.
     """
     if start not in STARTS:
         raise ParameterError(f"start must be one of {', '.join(STARTS)}, got {start!r}")
+    regressor = DuhemRegressor.of(model, list(data), basis=basis)
+    rows = regressor.enough_rows(data)
     if start == "zero":
-        return jnp.zeros(regressor.p)
-    return jnp.asarray(regressor.theta(model if start == "model" else model.start(records)))
+        return regressor, rows, jnp.zeros(regressor.p)
+    return regressor, rows, jnp.asarray(regressor.theta(model if start == "model" else model.start(list(data))))
 
 
 def rank_of(phi: np.ndarray) -> int:

@@ -18,9 +18,9 @@ from jaxtyping import Array, Float, Int
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify.base import Info, Run, Sample
+from hystfit.identify.base import Run
 from hystfit.identify.bias import noise_bias
-from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, starting_theta
+from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, regression_of
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
@@ -96,41 +96,28 @@ class GradientCorrection(LinearIdentifier):
             raise ParameterError(f"mu must lie in (0, 2), outside of which the error grows; got {mu:g}")
         if not 0 <= floor < np.inf:
             raise ParameterError(f"floor must not be negative, got {floor:g}; 1 suits scaled regressors")
-        data = Dataset.of(data)
-        regressor = DuhemRegressor.of(model, list(data), basis=basis)
-        rows = regressor.enough_rows(data)
+        regressor, rows, theta0 = regression_of(model, Dataset.of(data), basis, start)
         if weights is None:
             lambdas = 1.0 / np.maximum(np.mean(rows.phi**2, axis=0), np.finfo(float).tiny)
         else:
             lambdas = check_weights(weights, regressor.p)
         if step is not None:
             _check_step(step, lambdas, rows)
-        theta0 = starting_theta(regressor, model, list(data), start)
         return cls(regressor, theta0, jnp.asarray(lambdas, dtype=theta0.dtype), mu, floor, step)  # type: ignore[arg-type]
 
     def init(self) -> GradientState:
         """The start."""
         return GradientState(self.theta0, jnp.full(2, jnp.nan, self.theta0.dtype), jnp.zeros((), int))
 
-    def update(self, state: GradientState, sample: Sample) -> tuple[GradientState, Info]:
-        """One sample: about 4 p multiplications."""
-        phi, target, usable, last = self.equation(state.last, sample)
-        weights = (
-            self.weights
-            if self.weights.ndim == 1
-            else self.weights[jnp.minimum(state.count, self.weights.shape[0] - 1)]
-        )
-        error = target - phi @ state.theta
+    def correct(self, state: GradientState, phi: Array, error: Array) -> GradientState:
+        """About 4 p multiplications."""
+        number = jnp.minimum(state.count, len(self.weights) - 1)
+        weights = self.weights if self.weights.ndim == 1 else self.weights[number]
         power = phi @ (weights * phi)
-        gain = self._gain(jnp.where(usable, power, 1.0))
-        theta = jnp.where(usable, state.theta + gain * error * weights * phi, state.theta)
-        error = jnp.where(usable, error * self.regressor.target_unit, jnp.nan)
-        return GradientState(theta, last, state.count + usable), Info(theta, error, usable)
-
-    def _gain(self, power: Array) -> Array:
-        if self.step is None:
-            return self.mu / (self.floor + power)
-        return jnp.where(self.step * power < 2.0, self.step, 1.0 / power)
+        power = jnp.where(power > 0, power, 1.0)  # of a row that is not used
+        normalized = self.mu / (self.floor + power)
+        gain = normalized if self.step is None else jnp.where(self.step * power < 2.0, self.step, 1.0 / power)
+        return state._replace(theta=state.theta + gain * error * weights * phi, count=state.count + 1)
 
     def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
         """Whether the input determines the estimate, and it is near the batch solution, valid and not biased by noise."""

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
-from hystfit.identify.base import Info, Run, Sample
+from hystfit.identify.base import Run
 from hystfit.identify.bias import noise_bias
-from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, starting_theta
+from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, regression_of
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
 from hystfit.params.param import as_array
@@ -91,10 +91,7 @@ class Rls(LinearIdentifier):
             raise ParameterError(f"prior must be positive and finite, got {prior:g}")
         if form not in ("square-root", "symmetric"):
             raise ParameterError(f"form must be square-root or symmetric, got {form!r}")
-        data = Dataset.of(data)
-        regressor = DuhemRegressor.of(model, list(data), basis=basis)
-        regressor.enough_rows(data)
-        theta0 = starting_theta(regressor, model, list(data), start)
+        regressor, _, theta0 = regression_of(model, Dataset.of(data), basis, start)
         return cls(regressor, theta0, forgetting, prior, form)  # type: ignore[arg-type]
 
     def init(self) -> RlsState:
@@ -103,15 +100,10 @@ class Rls(LinearIdentifier):
         root = scale * jnp.eye(self.regressor.p, dtype=self.theta0.dtype)
         return RlsState(self.theta0, root, jnp.full(2, jnp.nan, self.theta0.dtype))
 
-    def update(self, state: RlsState, sample: Sample) -> tuple[RlsState, Info]:
-        """One sample: about 2 p^2 multiplications."""
-        phi, target, usable, last = self.equation(state.last, sample)
-        error = target - phi @ state.theta
+    def correct(self, state: RlsState, phi: Array, error: Array) -> RlsState:
+        """About 2 p^2 multiplications."""
         gain, root = (self._potter if self.form == "square-root" else self._symmetric)(state.root, phi)
-        theta = jnp.where(usable, state.theta + gain * error, state.theta)
-        root = jnp.where(usable, root, state.root)
-        error = jnp.where(usable, error * self.regressor.target_unit, jnp.nan)
-        return RlsState(theta, root, last), Info(theta, error, usable)
+        return state._replace(theta=state.theta + gain * error, root=root)
 
     def _forgetting(self, trace: Array) -> Array:
         return jnp.where(trace > _WINDUP * self.prior * self.regressor.p, 1.0, self.forgetting)

@@ -12,11 +12,14 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.models.base import run
+from hystfit.models.parallel.kernel import linear_run
+from hystfit.models.parallel.route import Route, on_gpu, route
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 _STEEPEST = 1e100
+_NUMBERS = 512  # state and derivatives of one simulation on a thread of a GPU
 BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
 
 
@@ -54,9 +57,63 @@ class Objective(eqx.Module):
 
     def linearize(self, x: Float[Array, " p"]) -> tuple[Float[Array, "R T"], Float[Array, "R T p"]]:
         """`residual` and its derivatives, in one forward pass."""
-        push = lambda t: jax.jvp(self.residual, (x,), (t,))
-        r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
+        if self._steps_suit_lanes:
+            r, J = self._linear_runs(x)
+        else:
+            push = lambda t: jax.jvp(self.residual, (x,), (t,))
+            r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
         return r, jnp.moveaxis(J, 0, -1)
+
+    def linearize_at(self, z: Float[Array, " p"]) -> tuple[Float[Array, " n"], Float[Array, "p n"]]:
+        """`misfit_at` and its derivatives, in one forward pass."""
+        if not self._steps_suit_lanes:
+            push = lambda t: jax.jvp(self.misfit_at, (z,), (t,))
+            return jax.vmap(push, out_axes=(None, 0))(jnp.eye(z.shape[0]))
+        r, J = self._linear_runs(self.coordinates.physical(z))
+        weigh = lambda r: bend((jnp.sqrt(self.batch.weight) * r / self.size).reshape(-1), self.bend, self.loss)
+        push = lambda direction: jax.jvp(weigh, (r,), (direction,))
+        return jax.vmap(push, out_axes=(None, 0))(J * self.coordinates.slope(z)[:, None, None])
+
+    @property
+    def _steps_suit_lanes(self) -> bool:
+        """Whether this is a GPU, and steps with their derivatives are small enough for one of its threads."""
+        if not on_gpu():
+            return False
+        model, (_, samples) = self.coordinates.assemble(jnp.zeros_like(self.coordinates.lower)), self.batch.u.shape
+        if not model.causal or route(samples, associative=model.associative) is Route.ASSOCIATIVE:
+            return False
+        return jax.eval_shape(model.init, jnp.zeros(())).size * (len(self.coordinates.kinds) + 1) <= _NUMBERS
+
+    def _linear_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "p R T"]]:
+        """`residual` and derivatives by scans of the model's step and its derivatives, which batches of x share in one kernel."""
+        treedef, free = self.coordinates.treedef, [index for index, _, _ in self.coordinates.layout]
+
+        def one(record: Any) -> tuple[Array, Array]:
+            u, dt = self.batch.u[record], self.batch.dt[record]
+            leaves = jax.tree_util.tree_leaves(self.coordinates.assemble(x, record))
+
+            def model(values: list[Array]) -> Any:
+                rest = dict(zip(free, values, strict=True))
+                return treedef.unflatten([rest.get(k, leaf) for k, leaf in enumerate(leaves)])
+
+            def begin(x: Array) -> tuple[list[Array], Array]:
+                values = jax.tree_util.tree_leaves(self.coordinates.assemble(x, record))
+                values = [values[k] for k in free]
+                return values, model(values).init(u[0])
+
+            push = lambda t: jax.jvp(begin, (x,), (t,))
+            (values, state), along = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
+            step = lambda values, state, *row: model(values).step(state, *row)
+            return linear_run(step, (values, state, *along), (jnp.concatenate([u[:1], u[:-1]]), u, dt))
+
+        if self.batch.u.shape[0] == 1:
+            y, J = (part[None] for part in one(0))
+        else:
+            y, J = jax.lax.map(one, jnp.arange(self.batch.u.shape[0]))
+        r, on = y - self.batch.y, self.batch.weight > 0
+        finite = on & jnp.isfinite(r)
+        r = jnp.where(finite, r, jnp.where(on, BROKEN * self.size, 0.0))
+        return r, jnp.where(finite, jnp.moveaxis(J, 1, 0), 0.0)
 
     def misfit(self, x: Float[Array, " p"]) -> Float[Array, " n"]:
         """Weighted residuals in half ranges, bent by the loss so that half their sum of squares is the cost: shape (R * T,)."""
@@ -100,8 +157,11 @@ def linearized(objective: Objective, x: Any) -> tuple[Float[np.ndarray, "R T"], 
         x: physical parameters, shape (p,).
     """
     residual, jacobian = _linearize(objective, np.asarray(x, float))
-    steep = ~(np.abs(jacobian) < _STEEPEST)  # a root at zero, or a simulation beyond its stable range
-    return np.asarray(residual), np.where(steep, 0.0, jacobian) if steep.any() else np.asarray(jacobian)
+    residual, jacobian = np.asarray(residual), np.asarray(jacobian)
+    if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
+        return residual, jacobian
+    # A root at zero, or a simulation beyond its stable range.
+    return residual, np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)
 
 
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:

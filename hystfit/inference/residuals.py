@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -30,6 +30,8 @@ _TAILS = 3.0  # excess kurtosis of the differences of residuals above which tail
 _DRAWS = 20_000
 FEW = 60  # parameters up to which errors use the covariance of the noise; for more they grow by its correlation time
 
+Derivatives = Callable[[], np.ndarray]
+
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
@@ -38,28 +40,32 @@ class ResidualAnalysis:
     Attributes:
         samples: those that count.
         residual: output units times the square root of the weight, shape (n,).
-        basis: orthonormal basis of the weighted parameter Jacobian, shape (n, p).
+        derivatives: makes the weighted derivatives with respect to the parameters, shape (n, p), which white residuals do not need.
     """
 
     samples: Samples
     residual: Float[np.ndarray, " n"]
-    basis: Float[np.ndarray, "n p"]
+    derivatives: Derivatives | None = None
 
     @classmethod
     def of(
-        cls, setting: Setting, residual: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m p"] | None = None
+        cls, setting: Setting, residual: Float[np.ndarray, " m"], derivatives: Derivatives | None = None
     ) -> ResidualAnalysis:
         """From residuals and derivatives of all samples of a batch, record after record.
 
         Args:
             setting: the data in the form that noise models need.
             residual: weighted residuals [y], shape (R T,).
-            jacobian: weighted derivatives with respect to the parameters, shape (R T, p); None without them.
+            derivatives: see the class; None without them.
         """
         samples = Samples.of(setting)
         on = samples.on.reshape(-1)
-        basis = np.zeros((int(on.sum()), 0)) if jacobian is None else np.linalg.qr(jacobian[on])[0]
-        return cls(samples, residual[on], basis)
+        return cls(samples, residual[on], derivatives)
+
+    @functools.cached_property
+    def basis(self) -> Float[np.ndarray, "n p"]:
+        """Orthonormal basis of the derivatives."""
+        return np.zeros((self.residual.size, 0)) if self.derivatives is None else np.linalg.qr(self.derivatives())[0]
 
     @functools.cached_property
     def rows(self) -> list[np.ndarray]:
@@ -139,8 +145,8 @@ def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
     residual, jacobian = problem.with_loss("linear").linearize_misfit(x)
     live = np.array([side is None for side in problem.at_bound(x)])
     few = live.any() and int(live.sum()) <= FEW
-    columns = jacobian[:, live] * relative_size(problem.space, x)[live] if few else None
-    return ResidualAnalysis.of(problem.setting, residual * problem.scales.y, columns)
+    columns = lambda: jacobian[problem.used.reshape(-1)][:, live] * relative_size(problem.space, x)[live]
+    return ResidualAnalysis.of(problem.setting, residual * problem.scales.y, columns if few else None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,7 +253,7 @@ def _chi_squares(count: int) -> np.ndarray:
 
 def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
-    shapes = np.asarray(inducing_shapes(jnp.asarray(samples.place), jnp.asarray(length), POINTS))
+    shapes = inducing_shapes(samples.place, length, POINTS, on=np)
     shapes = shapes * np.sqrt(samples.weight)[:, None]
     return np.hstack([shapes * samples.rising[:, None], shapes * ~samples.rising[:, None]])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,6 +23,9 @@ from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.one_device import check_one_device
+from hystfit.models.parallel.associative import StateMap, sweep_at_once
+from hystfit.models.parallel.kernel import scan
+from hystfit.models.parallel.route import Route, route
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -108,8 +111,32 @@ class AbstractHysteresis(eqx.Module):
             return (state[0] if single else state), y
 
         before = jnp.concatenate([u0[None], u[:-1]])
-        state, y = jax.lax.scan(body, state[0] if single else state, (before, u, dt), unroll=unroll)
+        state, y = scan(body, state[0] if single else state, (before, u, dt), unroll)
         return (state[None] if single else state), y
+
+    state_map: ClassVar[StateMap | None] = (
+        None  # what `step` does to the state, where it is one of the maps that compose
+    )
+
+    @property
+    def associative(self) -> bool:
+        """Whether `sweep_at_once` needs no scan over the samples."""
+        return self.state_map is not None
+
+    def sweep_at_once(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """`sweep` by an associative scan where `state_map` is set: for long records on a GPU.
+
+        Args:
+            state: before the first sample.
+            u0: input before the first sample.
+            u: input, shape (T,).
+            dt: time since the sample before, shape (T,) [s].
+        """
+        if self.state_map is None:
+            return self.sweep(state, u0, u, dt)
+        return sweep_at_once(self.step, self.state_map, state, u0, u, dt)
 
     @property
     def one_scan(self) -> bool:
@@ -557,7 +584,10 @@ def run(
     """
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
-    state, y = model.sweep(resume.state, resume.u, u, dt, unroll)
+    if route(u.shape[0], associative=model.associative) is Route.ASSOCIATIVE:
+        state, y = model.sweep_at_once(resume.state, resume.u, u, dt)
+    else:
+        state, y = model.sweep(resume.state, resume.u, u, dt, unroll)
     return y, Resume(state, u[-1])
 
 

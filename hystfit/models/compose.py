@@ -30,6 +30,7 @@ from hystfit.models.base import (
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.parallel.associative import StateMap
 from hystfit.params.param import param
 
 
@@ -82,6 +83,11 @@ class AbstractComposition(AbstractHysteresis):
     def causal(self) -> bool:
         """Whether all parts are."""
         return all(part.causal for part in self.parts)
+
+    @property
+    def associative(self) -> bool:
+        """Whether all parts are."""
+        return all(part.associative for part in self.parts)
 
     def prepared(self, record: Record) -> Record:
         """As all parts need it."""
@@ -174,7 +180,18 @@ class Sum(AbstractComposition):
         unroll: int = 1,
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
         """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
-        runs = [part.sweep(s, u0, u, dt, unroll) for part, s in zip(self.parts, _split(state, self.parts), strict=True)]
+        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt, unroll))
+
+    def sweep_at_once(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """That of each part."""
+        return self._added(state, u, lambda part, s: part.sweep_at_once(s, u0, u, dt))
+
+    def _added(
+        self, state: Array, u: Array, sweep: Callable[[AbstractHysteresis, Array], tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        runs = [sweep(part, s) for part, s in zip(self.parts, _split(state, self.parts), strict=True)]
         return jnp.concatenate([s for s, _ in runs]), sum((y for _, y in runs), jnp.zeros_like(u))
 
     def start(self, records: Sequence[Record]) -> Sum:
@@ -293,9 +310,20 @@ class Series(AbstractComposition):
         unroll: int = 1,
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
         """A scan for each part, over all that the part before it puts out."""
-        states, between, signal = [], [], u
+        return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt, unroll))
+
+    def sweep_at_once(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """That of each part."""
+        return self._fed(state, u0, u, lambda part, *signals: part.sweep_at_once(*signals, dt))
+
+    def _fed(
+        self, state: Array, u0: Array, signal: Array, sweep: Callable[..., tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        states, between = [], []
         for part, s, old in self._chain(state, u0):
-            s, signal = part.sweep(s, old, signal, dt, unroll)
+            s, signal = sweep(part, s, old, signal)
             states.append(s)
             between.append(signal[-1])
         return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
@@ -465,6 +493,7 @@ class Offset(AbstractHysteresis):
     """A constant of its own for each record:  y = value."""
 
     rate_independent: ClassVar[bool] = True
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
     value: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")
 

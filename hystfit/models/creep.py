@@ -19,6 +19,7 @@ from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_r
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
+from hystfit.models.parallel.associative import StateMap
 from hystfit.models.starting import fitted_input_range, input_range
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -38,6 +39,7 @@ class LogCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
 
@@ -174,6 +176,7 @@ class LinearCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True

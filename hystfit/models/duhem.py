@@ -15,6 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
+from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
@@ -41,6 +42,7 @@ class Duhem(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     needs: ClassVar[Needs] = Needs(
         amplitudes=2, too_few="f and g are seen along one pair of branches, and trade off within it"
     )

@@ -17,6 +17,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep, OutputResonance, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
+from hystfit.models.parallel.associative import StateMap
 from hystfit.params.param import param
 
 
@@ -28,6 +29,7 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    associative: ClassVar[bool] = True
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
@@ -92,6 +94,7 @@ class Lag(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.AFFINE
     linear_in_input: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
 
@@ -160,6 +163,7 @@ class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.AFFINE
     linear_in_input: ClassVar[bool] = True
 
     omega: Float[Array, ""] = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")

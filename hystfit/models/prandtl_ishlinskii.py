@@ -17,6 +17,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, PlayWeights, SearchStep
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
+from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import legendre_series, rising_series
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.params.param import param
@@ -90,6 +91,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
     rest: Rest = eqx.field(static=True, default="level")
 
     rate_independent: ClassVar[bool] = True
+    state_map: ClassVar[StateMap] = StateMap.CLAMP
     has_rest: ClassVar[bool] = True
 
     def __check_init__(self) -> None:

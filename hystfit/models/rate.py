@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
+from hystfit.models.parallel.associative import StateMap
 from hystfit.params.param import param
 
 
@@ -19,6 +20,7 @@ class Viscous(AbstractHysteresis):
     """Linear damping:  y = c du/dt."""
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
     c: Float[Array, ""] = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
 
@@ -46,6 +48,7 @@ class SaturatingRate(AbstractHysteresis):
     """Damping that saturates:  y = F tanh((du/dt) / v0): the yield force of a magnetorheological damper, Coulomb friction."""
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
     F: Float[Array, ""] = param(0.1, unit="y", linear=True, doc="force far above v0")
     v0: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")

@@ -15,6 +15,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
+from hystfit.models.parallel.associative import StateMap
 from hystfit.params.param import param
 
 
@@ -29,6 +30,7 @@ class Relaxation(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     linear_in_input: ClassVar[bool] = True

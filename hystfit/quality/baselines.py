@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +14,10 @@ from hystfit.quality.faults import noise_rms
 
 _DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
+_BLOCK = 2**16  # samples whose columns are held at once
+_Part = tuple[np.ndarray, np.ndarray]
+_Before = tuple[float, np.ndarray] | None
+_Columns = Callable[[np.ndarray, _Before], np.ndarray]
 _SPARE = 4  # samples for each unknown of the plays, below which their error would be that of an overfit
 
 
@@ -48,17 +53,22 @@ class Baselines:
         own = {record.name: k for k, record in enumerate(train)}
         y = np.concatenate([record.y[record.used] for record in judged])
 
-        def error(columns: Callable[[_Frame, Record], np.ndarray]) -> float:
-            parts = {id(r): np.hstack([columns(frame, r), _offset(k, len(own), r)]) for k, r in enumerate(train)}
-            theta = _least_squares(
-                np.concatenate([parts[id(r)][r.used] for r in train]), np.concatenate([r.y[r.used] for r in train])
-            )
+        keep = (
+            functools.cache if sum(map(len, train)) <= _BLOCK else lambda make: make
+        )  # of long records no columns are kept
+
+        def error(columns: _Columns) -> float:
+            @keep
+            def parts(k: int) -> list[_Part] | Iterator[_Part]:
+                made = _parts(columns, frame.place(train[k]), train[k], k, len(own))
+                return list(made) if keep is functools.cache else made
+
+            theta = _least_squares(part for k in range(len(train)) for part in parts(k))
             squares = 0.0
             for record in judged:
-                here = parts.get(id(record))
-                if here is None:
-                    here = np.hstack([columns(frame, record), _offset(own.get(record.name, 0), len(own), record)])
-                miss = (record.y - here @ theta)[record.used]
+                k = own.get(record.name, 0)
+                mine = parts(k) if record is train[k] else _parts(columns, frame.place(record), record, k, len(own))
+                miss = np.concatenate([measured - rows @ theta for rows, measured in mine])
                 squares += float(np.sum((miss - (miss.mean() if refit_offset else 0.0)) ** 2))
             return float(np.sqrt(squares / y.size))
 
@@ -84,45 +94,64 @@ class _Frame:
         return (record.u - self.middle) / self.half
 
 
-def _least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Solution by normal equations: few scaled columns, of which only the misfit counts; a tenth of the time of an SVD of A."""
-    size = np.linalg.norm(A, axis=0)
+def _least_squares(parts: Iterable[_Part]) -> np.ndarray:
+    """Solution by normal equations: few scaled columns, of which only the misfit counts; a tenth of the time of an SVD."""
+    gram, right = 0.0, 0.0
+    for rows, measured in parts:
+        gram, right = gram + rows.T @ rows, right + rows.T @ measured
+    size = np.sqrt(np.diag(gram))
     size[size == 0] = 1.0
-    gram = (A.T @ A) / np.outer(size, size)
-    return np.linalg.lstsq(gram, (A.T @ b) / size, rcond=1e-13)[0] / size
+    return np.linalg.lstsq(gram / np.outer(size, size), right / size, rcond=1e-13)[0] / size
 
 
-def _line(frame: _Frame, record: Record) -> np.ndarray:
-    return frame.place(record)[:, None]
+def _parts(columns: _Columns, place: np.ndarray, record: Record, number: int, count: int) -> Iterator[_Part]:
+    """Columns with one offset for each of `count` records, and outputs, at the samples that count, block by block.
+
+    Args:
+        columns: of a block, from its inputs, the input before it and the columns there.
+        place: inputs, shape (T,).
+        record: has the outputs.
+        number: of the record, whose offset it has.
+        count: of records.
+    """
+    before = None
+    for start in range(0, place.size, _BLOCK):
+        at = slice(start, start + _BLOCK)
+        rows = columns(place[at], before)
+        before = place[at][-1], rows[-1]
+        offset = np.zeros((len(rows), count))
+        offset[:, number] = 1.0
+        yield np.hstack([rows, offset])[record.used[at]], record.y[at][record.used[at]]
 
 
-def _curve(frame: _Frame, record: Record) -> np.ndarray:
+def _line(x: np.ndarray, before: _Before) -> np.ndarray:
+    return x[:, None]
+
+
+def _curve(x: np.ndarray, before: _Before) -> np.ndarray:
     # Beyond the fitted range the curve goes on as its end: a polynomial of high degree would not.
-    return np.polynomial.legendre.legvander(np.clip(frame.place(record), -1.0, 1.0), _DEGREE)[:, 1:]
+    return np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), _DEGREE)[:, 1:]
 
 
-def _plays(frame: _Frame, record: Record) -> np.ndarray:
-    x = frame.place(record)
+def _plays(x: np.ndarray, before: _Before) -> np.ndarray:
     radii = np.linspace(0.0, 1.0, _PLAYS + 2)[1:-1]
     bend = np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), 3)[:, 2:]
-    return np.hstack([x[:, None], bend, play_positions(x, radii)])
+    if before is None:
+        return np.hstack([x[:, None], bend, play_positions(x, radii)])
+    positions = play_positions(np.append(before[0], x), radii, before[1][-_PLAYS:])
+    return np.hstack([x[:, None], bend, positions[1:]])
 
 
-def _offset(number: int, count: int, record: Record) -> np.ndarray:
-    columns = np.zeros((len(record), count))
-    columns[:, number] = 1.0
-    return columns
-
-
-def play_positions(u: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Positions of plays at rest on the first input, run by run of monotonic input, shape (T, K).
+def play_positions(u: np.ndarray, radii: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+    """Positions of plays, run by run of monotonic input, shape (T, K).
 
     Args:
         u: input, shape (T,).
         radii: half widths of the plays [u], shape (K,).
+        first: positions at the first input, shape (K,); None where they rest on it.
     """
     p = np.empty((u.size, radii.size))
-    p[0] = u[0]
+    p[0] = u[0] if first is None else first
     rising = np.diff(u) > 0
     ends = np.concatenate([[0], np.flatnonzero(rising[1:] != rising[:-1]) + 1, [u.size - 1]])
     for start, stop in itertools.pairwise(ends):

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, warn
-from hystfit.quality.loops import branches
+from hystfit.quality.loops import distinct, strokes
 
 _APART = 0.05  # least difference of amplitudes that count as different, as a fraction of the largest
 _BEYOND = 0.01  # excess of the input over the covered range that counts, as a fraction of that range
@@ -34,16 +34,8 @@ class Coverage:
         inputs = [record.u[: 1 + int(np.flatnonzero(record.used)[-1])] for record in records]
         low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
         least = _APART * (high - low)
-        kept: list[float] = []
-        for u in inputs:
-            found = branches(u, least)
-            inner = found[1:-1] if len(found) > 2 else found
-            kept += [float(abs(u[b] - u[a])) for a, b in inner]
-        strokes: list[float] = []
-        for stroke in sorted(kept, reverse=True):
-            if stroke > least and (not strokes or strokes[-1] - stroke > least):
-                strokes.append(stroke)
-        return cls(low, high, tuple(strokes))
+        found = np.concatenate([strokes(u, least) for u in inputs])
+        return cls(low, high, distinct(found[found > least], least))
 
 
 def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> tuple[Note, ...]:

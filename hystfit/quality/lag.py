@@ -11,12 +11,11 @@ import dataclasses
 
 import numpy as np
 
+from hystfit.quality.baselines import play_positions
+
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
-NEAR = (
-    0.12,
-    0.2,
-    0.35,
-)  # range of a fit as a fraction of the shorter neighboring branch; the first with enough samples
+# Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
+NEAR = 0.12, 0.2, 0.35
 MOST_TURNS = 40
 
 
@@ -49,10 +48,11 @@ class _Turn:
 
 
 def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
+    if noise is None or noise <= 3e-4 * np.ptp(u) or u.size <= 7:
+        return u
     from scipy.signal import savgol_filter
 
-    noisy = noise is not None and noise > 3e-4 * np.ptp(u)
-    return np.asarray(savgol_filter(u, 7, 2)) if noisy and u.size > 7 else u
+    return np.asarray(savgol_filter(u, 7, 2))
 
 
 def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
@@ -81,18 +81,18 @@ def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, nea
 def _misfit(turn: _Turn, y: np.ndarray, spline: object, delays: np.ndarray) -> np.ndarray:
     """Residual sum of squares of the two polynomials at every delay, shape (D,)."""
     value = y[turn.index]
-    squares = []
-    for delay in delays:
-        when = turn.index - delay
-        s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
-        after = when > turn.at
-        columns = [np.ones_like(s)]
-        columns += [np.where(after, 0.0, s) ** power for power in range(1, SIDES[0] + 1)]
-        columns += [np.where(after, s, 0.0) ** power for power in range(1, SIDES[1] + 1)]
-        design = np.stack(columns, axis=1)
-        solution = np.linalg.lstsq(design, value, rcond=1e-9)[0]
-        squares.append(np.sum((value - design @ solution) ** 2))
-    return np.array(squares)
+    when = turn.index - delays[:, None]
+    s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
+    before, after = np.where(when > turn.at, 0.0, s), np.where(when > turn.at, s, 0.0)
+    columns = [
+        np.ones_like(s),
+        *(before**k for k in range(1, SIDES[0] + 1)),
+        *(after**k for k in range(1, SIDES[1] + 1)),
+    ]
+    basis, size, _ = np.linalg.svd(np.stack(columns, axis=2), full_matrices=False)
+    basis = np.where((size > 1e-9 * size[:, :1])[:, None, :], basis, 0.0)
+    fitted = basis @ (value @ basis)[:, :, None]
+    return np.sum((value - fitted[:, :, 0]) ** 2, axis=1)
 
 
 def _lowest(delays: np.ndarray, misfit: np.ndarray) -> float | None:
@@ -170,18 +170,6 @@ def _over_turns(
     return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
 
 
-def plays(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """Backlash (play) of every threshold [unit of u], started at rest in the middle, shape (T, K)."""
-    u = np.asarray(u, dtype=float)
-    low, high = u[:, None] - thresholds, u[:, None] + thresholds
-    out = np.empty(low.shape)
-    state = np.full(len(thresholds), u[0])
-    for k in range(u.size):
-        state = np.minimum(np.maximum(state, low[k]), high[k])
-        out[k] = state
-    return out
-
-
 def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 6000) -> float | None:
     """Share of the variance unexplained by a rate-independent model that velocity terms explain.
 
@@ -205,14 +193,15 @@ def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 60
     x = 2 * (u - u.min()) / np.ptp(u) - 1
     speed = np.gradient(x, t)
     scale = np.sqrt(np.mean(speed**2))
-    play = plays(x, np.geomspace(0.02, 0.8, 8))
+    play = play_positions(x, np.geomspace(0.02, 0.8, 8))
     base = [np.ones_like(x), x, x**2, x**3, t - t[0], *play.T, *(play**2).T]
     fast = [speed / scale, np.tanh(speed / scale), np.tanh(3 * speed / scale)]
-    slow, full = (_unexplained(np.stack(columns, axis=1)[used], y[used]) for columns in (base, base + fast))
+    slow, full = (unexplained(np.stack(columns, axis=1)[used], y[used], 1e-6) for columns in (base, base + fast))
     return float(1 - full / slow) if slow > 0 else 0.0
 
 
-def _unexplained(design: np.ndarray, y: np.ndarray) -> float:
+def unexplained(design: np.ndarray, y: np.ndarray, rcond: float) -> float:
+    """Mean square of what columns of any scale, shape (T, K), leave of y by least squares; `rcond` as for `numpy.linalg.lstsq`."""
     design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-    solution = np.linalg.lstsq(design, y, rcond=1e-6)[0]
+    solution = np.linalg.lstsq(design, y, rcond=rcond)[0]
     return float(np.mean((y - design @ solution) ** 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -52,6 +53,22 @@ def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     """First and last sample of every stretch between turning points, shape (R + 1, 2); neighbors share a sample."""
     knots = np.concatenate([[0], reversals(u, threshold), [len(u) - 1]])
     return np.stack([knots[:-1], knots[1:]], axis=1)
+
+
+def strokes(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
+    """Change of u over each branch between two turning points, or over the ends of a record with fewer of them, shape (K,)."""
+    found = branches(u, threshold)
+    first, last = (found[1:-1] if len(found) > 2 else found).T
+    return np.abs(u[last] - u[first])
+
+
+def distinct(values: Iterable[float], apart: float = 0.05) -> tuple[float, ...]:
+    """Values that differ by more than `apart`, largest first."""
+    kept: list[float] = []
+    for value in sorted(values, reverse=True):
+        if not kept or kept[-1] - value > apart:
+            kept.append(float(value))
+    return tuple(kept)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,8 @@ import dataclasses
 
 import numpy as np
 
-from hystfit.quality.lag import plays
+from hystfit.quality.baselines import play_positions
+from hystfit.quality.lag import unexplained
 
 _LEAST, _MOST = 200, 12_000  # samples used
 _EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
@@ -22,10 +23,8 @@ _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
 _EXPLAINED = 0.75  # least share of the unexplained variance that the resonance explains
 _VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the range of y
-_GAIN, _PHASE = (
-    1.25,
-    40.0,
-)  # least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency
+# Least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency.
+_GAIN, _PHASE = 1.25, 40.0
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
@@ -148,7 +147,7 @@ class _Columns:
 
     @classmethod
     def of(cls, x: np.ndarray, y: np.ndarray, used: np.ndarray) -> _Columns:
-        play = plays(x, np.geomspace(0.03, 0.8, 5))
+        play = play_positions(x, np.geomspace(0.03, 0.8, 5))
         speed = np.gradient(x)
         speed = speed / np.sqrt(np.mean(speed**2))
         slow = [_lagged(x[:, None], part * x.size)[:, 0] for part in (0.01, 0.05, 0.25)]
@@ -161,10 +160,7 @@ class _Columns:
         )
 
     def _error(self, *parts: np.ndarray) -> float:
-        design = np.hstack(parts)[self.used]
-        design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-        solution = np.linalg.lstsq(design, self.y[self.used], rcond=1e-7)[0]
-        return float(np.sqrt(np.mean((self.y[self.used] - design @ solution) ** 2)))
+        return float(np.sqrt(unexplained(np.hstack(parts)[self.used], self.y[self.used], 1e-7)))
 
     def error_without(self) -> float:
         """Least rms error of hysteresis with velocity terms, over delays and lags of the input."""

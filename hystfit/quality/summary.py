@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -200,15 +199,6 @@ def summarize(record: Record) -> RecordQuality:
     )
 
 
-def distinct(values: Iterable[float], apart: float = 0.05) -> tuple[float, ...]:
-    """Values that differ by more than `apart`, largest first."""
-    kept: list[float] = []
-    for value in sorted(values, reverse=True):
-        if not kept or kept[-1] - value > apart:
-            kept.append(float(value))
-    return tuple(kept)
-
-
 def _column(values: np.ndarray) -> Column:
     noise, bound = noise_rms(values)
     return Column(float(np.nanmin(values)), float(np.nanmax(values)), resolution(values), noise, bound)
@@ -245,7 +235,6 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     branches = geometry.branches(u, threshold)
     levels = u[turns]
     pairs = {tuple(sorted(pair)) for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / 0.05).tolist()}
-    strokes = [float(abs(u[b] - u[a])) / span for a, b in (branches[1:-1] if len(branches) > 2 else branches)]
     rests = [(int(a), int(b)) for a, b in holds(u, 2e-4 * span + 10 * (column.known_noise or 0.0))]
     creep = [_change(y[a:b]) for a, b in rests]
     extent = float(np.nanmax(y) - np.nanmin(y))
@@ -259,7 +248,7 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
         minor=len(loops) - int(major),
         nested=sum(loop.depth > 0 for loop in loops),
         cycles=len(cycles),
-        strokes=distinct(strokes),
+        strokes=geometry.distinct(geometry.strokes(u, threshold) / span),
         turning_pairs=len(pairs),
         monotonic=turns.size == 0,
         holds=len(rests),

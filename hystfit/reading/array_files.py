@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.errors import DataError, MissingExtraError
+from hystfit.errors import DataError, optional
 from hystfit.reading.file_bytes import allowed
 from hystfit.reading.mat_structure import check_structure
 
@@ -21,29 +21,11 @@ _DOUBLE = 8  # bytes that every number takes in the end
 def arrays_in(raw: bytes, suffix: str) -> dict[str, np.ndarray]:
     """The arrays in a file, by name.
 
-    Args:
-        raw: the file.
-        suffix: its kind, one of `KINDS`.
-
     Raises:
         DataError: the arrays are too large for the file, or lie outside it.
         Exception: of the libraries, for damaged files.
     """
     return KINDS[suffix](raw)
-
-
-def imported(package: str, purpose: str) -> Any:
-    """A package of the extra "files".
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    import importlib
-
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise MissingExtraError(package, "files", purpose) from error
 
 
 def check_size(size: int, raw: bytes) -> None:
@@ -136,7 +118,7 @@ def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]
 
 def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
     """HDF5 data sets in all groups, and the fields of compound ones; needs the extra "files"."""
-    h5py = imported("h5py", "reading HDF5 (and MATLAB 7.3) files")
+    h5py = optional("h5py", "files", "reading HDF5 (and MATLAB 7.3) files")
     found: list[tuple[str, Any]] = []
 
     def visit(name: str, item: Any) -> None:

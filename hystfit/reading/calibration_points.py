@@ -24,10 +24,6 @@ def marked_by_kind(table: Table, taken: Sequence[int]) -> tuple[np.ndarray | Non
     """Calibration points by a column of their kind: which rows, shape (rows,), bool, and which columns separate the curves.
 
     The column holds text such as "cal" and "curve", or 1 at calibration points and 0 elsewhere. The rows are None without it.
-
-    Args:
-        table: the rows.
-        taken: columns with another role.
     """
     for position, name in enumerate(table.names):
         if position in taken:
@@ -47,12 +43,7 @@ def marked_by_kind(table: Table, taken: Sequence[int]) -> tuple[np.ndarray | Non
 
 
 def marked_by_place(table: Table, choice: Choice) -> np.ndarray | None:
-    """Calibration points that are single rows between blank lines, or isolated points at one input before monotonic branches.
-
-    Args:
-        table: the rows.
-        choice: time, input and output.
-    """
+    """Calibration points that are single rows between blank lines, or isolated points at one input before monotonic branches."""
     marked, u = _single_rows(table), table.columns[choice.input]
     if not marked.any() and table.curve[-1] == 0:
         marked = _isolated(u)

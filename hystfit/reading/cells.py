@@ -218,12 +218,8 @@ def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     if not any(stamp["y"] or stamp["p"] for stamp in stamps):
         turns = np.concatenate([[0.0], np.cumsum(np.diff(values) < -43200.0)])
         if turns[-1]:
-            notes.append(
-                Note(
-                    Code.FILE_FORMAT,
-                    f"{where}: the clock passes midnight {int(turns[-1])} times; a day was added each time",
-                )
-            )
+            text = f"{where}: the clock passes midnight {int(turns[-1])} times; a day was added each time"
+            notes.append(Note(Code.FILE_FORMAT, text))
         values = values + 86400.0 * turns
     first = values[np.isfinite(values)]
     return values - (first[0] if first.size else 0.0), notes

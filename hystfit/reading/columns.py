@@ -47,26 +47,12 @@ for _kind, _list in {
 }.items():
     for _word in _list.split():
         _WORDS[_word] = _kind
-_UPPER = {
-    "V": "voltage",
-    "U": "voltage",
-    "H": "field",
-    "I": "current",
-    "E": "electric field",
-    "D": "polarization",
-    "T": "temperature",
-}
+_UPPER = {"V": "voltage", "U": "voltage", "H": "field", "I": "current"}
+_UPPER |= {"E": "electric field", "D": "polarization", "T": "temperature"}
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 _SENSED = (
-    "displacement",
-    "force",
-    "strain",
-    "stress",
-    "current",
-    "pressure",
-    "moment",
-    "magnetization",
-    "polarization",
+    *("displacement", "force", "strain", "stress", "current"),
+    *("pressure", "moment", "magnetization", "polarization"),
 )
 _BY_NAME = {  # quantities in the unit of another, which their name tells
     "field": ("magnetization",),
@@ -74,9 +60,8 @@ _BY_NAME = {  # quantities in the unit of another, which their name tells
     "voltage": _SENSED,  # signal of a sensor
     "stress": ("pressure",),
 }
-_SECONDARY = frozenset(
-    "min max raw quad system peak center bridge trans background".split()
-)  # beside a column of the same quantity
+# In the names of columns beside another column of the same quantity.
+_SECONDARY = frozenset("min max raw quad system peak center bridge trans background".split())
 _AS_INPUT = (
     "input", "voltage", "field", "electric field", "current", "pressure", "strain", "displacement", "induction", "", "temperature"
 )  # fmt: skip
@@ -186,10 +171,8 @@ def find(table: Table, key: str | int, role: str) -> int:
     wanted = _composed(key)
     stored = [_composed(name) for name in table.names]
     bases = [split_unit(name, stored)[0] for name in stored]
-    lower = wanted.lower()
-    spellings = (stored, wanted), (bases, wanted), ([n.lower() for n in stored], lower)
-    for names, spelled in (*spellings, ([b.lower() for b in bases], lower)):
-        hits = [k for k, name in enumerate(names) if name == spelled]
+    for change, names in itertools.product((str, str.lower), (stored, bases)):
+        hits = [k for k, name in enumerate(names) if change(name) == change(wanted)]
         if len(hits) > 1:
             raise DataError(
                 f"{table.source}: {len(hits)} columns are called {key!r} (numbers {', '.join(map(str, hits))}); give {role} by number"
@@ -287,19 +270,11 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
         if not _counts(table, k):
-            notes.append(
-                Note(
-                    Code.COLUMN_CHOICE,
-                    f"time: column {k}, because it {'always increases' if (steps > 0).all() else 'never decreases'}",
-                )
-            )
+            reason = "always increases" if (steps > 0).all() else "never decreases"
+            notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it {reason}"))
             return k
-        notes.append(
-            Note(
-                Code.LEFT_OUT,
-                f"column {k} numbers the rows and is not used; if it is the time, choose --time {k} (time={k})",
-            )
-        )
+        text = f"column {k} numbers the rows and is not used; if it is the time, choose --time {k} (time={k})"
+        notes.append(Note(Code.LEFT_OUT, text))
         kinds[k] = "index"
     return None
 
@@ -320,7 +295,8 @@ def _guess_pair(
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     _find_velocities(table, free, kinds)
-    candidates = _candidates(table, _without_temperatures(free, kinds, len(given)), kinds, clock)
+    others = [k for k in free if kinds[k] != "temperature"]
+    candidates = _candidates(table, others if len(others) + len(given) >= 2 else free, kinds, clock)
     inputs, outputs = ([given[role]] if role in given else candidates for role in ("input", "output"))
     pairs = [(i, o) for i in inputs for o in outputs if i != o]
     best = min(pairs, key=lambda pair: _preference(table, kinds, *pair))
@@ -387,12 +363,6 @@ def _candidates(table: Table, free: list[int], kinds: dict[int, str], clock: int
 def _secondary(name: str) -> int:
     """Number of words in a name by which it comes after other columns of its quantity ("Min. Field", "Raw Moment")."""
     return len(_SECONDARY.intersection(_words(name)))
-
-
-def _without_temperatures(free: list[int], kinds: dict[int, str], given: int) -> list[int]:
-    """The columns without temperatures, where there are enough of others."""
-    others = [k for k in free if kinds[k] != "temperature"]
-    return others if len(others) + given >= 2 else free
 
 
 def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[int, ...]:

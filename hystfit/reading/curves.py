@@ -75,9 +75,8 @@ def split_curves(
         clock = table.columns[choice.time]
         runs_on = [k for k in restart if clock[k] > clock[k - 1]]
         if runs_on:
-            notes.append(
-                Note(Code.CURVES, f"{len(runs_on)} repeated header rows do not begin a curve: time continues there")
-            )
+            text = f"{len(runs_on)} repeated header rows do not begin a curve: time continues there"
+            notes.append(Note(Code.CURVES, text))
         restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
     new = np.zeros(table.rows, dtype=bool)
     new[restart] = True

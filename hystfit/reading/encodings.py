@@ -51,10 +51,6 @@ _CONTROLS = bytes([*range(9), *range(14, 27), *range(28, 32)])
 def encoding_of(raw: bytes, source: str) -> str:
     """Name of the encoding of a text file.
 
-    Args:
-        raw: the file.
-        source: its path, for messages.
-
     Raises:
         DataError: the text is in an encoding of several bytes a character that cannot be told.
     """

@@ -19,7 +19,6 @@ _LARGEST = 4 * 2**30  # bytes of a file
 _PACKED = {b"\x1f\x8b": "gzip", b"\xfd7zXZ\x00": "xz", b"BZh": "bzip2"}
 _PACKED_SUFFIXES = frozenset({".gz", ".xz", ".bz2", ".lzma"})
 _LZMA_ALONE = b"\x5d\x00\x00"
-_CHUNK = 2**20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,19 +94,15 @@ def _unpacked(raw: bytes, kind: str, source: str) -> bytes:
     try:
         while raw:
             stream = _stream(kind)
-            data: Any = raw
-            while not stream.eof:
-                part = stream.decompress(data, _CHUNK)
-                data = stream.unconsumed_tail if kind == "gzip" else b""
-                if not part and not stream.eof and (not data if kind == "gzip" else stream.needs_input):
-                    raise DataError(f"{source} ends within its {kind} data: copy it again")
-                total += len(part)
-                if total > most:
-                    raise DataError(
-                        f"{source} unpacks to more than {most / 2**20:.0f} MiB, many times its size, and is not read; "
-                        "unpack it yourself if it is a measurement"
-                    )
-                parts.append(part)
+            parts.append(stream.decompress(raw, most - total + 1))
+            total += len(parts[-1])
+            if total > most:
+                raise DataError(
+                    f"{source} unpacks to more than {most / 2**20:.0f} MiB, many times its size, and is not read; "
+                    "unpack it yourself if it is a measurement"
+                )
+            if not stream.eof:
+                raise DataError(f"{source} ends within its {kind} data: copy it again")
             raw = stream.unused_data.lstrip(b"\x00")
             if raw and kind != "lzma" and not any(raw.startswith(magic) for magic in _PACKED):
                 raise DataError(f"{source} has {len(raw)} bytes after its {kind} data: it is damaged, copy it again")

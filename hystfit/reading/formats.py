@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.errors import DataError, MissingExtraError
+from hystfit.errors import DataError, MissingExtraError, optional
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
-from hystfit.reading.array_files import KINDS, arrays_in, check_members, imported
+from hystfit.reading.array_files import KINDS, arrays_in, check_members
 from hystfit.reading.file_bytes import FileBytes, inner_name, load
 from hystfit.reading.header import split_unit
-from hystfit.reading.layout import layout_of
+from hystfit.reading.layout import Text, layout_of
+from hystfit.reading.number_block import careful_block
 from hystfit.reading.raw_table import Table, plain_table
-from hystfit.reading.text import tabulate
+from hystfit.reading.text import table_of_block
 
 WORKBOOKS = frozenset({".xlsx", ".xlsm"})
 _MOST_CELLS = 4_000_000
@@ -118,7 +119,7 @@ def _seconds(stamps: np.ndarray) -> np.ndarray:
 
 
 def _workbook(file: FileBytes, source: str, sheet: str | int | None) -> Table:
-    openpyxl = imported("openpyxl", "reading Excel files")
+    openpyxl = optional("openpyxl", "files", "reading Excel files")
     try:
         with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
             check_members(archive, file.raw)
@@ -146,8 +147,8 @@ def _workbook(file: FileBytes, source: str, sheet: str | int | None) -> Table:
         layout = layout_of(rows[:_SAMPLE], "\t", ".")
         if layout.rows > 1 and layout.score > 0:
             notes = [*file.notes, Note(Code.FILE_FORMAT, f"sheet {title!r} of {', '.join(map(repr, titles))}")]
-            lines = ["\t".join(row) for row in rows]
-            return tabulate(rows, lines, layout, source, file.sha256, notes, settled=True)
+            text = Text(["\t".join(row) for row in rows], layout, source, settled=True)
+            return table_of_block(text, careful_block(text, rows), file.sha256, notes)
     searched = ", ".join(map(repr, titles if sheet is None else [sheet]))
     raise DataError(f"{source}: no rows of numbers in {searched}; name another sheet=")
 

@@ -96,8 +96,9 @@ def is_clock(values: Any) -> bool:
 
 
 def seconds_of(values: Any) -> np.ndarray:
-    """Dates or durations as seconds from the first, NaN where missing."""
+    """Dates or durations as seconds from the first one that is there, NaN where missing."""
     kind = str(values.dtype).lower()
     plain = np.asarray(values, dtype="datetime64[ns]" if kind.startswith("datetime") else "timedelta64[ns]")
-    passed = plain - plain[0]
+    there = plain[~np.isnat(plain)]
+    passed = plain - (there[0] if there.size else plain[0])
     return np.where(np.isnat(passed), np.nan, passed / np.timedelta64(1, "s"))

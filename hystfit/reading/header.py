@@ -23,8 +23,6 @@ _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japa
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 _NOT_SUFFIX = frozenset({"min", "h", "counts"})  # x_min is a minimum, not minutes
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
-
-
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"

@@ -38,11 +38,7 @@ _MICROMAG_UNITS = {"cgs": ("Oe", "emu"), "hybrid si": ("T", "Am2"), "si": ("A/m"
 
 
 def micromag_columns(above: Sequence[str]) -> list[tuple[str, str]] | None:
-    """Names and units of field and moment in a MicroMag text file; None if it is none.
-
-    Args:
-        above: lines above the numbers.
-    """
+    """Names and units of field and moment in a MicroMag text file; None if it is none."""
     if not any(line.startswith("MicroMag") for line in above[:3]):
         return None
     stated = (re.match(r"Units of measure\s*:?\s*(.+)", line) for line in above)

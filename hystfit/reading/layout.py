@@ -37,6 +37,23 @@ class Layout:
         return f"delimiter {name.get(self.delimiter, repr(self.delimiter))}, decimal mark {self.decimal!r}"
 
 
+@dataclasses.dataclass(frozen=True)
+class Text:
+    """A text whose layout is known.
+
+    Attributes:
+        lines: of the text.
+        layout: of the rows of numbers in it.
+        source: path of the file, for messages.
+        settled: the decimal mark is not a guess.
+    """
+
+    lines: Sequence[str]
+    layout: Layout
+    source: str
+    settled: bool
+
+
 _TOUCHING = re.compile(r"(\.\d+(?:[eE][+-]?\d+)?)(?=-\d*\.\d)", re.ASCII)
 
 
@@ -47,9 +64,10 @@ def split(line: str, delimiter: str | None) -> list[str]:
     return line.split(delimiter)
 
 
-def apart(lines: Sequence[str]) -> list[str]:
-    """Lines in which a minus sign touches the column before it ("1.2345-2.3456"), with a blank between."""
-    return [_TOUCHING.sub(r"\1 ", line) if "-" in line else line for line in lines]
+def apart(lines: Sequence[str]) -> tuple[list[str], int]:
+    """The lines with a blank where a minus sign touches the column before it ("1.2345-2.3456"), and how many have such columns."""
+    separated = [_TOUCHING.sub(r"\1 ", line) if "-" in line else line for line in lines]
+    return separated, sum(a != b for a, b in zip(lines, separated, strict=True))
 
 
 def check_lengths(lines: Sequence[str], source: str) -> None:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from hystfit.errors import DataError
 from hystfit.reading.file_bytes import allowed
 
-_CHUNK = 2**20
 _MATRIX, _COMPRESSED = 14, 15
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes of a number, by element type
 _TEXT_TYPES = frozenset({1, 2, 3, 4, 16, 17, 18})
@@ -45,17 +44,13 @@ def check_structure(raw: bytes) -> None:
 
 
 def _unpacked(data: bytes, most: int) -> bytes:
-    stream, parts, total = zlib.decompressobj(), [], 0
     try:
-        while data and not stream.eof:
-            parts.append(stream.decompress(data, _CHUNK))
-            total += len(parts[-1])
-            if total > most:
-                raise DataError("it unpacks to many times its size: it is damaged or no measurement")
-            data = stream.unconsumed_tail
+        content = zlib.decompressobj().decompress(data, most + 1)
     except zlib.error as error:
         raise DataError(f"a compressed element cannot be unpacked ({error}): it is damaged, save it again") from error
-    return b"".join(parts)
+    if len(content) > most:
+        raise DataError("it unpacks to many times its size: it is damaged or no measurement")
+    return content
 
 
 def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:

@@ -218,10 +218,8 @@ def assemble(
         groups = select_curves(groups, only, table.source)
     records: list[Record] = []
     for label, rows in groups:
-        part = table.take(rows)
         title = label if several else stem
-        parts = _records_of(part, choice, title, notes, gaps, spread, treatment)
-        records += parts
+        records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
     if not several and len(records) == 1:
         return records[0]
     return Dataset(tuple(records), name=stem)
@@ -267,11 +265,8 @@ def _without_comments(table: Table, choice: Choice, notes: list[Note]) -> Table:
         empty &= np.any(comments, axis=0) if comments else False
     if not empty.any():
         return table
-    notes.append(
-        Note(
-            Code.LEFT_OUT, f"left out: {int(empty.sum())} rows without input and output (comments, other measurements)"
-        )
-    )
+    text = f"left out: {int(empty.sum())} rows without input and output (comments, other measurements)"
+    notes.append(Note(Code.LEFT_OUT, text))
     return table.take(~empty)
 
 
@@ -340,9 +335,8 @@ def _spans(good: np.ndarray, table: Table, title: str, gaps: str, notes: list[No
             f"{where}: input or time is missing in {gap_rows.size} rows within the record (line {shown}); a model "
             "cannot be driven through a gap: gaps='split' makes a record of each piece, gaps='drop' joins them"
         )
-    notes.append(
-        Note(Code.LEFT_OUT, f"left out: {gap_rows.size} rows without input or time; the record is split there")
-    )
+    text = f"left out: {gap_rows.size} rows without input or time; the record is split there"
+    notes.append(Note(Code.LEFT_OUT, text))
     short = sum(stop - start < 2 for start, stop in spans)
     if short:
         notes.append(Note(Code.LEFT_OUT, f"left out: {short} pieces of a single row"))
@@ -368,23 +362,18 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
     if CoarseClock.of(time) is not None:
         return
     if repeated := int((step == 0).sum()):
-        notes.append(
-            Note(Code.TIME_STEPS, f"repeated time stamps: {repeated}, first in line {line[1:][step == 0][0]}; kept")
-        )
+        text = f"repeated time stamps: {repeated}, first in line {line[1:][step == 0][0]}; kept"
+        notes.append(Note(Code.TIME_STEPS, text))
     interval = median_interval(step)
     if interval and (wide := int((step > 1.5 * interval).sum())):
-        notes.append(
-            Note(Code.TIME_STEPS, f"uneven time steps: {wide} are longer than 1.5 times the median of {interval:g}")
-        )
+        text = f"uneven time steps: {wide} are longer than 1.5 times the median of {interval:g}"
+        notes.append(Note(Code.TIME_STEPS, text))
 
 
 def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
-    time_unit = "s"
-    if choice.time is not None:
-        time_unit = table.units[choice.time]
-        if not time_unit:
-            time_unit = "s"
-            notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))
+    time_unit = "s" if choice.time is None else table.units[choice.time]
+    if not time_unit:
+        notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))
     try:
         return Record(
             u=data["input"],
@@ -392,7 +381,7 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             t=data.get("time"),
             u_unit=table.units[choice.input],
             y_unit=table.units[choice.output],
-            t_unit=time_unit,
+            t_unit=time_unit or "s",
             u_name=table.names[choice.input],
             y_name=table.names[choice.output],
             name=title,

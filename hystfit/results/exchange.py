@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hystfit.errors import DataError, MissingExtraError
+from hystfit.errors import DataError, optional
 from hystfit.results.folders import writing
 
 if TYPE_CHECKING:
@@ -72,10 +72,7 @@ def to_xarray(result: FitResult) -> Any:
     Raises:
         MissingExtraError: xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError("xarray", "frames", "to_xarray") from error
+    xarray = optional("xarray", "frames", "to_xarray")
     units, free = result.data.units, list(result.free_names)
     series = {
         "u": (np.concatenate([r.u for r in result.data]), units["u"]),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError
+from hystfit.errors import DataError, ModelError, ParameterError, optional
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
@@ -120,6 +120,11 @@ class FitResult:
         """
         return _view("quantity_estimates:quantity_estimates")(self)
 
+    @functools.cached_property
+    def answer(self) -> tuple[tuple[str, str], ...]:
+        """Names and values at the top of the report, the most important first."""
+        return _view("report.answer:numbers_of")(self)
+
     @property
     def usable(self) -> bool:
         """Whether the status is `Status.OK`."""
@@ -184,10 +189,7 @@ class FitResult:
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingExtraError("pandas", "frames", "to_dataframe") from error
+        pandas = optional("pandas", "frames", "to_dataframe")
         rows = [{"name": p.name, **p.to_dict(), "doc": p.doc} for p in self.parameters]
         numbers = dict.fromkeys(("value", "stderr", "lower", "upper"), float)
         return pandas.DataFrame(rows).set_index("name").astype(numbers)

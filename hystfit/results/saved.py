@@ -20,7 +20,7 @@ from hystfit.outcome import Code
 from hystfit.outcome.note import warn
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
-from hystfit.results.report import write_into
+from hystfit.results.report import Wording, write_into
 from hystfit.results.result import SCHEMA, FitResult
 from hystfit.results.stored_fit import result_of
 from hystfit.results.stored_values import Stored, parse
@@ -36,7 +36,7 @@ def save_fit(result: FitResult, folder: str | Path, *, report: bool = True) -> P
     with writing(target) as scratch:
         write_fit(result, scratch)
         if report:
-            write_into(result, scratch)
+            write_into(result, scratch, wording=Wording().at(target))
     return target
 
 

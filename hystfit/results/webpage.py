@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import html
 import io
+import json
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hystfit.outcome import Note, Table
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -29,12 +33,20 @@ class Picture:
     caption: str
     wide: bool = False
 
+    @functools.cached_property
+    def svg(self) -> bytes:
+        """The figure as vector graphics, laid out once."""
+        return svg(self.figure)
+
     def html(self) -> str:
         """As vector graphics within the page."""
-        source = base64.b64encode(svg(self.figure)).decode("ascii")
+        source, panels = (
+            base64.b64encode(self.svg).decode("ascii"),
+            html.escape(json.dumps(_panels(self.figure)), quote=True),
+        )
         words, mark = html.escape(self.caption, quote=True), ' class="wide"' if self.wide else ""
         return (
-            f'<figure{mark}><img alt="{words}" tabindex="0" src="data:image/svg+xml;base64,{source}">'
+            f'<figure{mark}><img alt="{words}" tabindex="0" data-panels="{panels}" src="data:image/svg+xml;base64,{source}">'
             f"<figcaption>{words}</figcaption></figure>"
         )
 
@@ -94,9 +106,60 @@ def block_html(block: Block) -> str:
 
 
 def svg(figure: Figure) -> bytes:
-    """A figure as vector graphics, laid out once."""
+    """A figure as vector graphics, laid out once; its axes can be found by their identifiers."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+    for k, ax in enumerate(figure.axes):
+        ax.set_gid(f"axes-{k}")
     buffer = io.StringIO()
     FigureCanvasSVG(figure).print_svg(buffer)
     return buffer.getvalue().encode("utf-8")
+
+
+_POINTS = 72  # of vector graphics in an inch
+
+
+def _panels(figure: Figure) -> list[dict[str, Any]]:
+    """Place and data coordinates of the axes of a figure that was drawn, for the script that rescales them."""
+    height, k = figure.get_figheight() * _POINTS, _POINTS / figure.dpi
+    panels = []
+    for ax in figure.axes:
+        if ax.get_label() == "<colorbar>" or ax.name != "rectilinear":
+            continue
+        box = ax.get_window_extent()
+        sides = [_side(ax, ax.xaxis, ax.get_shared_x_axes()), _side(ax, ax.yaxis, ax.get_shared_y_axes())]
+        place = {"id": ax.get_gid(), "box": [box.x0 * k, height - box.y1 * k, box.x1 * k, height - box.y0 * k]}
+        panels.append(place | {key: [side[key] for side in sides] for key in sides[0]})
+    return panels
+
+
+def _side(ax: Axes, axis: Any, families: Any) -> dict[str, Any]:
+    """Limits of one axis, logarithms where it is logarithmic, and how its ticks are labelled; one with fixed ticks does not move."""
+    import numpy as np
+    from matplotlib.ticker import FixedLocator, ScalarFormatter
+
+    log, ends = axis.get_scale() == "log", axis.get_view_interval()
+    return {
+        "limits": list(map(float, np.log10(ends) if log else ends)),
+        "log": log,
+        "labels": _units(axis) if isinstance(axis.get_major_formatter(), ScalarFormatter) else [0.0, 1.0],
+        "moves": not isinstance(axis.get_major_locator(), FixedLocator),
+        "shared": [other.get_gid() for other in families.get_siblings(ax) if other is not ax],
+    }
+
+
+def _units(axis: Any) -> list[float]:
+    """Offset and power of ten that stand at an axis: value = offset + power * label."""
+    places = axis.get_majorticklocs()
+    words = axis.get_major_formatter().format_ticks(places) if len(places) > 1 else []
+    known = [
+        (float(place), float(word.replace("\N{MINUS SIGN}", "-")))
+        for place, word in zip(places, words, strict=False)
+        if word
+    ]
+    if not known or known[0][1] == known[-1][1]:
+        return [0.0, 1.0]
+    (low, first), (high, last) = known[0], known[-1]
+    power = 10.0 ** round(math.log10((high - low) / (last - first)))
+    offset = low - power * first
+    return [offset if abs(offset) > 1e-6 * (high - low) else 0.0, power]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from hystfit.errors import DataError, HystfitError, MissingExtraError
+from hystfit.errors import DataError, HystfitError, optional
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -78,13 +78,10 @@ def _follow_parent() -> None:
 
 
 def _by_dask(task: Task, items: Sequence[Any], scheduler: str) -> Iterator[Outcome]:
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise MissingExtraError("distributed", "batch", "scheduler=") from error
+    distributed = optional("distributed", "batch", "scheduler=")
     try:
         _check_scheduler(scheduler)
-        client = Client(scheduler)
+        client = distributed.Client(scheduler)
     except (OSError, ValueError) as error:
         raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
     with client:

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.errors import DataError, ParameterError, optional
+from hystfit.models.parallel.route import on_gpu
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
@@ -124,7 +125,7 @@ def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
 @eqx.filter_jit
 def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
-    together = _TOGETHER if target.density.keeps_trajectories else len(q)
+    together = _TOGETHER if target.density.keeps_trajectories and not on_gpu() else len(q)
     one = lambda row: target.log_density(target.center + target.factor @ row, lean=True)
     return jax.lax.map(one, q, batch_size=together)
 
@@ -168,11 +169,7 @@ def _begin(target: Target, walkers: int, seed: int) -> tuple[Any, ...]:
 
 
 def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingExtraError("h5py", "bayes", "a resumable emcee run") from error
-    return h5py
+    return optional("h5py", "bayes", "a resumable emcee run")
 
 
 def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, random_state: Any) -> None:

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from hystfit.config import require_x64
-from hystfit.errors import DataError, HystfitError, MissingExtraError
+from hystfit.errors import DataError, HystfitError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.manifest import MANIFEST, read_files, seal
-from hystfit.results.report import write_into
+from hystfit.results.report import Wording, write_into
 from hystfit.results.result import FitResult
 from hystfit.results.saved import check_target, load_fit, refuse_other_schema, write_fit
 from hystfit.results.stored_values import Stored, parse
@@ -69,7 +69,7 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
             raise HystfitError(f"cannot write {str(target / 'posterior.nc')!r}: {error}") from error
         (scratch / "fit").mkdir()
         write_fit(posterior.result, scratch / "fit")
-        write_into(posterior.result, scratch / "fit")
+        write_into(posterior.result, scratch / "fit", wording=Wording().at(target / "fit"))
         seal(scratch, _FILES)
     return target
 
@@ -194,9 +194,5 @@ def _header(posterior: Posterior) -> dict[str, Any]:
 
 
 def _xarray() -> Any:
-    try:
-        import h5netcdf  # noqa: F401
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError("h5netcdf", "bayes", "a posterior file (netCDF)") from error
-    return xarray
+    optional("h5netcdf", "bayes", "a posterior file (netCDF)")
+    return optional("xarray", "bayes", "a posterior file (netCDF)")

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy.special import logsumexp
 
-from hystfit.errors import DataError, MissingExtraError, ParameterError
+from hystfit.errors import DataError, ParameterError, optional
 from hystfit.inference.density import Density
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
@@ -198,10 +198,7 @@ def _likelihood(density: Density, z: Array) -> Array:
 
 
 def _sampler(density: Density, moves: int, batch: int) -> Any:
-    try:
-        import blackjax
-    except ImportError as error:
-        raise MissingExtraError("blackjax", "bayes", "nested sampling") from error
+    blackjax = optional("blackjax", "bayes", "nested sampling")
 
     def likelihood(z: Array) -> Array:
         value = density.log_likelihood_lean(z)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.errors import ParameterError, optional
 from hystfit.outcome import Code
 from hystfit.outcome.note import warn
 from hystfit.runs.chunks import stored
@@ -179,10 +179,7 @@ def _value(target: Target, q: Array) -> Array:
 
 
 def _kernel() -> Any:
-    try:
-        import blackjax
-    except ImportError as error:
-        raise MissingExtraError("blackjax", "bayes", "sampling by NUTS") from error
+    blackjax = optional("blackjax", "bayes", "sampling by NUTS")
     return blackjax.nuts.build_kernel(), blackjax.nuts.init
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.errors import ParameterError, optional
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, fragment
 from hystfit.registry import attribute
@@ -245,10 +245,7 @@ class Posterior:
 
     def to_arviz(self) -> Any:
         """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
-        try:
-            import arviz
-        except ImportError as error:
-            raise MissingExtraError("arviz", "bayes", "to_arviz") from error
+        arviz = optional("arviz", "bayes", "to_arviz")
         stats = {"lp": self.log_density, **self.stats}
         variable = _view("files:variable")
         posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from hystfit.errors import MissingExtraError, ParameterError
+from hystfit.errors import ParameterError, optional
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.results.labels import column_label, use_available_fonts
@@ -43,10 +43,7 @@ def _labels(posterior: Posterior) -> list[str]:
 
 
 def _corner(posterior: Posterior) -> Any:
-    try:
-        import corner
-    except ImportError as error:
-        raise MissingExtraError("corner", "bayes", "a corner plot") from error
+    corner = optional("corner", "bayes", "a corner plot")
     flat = posterior.draws.reshape(-1, len(posterior.names))
     at = _of_corner(posterior, flat)
     labels, size = _labels(posterior), 8 + 0.8 * len(at)  # the figure grows with the panels, and is shown at one width

@@ -16,6 +16,7 @@ from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
 from hystfit.models.base import run
+from hystfit.models.parallel.route import each
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
@@ -23,7 +24,7 @@ from hystfit.sampling.posterior import Posterior
 
 @eqx.filter_jit
 def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, number: int) -> Array:
-    return jax.lax.map(lambda row: run(coordinates.assemble(row, number), u, dt)[0], x)
+    return each(lambda row: run(coordinates.assemble(row, number), u, dt)[0], x)
 
 
 def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> Float[np.ndarray, "count T"]:

@@ -48,11 +48,11 @@ def whole_number(name: str, value: Real, least: int) -> int:
     return int(value)
 
 
-def time_axis(duration: Real, rate: Real) -> np.ndarray:
-    """Times from 0 at `rate` samples/s, the end left out, shape (T,).
+def time_axis(duration: Real, rate: Real, *frequencies: Real) -> np.ndarray:
+    """Times from 0 at `rate` samples/s, the end left out, shape (T,), for a signal of these frequencies [Hz].
 
     Raises:
-        DataError: a number is not positive, fewer than two samples fit, or more than 1e8.
+        DataError: a number is not positive, fewer than two samples fit, more than 1e8, or a frequency is above half the rate.
     """
     positive(duration=duration, rate=rate)
     if duration * rate > _MOST:
@@ -60,25 +60,18 @@ def time_axis(duration: Real, rate: Real) -> np.ndarray:
     samples = round(duration * rate)
     if samples < 2:
         raise DataError(f"{duration} s at {rate} samples/s makes {samples} sample(s); a signal needs at least 2")
+    for frequency in frequencies:
+        positive(frequency=frequency)
+        if frequency > rate / 2:
+            raise DataError(f"frequency {frequency} Hz is above half the rate of {rate} samples/s: raise the rate")
     return np.arange(samples) / rate
 
 
-def below_nyquist(frequency: Real, rate: Real) -> None:
-    """Check a frequency [Hz] against the rate [samples/s].
+def between(low: Real, high: Real, wave: np.ndarray) -> np.ndarray:
+    """A wave in [-1, 1], shape (T,), on the range from low to high.
 
     Raises:
-        DataError: it is above half the rate.
+        DataError: low is not below high, or one is not finite.
     """
-    if frequency > rate / 2:
-        raise DataError(f"frequency {frequency} Hz is above half the rate of {rate} samples/s: raise the rate")
-
-
-def between(low: Real, high: Real, wave: np.ndarray) -> np.ndarray:
-    """Map a wave in [-1, 1], shape (T,), onto [low, high].
-
-    Args:
-        low: lowest value [u].
-        high: highest value [u].
-        wave: in [-1, 1], shape (T,).
-    """
+    limits(low, high)
     return 0.5 * (low + high) + 0.5 * (high - low) * wave

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hystfit.errors import DataError
-from hystfit.signals.checks import Real, Series, below_nyquist, between, limits, positive, time_axis, whole_number
+from hystfit.signals.checks import Real, Series, between, limits, positive, time_axis, whole_number
 
 
 def amplitude_sweep(
@@ -31,23 +31,19 @@ def amplitude_sweep(
         start, stop: first and last amplitude, as fractions of the range.
         anchor: common to all loops: "center" (the middle of the range), or the turning point "low" or "high".
     """
-    positive(rate=rate, frequency=frequency, start=start, stop=stop)
-    below_nyquist(frequency, rate)
-    limits(low, high)
+    positive(frequency=frequency, start=start, stop=stop)
     if max(start, stop) > 1:
         raise DataError(f"start and stop are fractions of the range, at most 1; got {start} and {stop}")
     cycles = whole_number("cycles", cycles, 1)
     amplitude = np.linspace(start, stop, cycles)
-    t = time_axis(cycles / frequency, rate)
+    t = time_axis(cycles / frequency, rate, frequency)
     cycle = frequency * t
     scale = amplitude[np.minimum(cycle.astype(int), cycles - 1)]
-    if anchor == "center":
-        return t, between(low, high, scale * np.sin(2 * np.pi * cycle))
-    if anchor == "low":
-        return t, low + (high - low) * scale * 0.5 * (1 - np.cos(2 * np.pi * cycle))
-    if anchor == "high":
-        return t, high - (high - low) * scale * 0.5 * (1 - np.cos(2 * np.pi * cycle))
-    raise DataError(f"anchor must be 'center', 'low' or 'high', got {anchor!r}")
+    from_the_end = scale * (1 - np.cos(2 * np.pi * cycle))
+    waves = {"center": scale * np.sin(2 * np.pi * cycle), "low": from_the_end - 1, "high": 1 - from_the_end}
+    if anchor not in waves:
+        raise DataError(f"anchor must be 'center', 'low' or 'high', got {anchor!r}")
+    return t, between(low, high, waves[anchor])
 
 
 def staircase(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import DataError
-from hystfit.signals.checks import Real, Series, below_nyquist, between, limits, positive, time_axis, whole_number
+from hystfit.signals.checks import Real, Series, between, limits, positive, time_axis, whole_number
 
 
 def sine(
@@ -31,10 +31,7 @@ def sine(
     Raises:
         DataError: a number is out of its range.
     """
-    t = time_axis(duration, rate)
-    positive(frequency=frequency)
-    below_nyquist(frequency, rate)
-    limits(low, high)
+    t = time_axis(duration, rate, frequency)
     if not np.isfinite(phase):
         raise DataError(f"phase must be finite, got {phase}")
     return t, between(low, high, np.sin(2 * np.pi * frequency * t + phase))
@@ -56,12 +53,9 @@ def triangle(
         frequency: Hz.
         low, high: limits [unit of u].
     """
-    t = time_axis(duration, rate)
-    positive(frequency=frequency)
-    below_nyquist(frequency, rate)
+    t = time_axis(duration, rate, frequency)
     limits(low, high)
-    cycle = np.mod(frequency * t, 1.0)
-    return t, low + (high - low) * (1 - np.abs(1 - 2 * cycle))
+    return t, low + (high - low) * (1 - np.abs(1 - 2 * np.mod(frequency * t, 1.0)))
 
 
 def decaying_sine(
@@ -114,17 +108,13 @@ def multisine(
         tries: number of random draws of the phases, of which the one with the lowest crest factor is used.
         seed: of the draws.
     """
-    t = time_axis(duration, rate)
-    limits(low, high)
     try:
         lines = np.atleast_1d(np.asarray(frequencies, dtype=float))
     except (TypeError, ValueError) as error:
         raise DataError(f"frequencies must be numbers in Hz, got {frequencies!r}") from error
     if lines.size == 0:
         raise DataError("frequencies is empty: give at least one in Hz")
-    for line in lines:
-        positive(frequency=float(line))
-        below_nyquist(float(line), rate)
+    t = time_axis(duration, rate, *lines.tolist())
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     phases = rng.uniform(0, 2 * np.pi, size=(whole_number("tries", tries, 1), lines.size))
     waves = [np.sin(2 * np.pi * t[:, None] * lines + phase).sum(axis=1) for phase in phases]
@@ -151,10 +141,7 @@ def chirp(
         low, high: limits [unit of u].
         spacing: "log" for a geometric change of the frequency in time, or "linear".
     """
-    t = time_axis(duration, rate)
-    positive(start=start, stop=stop)
-    below_nyquist(max(start, stop), rate)
-    limits(low, high)
+    t = time_axis(duration, rate, start, stop)
     if spacing not in ("log", "linear"):
         raise DataError(f"spacing must be 'log' or 'linear', got {spacing!r}")
     if spacing == "linear" or start == stop:

@@ -29,14 +29,8 @@ class Kinematics(eqx.Module):
     arm: Float[Array, ""] = param(40.0, bounds=(0.0, np.inf), doc="moment arm about the center [um/mrad]")
     direction: Float[Array, ""] = param(0.0, doc="direction of the first actuator [rad]")
 
-    def inverse_jacobian(self) -> Float[Array, "3 3"]:
-        """Extensions [um] from (x, y, theta) [um, um, mrad]."""
-        psi = self.direction + 2 * jnp.pi / 3 * jnp.arange(3)
-        columns = jnp.stack([jnp.cos(psi), jnp.sin(psi), jnp.broadcast_to(self.arm, psi.shape)], axis=1)
-        return columns / self.amplification
-
     def jacobian(self) -> Float[Array, "3 3"]:
-        """(x, y, theta) from extensions, in closed form."""
+        """(x, y, theta) [um, um, mrad] from extensions [um], in closed form."""
         psi = self.direction + 2 * jnp.pi / 3 * jnp.arange(3)
         turn = jnp.broadcast_to(0.5 / self.arm, psi.shape)
         return (2 * self.amplification / 3) * jnp.stack([jnp.cos(psi), jnp.sin(psi), turn])

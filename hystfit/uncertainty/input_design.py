@@ -133,8 +133,7 @@ class Design:
         ]
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""

@@ -10,9 +10,8 @@ import numpy as np
 from hystfit.fitting.multistart import spread_starts
 from hystfit.inference.bounded_newton import BoundedNewton, Point
 
-_ORDINARY = (
-    0.2  # deviation of the root statistic from that of the curvature, relative, up to which one descent is enough
-)
+# Deviation of the root statistic from that of the curvature, relative, up to which one descent is enough.
+_ORDINARY = 0.2
 _SPREAD = 8  # further starts of a refit that ends a path
 _STEPS = 24  # points on each side at most
 _STRIDE = 0.6  # target rise of the root statistic from point to point

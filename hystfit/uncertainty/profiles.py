@@ -62,9 +62,6 @@ class Profile:
         """Both limits exist."""
         return self.lower is not None and self.upper is not None
 
-    def __repr__(self) -> str:
-        return str(self)
-
     def __str__(self) -> str:
         if not self.closed and self.lower is None and self.upper is None:
             limits = "not bounded by the data on either side"
@@ -72,6 +69,8 @@ class Profile:
             side = lambda limit, bound: f"not bounded (open to {bound})" if limit is None else f"{limit:.5g}"
             limits = f"{side(self.lower, self.open_lower)} to {side(self.upper, self.open_upper)}"
         return f"{self.name} = {self.value:.5g} {self.unit}: {limits}".replace(" :", ":")
+
+    __repr__ = __str__
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,12 +104,11 @@ class Profiles:
     def __getitem__(self, name: str) -> Profile:
         return self.profiles[name]
 
-    def __repr__(self) -> str:
-        return str(self)
-
     def __str__(self) -> str:
         lines = [f"{self.result.name}: {100 * self.level:.0f} % limits by profile likelihood, noise {self.noise}"]
         return "\n".join(lines + [str(p) for p in self.profiles.values()] + [f"note: {note}" for note in self.notes])
+
+    __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
@@ -263,15 +261,7 @@ def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], l
 def _follow(
     newton: BoundedNewton, x: np.ndarray, chosen: Sequence[int], wider: np.ndarray, limit: float
 ) -> tuple[Point, list[tuple[Path, Path]]]:
-    """The optimum, and the paths downward and upward in each parameter; from the start again where a path finds a better optimum.
-
-    Args:
-        newton: the least-squares problem.
-        x: where the fit ended, physical, shape (p,).
-        chosen: positions of the parameters.
-        wider: reported over i.i.d. standard error of each parameter, shape (p,).
-        limit: of the statistic.
-    """
+    """The optimum, and the paths downward and upward in each parameter; from the start again where a path finds a better optimum."""
     start = newton.coordinates(x)
     everything = np.ones(x.size, dtype=bool)
     optimum = newton.best([start], everything)

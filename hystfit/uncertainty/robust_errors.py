@@ -87,8 +87,7 @@ class StandardErrors:
         lines = [f"Standard errors of {self.result.name}, by rule", *self.table().lines()]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown is null."""

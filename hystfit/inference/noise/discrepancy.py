@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from types import ModuleType
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import ResidualScales
@@ -90,12 +92,18 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
         return curve + OrnsteinUhlenbeck.draw(self, new, third)
 
 
-def inducing_shapes(
-    place: Float[Array, "*samples"], length: Float[Array, ""], points: int
-) -> Float[Array, "*samples k"]:
-    """Columns F with F F' close to the squared-exponential covariance of variance one over 0 <= place <= 1."""
-    at = jnp.linspace(0.0, 1.0, points)
-    cover = lambda a, b: jnp.exp(-0.5 * ((a[..., None] - b) / length) ** 2)
-    factor = jnp.linalg.cholesky(cover(at, at) + 1e-8 * jnp.eye(points))
-    inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(points), lower=True)  # smaller than a solve per sample
+def inducing_shapes(place: Any, length: Any, points: int, on: ModuleType = jnp) -> Any:
+    """Columns F with F F' close to the squared-exponential covariance of variance one over 0 <= place <= 1.
+
+    Args:
+        place: input in parts of its range, any shape.
+        length: length scale, in parts of the range of the input.
+        points: number of columns.
+        on: `jnp`, or `np` for arrays on the host.
+    """
+    solve = jax.scipy.linalg.solve_triangular if on is jnp else scipy.linalg.solve_triangular
+    at = on.linspace(0.0, 1.0, points)
+    cover = lambda a, b: on.exp(-0.5 * ((a[..., None] - b) / length) ** 2)
+    factor = on.linalg.cholesky(cover(at, at) + 1e-8 * on.eye(points))
+    inverse = solve(factor, on.eye(points), lower=True)  # smaller than a solve per sample
     return cover(place, at) @ inverse.T

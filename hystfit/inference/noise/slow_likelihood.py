@@ -15,6 +15,7 @@ import scipy  # loads its subpackages when they are first used, which optimize i
 from jaxtyping import Float
 from scipy.linalg.lapack import dpttrf, dpttrs
 
+from hystfit.inference.noise.even_noise import EvenRows
 from hystfit.inference.noise.setting import Setting
 
 POINTS = 12  # inducing points of curves over the input
@@ -160,6 +161,10 @@ class Contrasts:
         return np.asfortranarray(np.column_stack([self.basis, self.residual, self.shapes]))
 
     @functools.cached_property
+    def _even(self) -> EvenRows | None:
+        return EvenRows.of(self.rows, self.samples.gap, self.samples.weight)
+
+    @functools.cached_property
     def expected(self) -> float:
         """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
         rest = self.shapes - self.basis @ (self.basis.T @ self.shapes)
@@ -171,8 +176,11 @@ class Contrasts:
         Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior.
         """
         n, p = self.basis.shape
-        solve, log_det = _solver(self.samples, ratio, time)
-        gram = self.rows.T @ solve(self.rows)
+        if self._even is not None:
+            gram, log_det = self._even.at(ratio, time)
+        else:
+            solve, log_det = _solver(self.samples, ratio, time)
+            gram = self.rows.T @ solve(self.rows)
         factor = np.linalg.cholesky(gram[:p, :p] + 1e-12 * np.trace(gram[:p, :p]) * np.eye(p))
         half = scipy.linalg.solve_triangular(factor, gram[:p, p:], lower=True)
         inner = gram[p:, p:] - half.T @ half

@@ -1,5 +1,6 @@
 """The report on a fit: as text, and as one HTML page with its pictures."""
 
+from hystfit.results.report.answer import Wording as Wording
 from hystfit.results.report.page import html_report as html_report
 from hystfit.results.report.page import notebook_view as notebook_view
 from hystfit.results.report.page import write as write

@@ -2,28 +2,68 @@
 
 from __future__ import annotations
 
+import dataclasses
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 
-from hystfit.data.record import Record
+from hystfit.data.record import Dataset, Record
 from hystfit.outcome import Status
 from hystfit.outcome.table import number, rounded
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
+from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
 from hystfit.results.quantities import CREEP, QUANTITIES, Trade
 from hystfit.results.result import FitResult
 
 _NAMED = 4  # parameters named one by one
+_SAMPLED = 40  # parameters that a sampler still takes
 _TURN = 0.02  # of the input's range: what counts as a turning point
 _LAGS = 3.0  # standard errors from which a lag is reported
 
 
-def answer(result: FitResult) -> list[tuple[str, str]]:
-    """Names and values, the most important first."""
+@dataclasses.dataclass(frozen=True)
+class Wording:
+    """What the commands of a report name, and how its advice names options.
+
+    Attributes:
+        fit: folder of the fit, quoted for a shell.
+        loop: the file that was fitted, with the options for reading it, quoted; default: see `loops_of`.
+        saved: whether `fit` exists, or will once the report is written.
+        translate: from settings as in Python to the options of the reader.
+    """
+
+    fit: str = "FIT"
+    loop: str = ""
+    saved: bool = True
+    translate: Callable[[str], str] = str
+
+    def at(self, folder: str | Path) -> Wording:
+        """The same for a fit saved in this folder."""
+        return dataclasses.replace(self, fit=shlex.quote(str(folder)), saved=True)
+
+
+def loops_of(data: Dataset) -> str:
+    """Names of data sets and paths of the files that records came from, quoted for a shell; LOOP where there is none."""
+    known = datasets.names()
+    places = [one.name if one.name in known else one.source if Path(one.source).is_file() else "LOOP" for one in data]
+    return shlex.join(dict.fromkeys(places))
+
+
+def answer(result: FitResult, wording: Wording | None = None) -> list[tuple[str, str]]:
+    """Names and values, the most important first, and the next commands."""
+    return [*result.answer, ("Next", "\n".join(next_commands(result, wording or Wording())))]
+
+
+def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
+    """Names and values without commands; `result.answer` keeps them."""
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
         rows.append(lag)
-    return [*rows, ("Not determined", _undetermined(result)), ("Next", "\n".join(next_commands(result)))]
+    return (*rows, ("Not determined", _undetermined(result)))
 
 
 def _error(result: FitResult) -> str:
@@ -81,15 +121,17 @@ def _undetermined(result: FitResult) -> str:
     return text + (f"; {bounded} at a bound" if bounded else "")
 
 
-def next_commands(result: FitResult) -> list[str]:
-    """Commands that make sense now, with FIT for the folder of the fit and LOOP for the file."""
+def next_commands(result: FitResult, wording: Wording) -> list[str]:
+    """Commands that make sense now; NEW_LOOP and REFERENCE are files that the user has."""
+    fit, loop = wording.fit, wording.loop or loops_of(result.data)
     if result.status is Status.NO_LOOP:
-        return ["hystfit check LOOP"]
+        return [f"hystfit check {loop}"]
     if not result.usable:
-        return ["hystfit compare LOOP", "hystfit check LOOP"]
-    commands = ["hystfit predict FIT LOOP2"]
+        return [f"hystfit compare {loop}", f"hystfit check {loop}"]
+    commands = [f"hystfit predict {fit} NEW_LOOP"]
     if result.model.obstacle("inverse") is None:
-        commands.append("hystfit invert FIT REFERENCE")
+        commands.append(f"hystfit invert {fit} REFERENCE")
     if result.model.obstacle("export") is None:
-        commands.append("hystfit export FIT --c C")
-    return [*commands, "hystfit sample FIT" if len(result.x) <= 40 else "hystfit errors FIT"]
+        commands.append(f"hystfit export {fit} --c code")
+    commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
+    return commands if wording.saved else [f"the same command with --out {fit} keeps this fit; then", *commands]

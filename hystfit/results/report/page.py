@@ -11,11 +11,11 @@ from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
 from hystfit.results.plots import fit as draw
 from hystfit.results.plots import grouped, selects_cycles
-from hystfit.results.report.answer import answer
+from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
-from hystfit.results.webpage import Page, Picture, svg
+from hystfit.results.webpage import Page, Picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,9 +62,11 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     return figures
 
 
-def html_report(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> str:
+def html_report(
+    result: FitResult, *, test: Data | None = None, refit_offset: bool = False, wording: Wording | None = None
+) -> str:
     """One self-contained HTML page with its pictures."""
-    return _page(result, pictures(result, test=test, refit_offset=refit_offset))
+    return _page(result, _captioned(pictures(result, test=test, refit_offset=refit_offset)), wording or Wording())
 
 
 def notebook_view(result: FitResult) -> str:
@@ -75,19 +77,23 @@ def notebook_view(result: FitResult) -> str:
     return fragment(headline(result), (advice, *tables, result.notes))
 
 
-def _page(result: FitResult, figures: dict[str, Figure]) -> str:
-    shown = [Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures]
-    status = "Usable." if result.usable else f"Not usable as it is: {result.advice}."
+def _captioned(figures: dict[str, Figure]) -> dict[str, Picture]:
+    return {name: Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures}
+
+
+def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str:
+    status = "Usable." if result.usable else f"Not usable as it is: {wording.translate(result.advice)}."
+    in_words = lambda notes: [wording.translate(str(note)) for note in notes]
     sections = [
-        ("Verdict", [verdict(result)]),
-        ("Pictures", [shown]),
+        ("Verdict", [in_words(verdict(result))]),
+        ("Pictures", [list(shown.values())]),
         (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
         (ERRORS, [metrics_table(result)]),
         ("Parameters", [parameter_table(result, meaning=True), fixed_words(result)]),
-        ("Notes", [remarks(result)]),
+        ("Notes", [in_words(remarks(result))]),
         *((heading, [items]) for heading, items in facts(result).items()),
     ]
-    return Page(headline(result), status, result.usable, answer(result), sections).render()
+    return Page(headline(result), status, result.usable, answer(result, wording), sections).render()
 
 
 def _png(figure: Figure) -> bytes:
@@ -95,12 +101,20 @@ def _png(figure: Figure) -> bytes:
 
     buffer = io.BytesIO()
     figure.dpi = _DPI
-    FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws everything twice
+    # `savefig` draws everything twice; stronger compression takes longer than drawing the curves
+    FigureCanvasAgg(figure).print_png(buffer, pil_kwargs={"compress_level": 1})
     figure.dpi = 100
     return buffer.getvalue()
 
 
-def write(result: FitResult, folder: str | Path, *, test: Data | None = None, refit_offset: bool = False) -> Path:
+def write(
+    result: FitResult,
+    folder: str | Path,
+    *,
+    test: Data | None = None,
+    refit_offset: bool = False,
+    wording: Wording | None = None,
+) -> Path:
     """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
 
     Args:
@@ -108,6 +122,7 @@ def write(result: FitResult, folder: str | Path, *, test: Data | None = None, re
         folder: made if it does not exist.
         test: records that were not fitted, for a picture of their own.
         refit_offset: shift the prediction of each test record to its mean.
+        wording: of the commands and the advice.
 
     Raises:
         HystfitError: the folder cannot be made or written.
@@ -115,16 +130,24 @@ def write(result: FitResult, folder: str | Path, *, test: Data | None = None, re
     from hystfit.results.folders import writing
 
     with writing(folder) as scratch:
-        write_into(result, scratch, test=test, refit_offset=refit_offset)
+        write_into(result, scratch, test=test, refit_offset=refit_offset, wording=wording)
     return Path(folder)
 
 
-def write_into(result: FitResult, folder: Path, *, test: Data | None = None, refit_offset: bool = False) -> None:
-    """Write the files of `write` into an existing folder."""
-    figures = pictures(result, test=test, refit_offset=refit_offset)
-    (folder / "report.txt").write_text(text_report(result), encoding="utf-8")
-    for name, figure in figures.items():
-        (folder / f"{name}.png").write_bytes(_png(figure))
-        figure.set_layout_engine("none")  # as laid out for the PNG
-        (folder / f"{name}.svg").write_bytes(svg(figure))
-    (folder / "report.html").write_text(_page(result, figures), encoding="utf-8")
+def write_into(
+    result: FitResult,
+    folder: Path,
+    *,
+    test: Data | None = None,
+    refit_offset: bool = False,
+    wording: Wording | None = None,
+) -> None:
+    """Write the files of `write` into an existing folder, with its arguments."""
+    wording = wording or Wording()
+    shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
+    (folder / "report.txt").write_text(wording.translate(text_report(result, wording)), encoding="utf-8")
+    for name, picture in shown.items():
+        (folder / f"{name}.png").write_bytes(_png(picture.figure))
+        picture.figure.set_layout_engine("none")  # as laid out for the PNG
+        (folder / f"{name}.svg").write_bytes(picture.svg)
+    (folder / "report.html").write_text(_page(result, shown, wording), encoding="utf-8")

@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.table import number
-from hystfit.results.report.answer import answer
+from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.result import FitResult
 
@@ -120,13 +120,13 @@ def _shortened(items: list[str], most: int = 16) -> list[str]:
     )
 
 
-def text_report(result: FitResult) -> str:
+def text_report(result: FitResult, wording: Wording | None = None) -> str:
     """The report as text, at most about 100 columns wide."""
     title = headline(result)
     lines = [title, "=" * len(title)]
     if not result.usable:
         lines.append(_filled(result.advice))
-    lines += _section("Answer", (f"{name}: {', '.join(value.splitlines())}" for name, value in answer(result)))
+    lines += _section("Answer", (f"{name}: {', '.join(value.splitlines())}" for name, value in answer(result, wording)))
     lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
     lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]

@@ -1,0 +1,81 @@
+"""Slow and independent noise of one evenly sampled record in cosine coordinates, where its covariance is diagonal but for two samples.
+
+The inverse correlation matrix of an Ornstein-Uhlenbeck process at even steps is tridiagonal with constant entries, apart from its two
+corners. Without the corners the discrete cosine transform diagonalizes it; they are a correction of rank two (Woodbury). A likelihood
+at other parameters then needs a few sums over frequencies in place of a tridiagonal factorization.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import scipy  # loads its subpackages when they are first used
+from jaxtyping import Float
+
+_EVEN = 1e-9  # largest relative difference between steps that are even
+_BLOCK = 2**14  # frequencies summed at once
+
+
+@dataclasses.dataclass(frozen=True)
+class EvenRows:
+    """Columns of one evenly sampled record with one weight, by frequency.
+
+    Attributes:
+        rows: their cosine transforms, shape (k, n).
+        ends: those of its first and last sample, shape (2, n).
+        curvature: eigenvalues of the second difference, shape (n,).
+        gap: step, in typical sampling intervals.
+        weight: of every sample.
+    """
+
+    rows: Float[np.ndarray, "k n"]
+    ends: Float[np.ndarray, "2 n"]
+    curvature: Float[np.ndarray, " n"]
+    gap: float
+    weight: float
+
+    @classmethod
+    def of(cls, rows: Float[np.ndarray, "n k"], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:
+        """The transforms; None where several records, uneven steps or weights have no such form.
+
+        Args:
+            rows: columns.
+            gap: time since the sample before, infinite at the first of a record, shape (n,).
+            weight: of each sample, shape (n,).
+        """
+        steps, n = gap[1:], gap.size
+        if n < 3 or np.ptp(weight) > 0 or not steps.max() - steps.min() <= _EVEN * steps.min():
+            return None
+        angle = np.pi * np.arange(n) / n
+        first = np.sqrt(np.where(angle > 0, 2.0, 1.0) / n) * np.cos(angle / 2)
+        last = np.where(np.arange(n) % 2, -first, first)
+        transformed = scipy.fft.dct(rows.T, norm="ortho", axis=1)
+        return cls(
+            transformed, np.stack([first, last]), 4 * np.sin(angle / 2) ** 2, float(steps.mean()), float(weight[0])
+        )
+
+    def at(self, ratio: float, time: float) -> tuple[Float[np.ndarray, "k k"], float]:
+        """X' M^-1 X and log det M of the columns X, for M = correlation of the slow part + ratio.
+
+        Args:
+            ratio: of white to slow variance.
+            time: correlation time of the slow part, typical sampling intervals.
+        """
+        decay, fresh = np.exp(-self.gap / time), -np.expm1(-2 * self.gap / time)
+        low, white = np.expm1(-self.gap / time) ** 2, fresh * self.weight / ratio
+        corner = decay * -np.expm1(-self.gap / time)
+        square, beside, ends = 0.0, 0.0, 0.0
+        for k in range(0, self.curvature.size, _BLOCK):
+            at = slice(k, k + _BLOCK)
+            slow = low + decay * self.curvature[at]
+            rows, edge = self.rows[:, at], self.ends[:, at] / (slow + white)
+            square = square + (rows * (slow / (ratio * (slow + white)))) @ rows.T
+            beside, ends = beside + rows @ edge.T, ends + self.ends[:, at] @ edge.T
+        inner = np.eye(2) + corner * ends
+        gram = square + corner * white / ratio * beside @ np.linalg.solve(inner, beside.T)
+        # The product of the eigenvalues low + white + decay * curvature, by Chebyshev polynomials.
+        n, angle = self.curvature.size, 2 * np.arcsinh(0.5 * np.sqrt((low + white) / decay))
+        product = np.log(low + white) + (n - 1) * (np.log(decay) + angle)
+        product += np.log(-np.expm1(-2 * n * angle)) - np.log(-np.expm1(-2 * angle))
+        return gram, float(n * np.log(ratio) - np.log(fresh) + product + np.linalg.slogdet(inner)[1])

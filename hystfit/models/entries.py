@@ -1,0 +1,203 @@
+"""The models that users choose by name: the one list of them. Their modules are imported when they are used."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+from hystfit.registry import attribute
+
+if TYPE_CHECKING:
+    from hystfit.models.base import AbstractHysteresis
+
+# What `check` finds about records decides which models are compared on them: output that lags (counter-clockwise loops) with time
+# (piezo actuators) or without, loops that are symmetric about zero input (magnetic materials), force that leads, force that depends
+# on the rate, resonances, and first-order reversal curves.
+DataKind = Literal[
+    "lagging-timed", "lagging-untimed", "point-symmetric", "leading", "leading-with-rate", "dynamic", "reversal-curves"
+]
+_LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
+
+
+def _word(value: int | bool | str) -> int | str:
+    return ("no", "yes")[value] if isinstance(value, bool) else value
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A model that users choose by name.
+
+    Attributes:
+        maker: "module:attribute" within `hystfit.models`, imported when it is asked for.
+        place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
+        doc: what it is for, one line.
+        variant: whether a model of this class is this variant; the last entry that fits gives its name.
+        compared_on: kinds of data on which `compare` tries it by default.
+        compared_as: the expressions that are tried; the name by default.
+        preset: settings of this name.
+    """
+
+    maker: str
+    place: str
+    doc: str
+    variant: Callable[[Any], bool] = lambda model: True
+    compared_on: tuple[DataKind, ...] = ()
+    compared_as: tuple[str, ...] = ()
+    preset: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def make(self) -> Callable[..., AbstractHysteresis]:
+        """Builds the model with its defaults, or with settings by name."""
+        return functools.partial(attribute(f"hystfit.models.{self.maker}"), **self.preset)
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """Settings besides the values of parameters, with their defaults."""
+        given = inspect.signature(self.make).parameters.values()
+        return {p.name: p.default for p in given if isinstance(p.default, (int, str))}
+
+    def shown(self) -> str:
+        """The settings as `make_model` takes them."""
+        return ":".join(f"{name}={_word(value)}" for name, value in self.settings().items())
+
+    def changed(self, model: AbstractHysteresis) -> list[str]:
+        """Settings of a model that differ from the defaults, as `make_model` takes them."""
+        chosen = model.settings()
+        return [f"{name}={_word(chosen[name])}" for name, value in self.settings().items() if chosen[name] != value]
+
+
+MODELS: dict[str, Entry] = {
+    "duhem": Entry(
+        "duhem:Duhem.of_order",
+        "core",
+        "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters",
+        compared_on=(*_LAGGING, "leading"),
+    ),
+    "bouc-wen": Entry(
+        "bouc_wen:BoucWen",
+        "core",
+        "normalized Bouc-Wen y = c v - h; symmetric loops, 5 parameters",
+        compared_on=_LAGGING,
+    ),
+    "bouc-wen-asymmetric": Entry(
+        "bouc_wen_asymmetric:AsymmetricBoucWen",
+        "core",
+        "generalized Bouc-Wen: exponent, skew, bent backbone; 9 parameters",
+        compared_on=("lagging-timed",),
+    ),
+    "bouc-wen-force": Entry(
+        "bouc_wen_force:BoucWenForce",
+        "core",
+        "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
+        compared_on=("leading",),
+    ),
+    "oscillator": Entry(
+        "oscillator:BoucWenOscillator",
+        "core",
+        "mass, damper and Bouc-Wen spring that softens or hardens; force in, displacement out; needs time",
+        compared_on=("dynamic",),
+    ),
+    "preisach": Entry(
+        "preisach.model:Preisach.of",
+        "core",
+        "Preisach with cells; weights >= 0 and smooth by a convex solve",
+        compared_on=_LAGGING,
+        preset={"n": 30, "spacing": "quantile"},
+    ),
+    "preisach-magnetic": Entry(
+        "preisach.model:Preisach.of",
+        "core",
+        "Preisach of a material without remembered sign: mirror cells are tied",
+        lambda model: model.symmetric,
+        compared_on=("point-symmetric",),
+        preset={"n": 40, "symmetric": True, "spacing": "square"},
+    ),
+    "preisach-relays": Entry(
+        "preisach.model:Preisach.of",
+        "core",
+        "Preisach with the classical point relays",
+        lambda model: model.elements == "relays",
+        preset={"n": 20, "elements": "relays", "spacing": "quantile"},
+    ),
+    "preisach-forc": Entry(
+        "preisach.model:Preisach.of",
+        "core",
+        "Preisach with cells from first-order reversal curves, each a record that starts from saturation",
+        lambda model: model.spacing == "reversal-curves",
+        compared_on=("reversal-curves",),
+        preset={"n": 40, "spacing": "reversal-curves"},
+    ),
+    "preisach-forc-signed": Entry(
+        "preisach.signed:SignedPreisach.of",
+        "core",
+        "the same with masses of either sign: closer to the curves, no inverse",
+        compared_on=("reversal-curves",),
+        preset={"n": 40, "spacing": "reversal-curves"},
+    ),
+    "everett-table": Entry(
+        "preisach.tabulated:TabulatedPreisach.of",
+        "core",
+        "Preisach table read off curves that rise to peaks and fall back, without a solve (Song et al. 2005)",
+    ),
+    "prandtl-ishlinskii": Entry(
+        "prandtl_ishlinskii:PrandtlIshlinskii.of",
+        "core",
+        "weighted plays; output lags (piezo, magnetics); convex solve",
+    ),
+    "prandtl-ishlinskii-stop": Entry(
+        "prandtl_ishlinskii:PrandtlIshlinskii.of",
+        "core",
+        "weighted stops; force against displacement (dampers, steel); convex solve",
+        lambda model: model.operator == "stop",
+        preset={"operator": "stop"},
+    ),
+    "prandtl-ishlinskii-generalized": Entry(
+        "prandtl_ishlinskii:PrandtlIshlinskii.of",
+        "core",
+        "weighted plays with envelopes: asymmetric loops; convex solve",
+        lambda model: model.operator == "play" and len(model.envelopes) > 1,
+        preset={"degree": 5, "envelopes": 3},
+    ),
+    "prandtl-ishlinskii-hardening": Entry(
+        "prandtl_ishlinskii:PrandtlIshlinskii.of",
+        "core",
+        "weighted stops that fade with the path: cyclic hardening",
+        lambda model: model.hardening.size > 0,
+        preset={"degree": 3, "operator": "stop", "hardening": 3},
+    ),
+    "delay": Entry("dynamics:Delay", "before", "pure delay of the input, in samples"),
+    "lag": Entry("dynamics:Lag", "before", "two first-order lags of the input (amplifier, sensor); needs time"),
+    "creep": Entry("creep:LinearCreep", "beside", "logarithmic creep of the input, added to the output; needs time"),
+    "log-creep": Entry(
+        "creep:LogCreep",
+        "after",
+        "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time",
+        compared_on=("lagging-timed",),
+        compared_as=("bouc-wen+log-creep",),
+    ),
+    "viscous": Entry(
+        "rate:Viscous",
+        "beside",
+        "force in proportion to the input's rate; needs time",
+        compared_on=("leading-with-rate",),
+        compared_as=("bouc-wen-force+viscous",),
+    ),
+    "saturating-rate": Entry("rate:SaturatingRate", "beside", "force that saturates in the input's rate; needs time"),
+    "offset": Entry("compose:Offset", "beside", "a constant for each record"),
+    "relaxation": Entry(
+        "relaxation:Relaxation",
+        "after",
+        "a part of the output follows slowly (curved actuators); needs time",
+        compared_on=("lagging-timed",),
+        compared_as=("bouc-wen+relaxation",),
+    ),
+    "second-order": Entry(
+        "dynamics:SecondOrder",
+        "after",
+        "a resonance; needs time",
+        compared_on=("dynamic",),
+        compared_as=("bouc-wen+second-order", "prandtl-ishlinskii+second-order"),
+    ),
+}
