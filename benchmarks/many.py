@@ -12,7 +12,7 @@ import scipy.optimize
 
 import hystfit as hf
 from hystfit.batch.bucketed import Task, solve_together
-from hystfit.fitting.fit import pose, starting_vectors
+from hystfit.fitting.fit import set_up_fit, starting_vectors
 
 RECORDS, SAMPLES, REPEATS = 100, 10_000, 3
 
@@ -53,7 +53,7 @@ def best(run: object) -> float:
 def main() -> None:
     hf.enable_x64()
     records = [made(seed) for seed in range(RECORDS)]
-    posed = [pose(hf.BoucWen(), hf.Dataset((record,))) for record in records]
+    posed = [set_up_fit(hf.BoucWen(), hf.Dataset((record,))) for record in records]
     tasks = {
         count: [Task.of(p.problem, starting_vectors(p.problem, count, 0, p.points)) for p in posed] for count in (1, 8)
     }

@@ -314,7 +314,7 @@ def _check_columns(model: AbstractHysteresis, probe: Probe, name: str) -> None:
     design, leaves = model.design_matrix(u, probe.dt), jax.tree_util.tree_leaves(model)
     linear = sum((b.columns @ np.ravel(np.asarray(leaves[b.leaf])) for b in design.blocks), start=design.rest)
     _agree(linear[design.index], y, f"{name}.design_matrix times the linear weights must equal simulate", 1e-9)
-    if model.short_cut:
+    if model.has_fast_run:
         _agree(model.free_run(u, probe.dt), y, f"{name}.free_run must equal simulate", 1e-9)
     reach = model.reach()
     _require(reach is None or reach[0] < reach[1], f"{name}.reach must be (low, high) with low < high, got {reach}")

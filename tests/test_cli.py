@@ -528,6 +528,9 @@ def test_messages_name_options_as_the_shell_does(capsys):
         as_options("gaps='split' makes a record; give by= or output=")
         == "--gaps split makes a record; give --by or --output"
     )
+    assert as_options("set --input and --output (input=, output=) to be sure") == "set --input and --output to be sure"
+    assert as_options("reads again: --smooth 9 (smooth='9')") == "reads again: --smooth 9"
+    assert as_options("leave it out (window=)") == "leave it out (--window)"
     assert as_options("time=False reads without time") == "--time none reads without time"
     assert as_options("use left_out='blocks'; scheduler= needs") == "use --left-out blocks; --scheduler needs"
     assert as_options("give limits=(low, high)") == "give limits=(low, high)"

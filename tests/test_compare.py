@@ -18,7 +18,7 @@ from hystfit.fitting.compare import _Judge, _ranked, _Shown
 from hystfit.fitting.comparison import Row
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.smooth_weights import left_out_score
-from hystfit.fitting.structure import Structure, build, most_plays, search_structure
+from hystfit.fitting.structure import Structure, build, max_plays, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.workers import Stopped, Workers
 from hystfit.models.base import AbstractHysteresis
@@ -97,7 +97,7 @@ def test_data_that_no_model_can_use_are_refused_as_such():
 @pytest.mark.parametrize(("samples", "levels", "least", "most"), [(4000, 4000, 40, 40), (63, 63, 3, 8), (800, 9, 3, 4)])
 def test_plays_follow_samples_and_levels(samples, levels, least, most):
     u = np.round((levels - 1) * (0.5 + 0.5 * np.sin(np.linspace(0, 20, samples)))) / (levels - 1)
-    assert least <= most_plays(hf.Dataset.of(hf.Record(u, u))) <= most
+    assert least <= max_plays(hf.Dataset.of(hf.Record(u, u))) <= most
 
 
 STRUCTURES = [

@@ -1,5 +1,9 @@
 """Estimators against each other and against linear theory; what a result says of data that determine little."""
 
+import itertools
+from types import SimpleNamespace
+from unittest.mock import Mock
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +15,8 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.trust_region import TrustRegion
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
@@ -327,3 +333,18 @@ def test_the_bounded_solver_survives_derivatives_without_finite_squares(model):
     else:  # no derivative shows where k should go
         assert not fitted.usable
         assert np.isfinite(fitted.x).all()
+
+
+def test_a_start_from_which_no_step_is_finite_ends_in_silence():
+    """The steps shrink until powers of their inverse overflow; warnings are errors here."""
+    coordinates = SimpleNamespace(scale=np.ones(2), lower=np.zeros(2), upper=np.full(2, np.inf))
+    start = np.array([1.0, 2.0])
+    problem = Mock(
+        spec=Problem,
+        space=SimpleNamespace(coordinates=coordinates, physical=lambda z: z),
+        misfit=Mock(side_effect=itertools.chain([np.ones(3)], itertools.repeat(np.full(3, np.nan)))),
+        linearize_misfit=lambda x: (None, np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])),
+    )
+    found = TrustRegion().estimate(problem, start[None])
+    np.testing.assert_array_equal(found.x, start)
+    assert not found.converged

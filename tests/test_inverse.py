@@ -178,11 +178,11 @@ def test_resonance_is_led() -> None:
     reference = 5 - 4 * np.cos(2 * np.pi * 20 * t)
     resonance = hf.SecondOrder(omega=2 * np.pi * 630, zeta=0.02)
     model = hf.Series(PLAIN, resonance)
-    led = np.abs(invert(model, reference, 1e-4).y - reference)[1000:].max()
+    output_resonance = np.abs(invert(model, reference, 1e-4).y - reference)[1000:].max()
     plain = np.abs(np.asarray(hf.simulate(model, invert(model.parts[0], reference).u, 1e-4)[0]) - reference)[
         1000:
     ].max()
-    assert led < 0.1 * plain
+    assert output_resonance < 0.1 * plain
     ratio = 20 / 630
     assert plain == pytest.approx(4 * abs(1 - 1 / (1 + 0.04j * ratio - ratio**2)), rel=0.02)
 

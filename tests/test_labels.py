@@ -14,7 +14,7 @@ from matplotlib import font_manager
 from matplotlib.figure import Figure
 
 from hystfit.data import Record
-from hystfit.results.labels import column_label, legible, make_legible, write
+from hystfit.results.labels import column_label, substitute_missing_glyphs, use_available_fonts, write
 from hystfit.results.preisach_plots import plot_curves
 
 CHARACTERS = "电压位移記録"
@@ -96,10 +96,10 @@ def test_an_installed_font_is_used_for_the_characters_that_it_has(bare: None, fo
 
 def test_names_of_records_in_ticks_and_titles_are_legible(bare: None, tmp_path: Path) -> None:
     ax = Figure().subplots()
-    ax.set_yticks([0, 1], [legible("offset@記録"), "gain"])
+    ax.set_yticks([0, 1], [substitute_missing_glyphs("offset@記録"), "gain"])
     ax.set_title("記録 1")
     write(ax.xaxis.label, "位移", "output")
-    make_legible(ax.figure)
+    use_available_fonts(ax.figure)
     assert [ax.get_title(), ax.get_yticklabels()[0].get_text(), ax.get_xlabel()] == ["?? 1", "offset@??", "output"]
     _drawn(ax.figure, tmp_path)  # type: ignore[arg-type]
 

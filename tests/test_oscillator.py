@@ -322,6 +322,27 @@ def test_derived_constants_have_no_error_where_a_parameter_behind_them_has_none(
     assert [p.name for p in unknown.derived if p.stderr is None] == ["b1", "b2"]
 
 
+def test_softening_on_its_bound_has_no_error_and_neither_have_its_constants() -> None:
+    """The same yielding spring with Z = 4, where r_load = 40 is inside its bounds, and with Z = 6, where 60 is beyond 50."""
+    t = np.arange(300) / 100
+    u = 5 * np.sin(2 * np.pi * 0.7 * t) + 2 * np.sin(2 * np.pi * 2.9 * t)
+    spring = functools.partial(hf.BoucWenOscillator, m=0.02, c=0.15, K=10.0, a=0.2, between="linear", substeps=8)
+    y = np.asarray(hf.simulate(spring(r_load=1.0, r_unl=0.2, Z=0.1), u, 0.01)[0])
+    record = hf.Record(u=u, y=y + 1e-3 * np.ptp(y) * np.random.default_rng(0).normal(size=t.size), t=t)
+    inside, beyond = (
+        hf.fit(spring(r_load=40.0, r_unl=2 * Z, Z=Z), record, start="model", starts=1, noise="iid") for Z in (4.0, 6.0)
+    )
+    assert inside["r_load"].at_bound is None
+    assert inside["r_load"].value == pytest.approx(40.0, abs=4 * inside["r_load"].stderr)
+    assert (beyond["r_load"].value, beyond["r_load"].at_bound, beyond["r_load"].stderr) == (
+        pytest.approx(50.0),
+        "upper",
+        None,
+    )
+    assert {p.name: p.stderr is None for p in beyond.derived} == {"k": False, "kz": False, "b1": True, "b2": True}
+    assert any(note.text.startswith("r_load is at its upper bound") for note in beyond.notes)
+
+
 def test_the_command_line_fits_it_by_name(tmp_path: Any) -> None:
     record, file = multisine(1, 2048), tmp_path / "multisine.csv"
     rows = np.column_stack([record.t, record.u, record.y])

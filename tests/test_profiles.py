@@ -15,7 +15,7 @@ from hystfit.inference.noise import Setting
 from hystfit.inference.residuals import analyze
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
-from hystfit.uncertainty.input_design import design
+from hystfit.uncertainty.input_design import Candidate, Design, design
 from hystfit.uncertainty.profiles import _whitened, profile
 from hystfit.uncertainty.robust_errors import FEWEST, _Blocks, covariance
 
@@ -229,6 +229,21 @@ def test_a_design_in_slow_noise_predicts_least_squares_under_the_dense_covarianc
     expected = np.sqrt(np.diag(inverse @ both @ inverse.T))
     for k, name in enumerate(NAMES):
         assert made.best.stderr[name] == pytest.approx(expected[k], rel=0.02), name
+
+
+def test_a_design_shows_many_weights_as_one():
+    u = np.sin(2 * np.pi * np.arange(240) / 80)
+    fit = hf.fit("prandtl-ishlinskii:plays=16", hf.Record(u, np.asarray(hf.simulate(TRUTH, u)[0])))
+    names = fit.problem.space.names
+    errors = {name: 0.5 + k if k % 3 else None for k, name in enumerate(names)}
+    made = Design(fit, (Candidate("sine", u, errors, 0.0),), errors, names, (), None, ())
+    cells = made.table().to_list()[1]
+    weights = [errors[name] for name in names if name.startswith("w[")]
+    assert len(weights) == 16
+    assert [key for key in cells if key.startswith("w[")] == ["w[16]"]
+    known = sorted(error for error in weights if error is not None)
+    assert cells["w[16]"] == pytest.approx((known[7] + known[8]) / 2)
+    assert "w[3]" not in str(made)
 
 
 def test_design_aims_at_one_parameter(fitted):

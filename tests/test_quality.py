@@ -526,6 +526,18 @@ def test_lost_stiffness_is_reported_for_damaged_loops_only():
     assert has(broken.findings, Code.DEGRADING)
 
 
+def test_lost_strength_is_reported_where_no_two_cycles_have_one_stroke():
+    t = np.linspace(0, 8, 1200)
+    u = (0.2 + 0.1 * t) * np.sin(2 * np.pi * t)
+    softening = steel(u) - 0.9 * np.ptp(steel(u)) / np.ptp(u) * u  # falls past its peak, on every branch alike
+    for sound in (steel(u), softening):
+        assert not has(check(Record(u, sound)).findings, Code.DEGRADING)
+    broken = check(Record(u, steel(u) * np.exp(-np.cumsum(np.abs(np.diff(u, prepend=0.0))) / 8)))
+    assert broken.records[0].stiffness_left is None
+    assert has(broken.findings, Code.DEGRADING)
+    assert broken.advice is None
+
+
 def test_a_falling_amplitude_is_not_taken_as_lost_stiffness():
     """Secants of any hysteresis are softer at small strokes, and every stroke of a decaying sine is smaller than those before."""
     t = np.linspace(0, 10, 1000)

@@ -648,6 +648,19 @@ def test_a_column_that_is_the_rate_of_the_input_is_not_taken_for_the_output(tmp_
     np.testing.assert_array_equal(np.stack([record.t, record.u, record.y]), [t, x, f])  # type: ignore[union-attr]
 
 
+def test_a_column_without_a_name_that_repeats_the_input_is_not_taken_for_the_output(tmp_path: Path) -> None:
+    """A log of a controller: the command, its last turning value (the command itself on half of the way), the sensor."""
+    command = np.abs((np.arange(240) * 0.05) % 6 - 3)
+    kept = np.where(np.diff(command, prepend=command[0]) <= 0, command, 3.0)
+    sensor = np.interp(command, [0, 3], [10, 40]) + 4 * np.sign(np.gradient(command))
+    np.savetxt(
+        tmp_path / "log.dat", np.column_stack([command, kept, kept, 0 * command, sensor]), fmt="%.4f", delimiter="\t"
+    )
+    record = read(tmp_path / "log.dat")
+    np.testing.assert_allclose(np.stack([record.u, record.y]), [command, sensor], atol=1e-4)  # type: ignore[union-attr]
+    assert any("column 2 repeats column" in note.text for note in record.notes)  # type: ignore[union-attr]
+
+
 def test_binary_formats_hold_the_same_record(tmp_path: Path) -> None:
     import h5py
     import openpyxl

@@ -24,7 +24,8 @@ from hystfit.outcome import Status
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.results import plots, report
-from hystfit.results.result import FitResult, ParameterEstimate
+from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.result import FitResult
 
 
 @pytest.fixture(scope="module")
@@ -310,14 +311,19 @@ def test_a_few_residuals_not_fitted_do_not_flatten_those_of_the_fit(kind):
     assert np.abs(marred.predict(marred.data[0]) - y)[:150].max() < ax.get_ylim()[1] < 0.5
 
 
-def cycling(count: int, spikes: int = 0) -> FitResult:
-    """A fit of many cycles, of which the seventh has a larger error, and of outliers."""
+def cycling(count: int, spikes: int = 0, worst: int = 6) -> FitResult:
+    """A fit of many cycles, of which one (the seventh) has a larger error, and of outliers."""
     n = 60
     u = 30 * np.sin(2 * np.pi * np.arange(n * count + 1) / n)
     y = 0.2 * u + 0.02 * np.random.default_rng(5).standard_normal(u.size)
-    y[6 * n : 7 * n] += 0.3
+    y[worst * n : (worst + 1) * n] += 0.3
     y[: n * spikes : n] += 40.0
     return fit(BoucWen(), Record(u=u, y=y), starts=1, fix={"mu": 0.5, "tau": 0.05, "rho": 0.0}, loss="huber")
+
+
+def test_a_cycle_that_is_last_and_worst_is_shown_once():
+    labels = [line.get_label() for line in plots.fit(cycling(12, worst=11), "loop", axes()).get_lines()]
+    assert [label for label in labels if label.startswith("cycle")] == ["cycle 1 (first)", "cycle 11 (largest error)"]
 
 
 def test_of_many_cycles_the_first_the_last_and_the_worst_are_shown():
@@ -373,7 +379,7 @@ def test_the_answer_stands_at_the_top_of_the_page_and_the_text(result):
     assert rows["Error"].startswith(f"{result.train.nrmse_percent:.3g} % of the range")
     assert f"{result.baselines.noise:.2g} um" in rows["Error"]
     hysteresis = next(q for q in result.quantities if q.name == "hysteresis_percent")
-    assert rows["Hysteresis"] == f"{' +- '.join(rounded(hysteresis.value, hysteresis.stderr))} %"
+    assert rows["Hysteresis (of the stroke)"] == f"{' +- '.join(rounded(hysteresis.value, hysteresis.stderr))} %"
     assert rows["Not determined"] == "nothing"
     assert "hystfit invert FIT REFERENCE" in rows["Next"]
     assert page.index("<dl") < page.index("<section")

@@ -30,7 +30,7 @@ from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.files import load_posterior
 from hystfit.sampling.posterior import Posterior
-from hystfit.sampling.sample import beside_priors, drift_notes, sample
+from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import prepare
 
 
@@ -275,7 +275,7 @@ from tests.test_sampling import ENDLESS, loop
 import hystfit as hf
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.sampling.sample import beside_priors, drift_notes, sample
+from hystfit.sampling.sample import prior_dominated_notes, drift_notes, sample
 hf.enable_x64()
 record, model = loop()
 result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
@@ -438,7 +438,7 @@ def test_width_beside_a_prior_over_a_logarithm_is_that_of_the_logarithm(fitted):
         draws[:, :, at] = (
             30 * float(prior.median) * np.exp(spread * rng.normal(size=(2, 500)))
         )  # narrow, though far out
-        notes = beside_priors(setup, draws)
+        notes = prior_dominated_notes(setup, draws)
         assert any(note.code is Code.PRIOR and "noise_white" in note.text for note in notes) == told, notes
 
 

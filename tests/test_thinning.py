@@ -11,7 +11,7 @@ from hystfit.fitting.polish import polish
 from hystfit.fitting.thinning import thin
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.starting import best_beside
+from hystfit.models.starting import best_column
 
 TRUTH = {"c": 0.15, "mu": 0.4, "tau": 0.02, "rho": 0.3, "offset": 0.5}
 
@@ -107,6 +107,13 @@ def test_polish_that_stops_at_its_limit_has_not_converged():
     assert not found.converged
 
 
+@pytest.mark.parametrize("offset", [1e160, -1e300])
+def test_polish_from_an_offset_that_has_run_away_has_not_converged(offset):
+    made = problem(loops(1500))
+    found = polish(made, made.space.unconstrained(np.array([0.14, 0.5, 0.03, 0.0, offset])))
+    assert not found.converged
+
+
 def test_padding_of_long_records_is_at_most_a_tenth():
     lengths = np.unique(np.geomspace(64, 1e7, 4000).astype(int))
     sizes = np.array([bucket(int(length)) for length in lengths])
@@ -121,9 +128,9 @@ def test_the_best_companion_is_that_of_separate_least_squares():
     fixed, candidates = rng.normal(size=(60, 3)) * [1.0, 1e3, 1e-3], rng.normal(size=(60, 12))
     y = fixed @ [1.0, 2e-3, 5e2] + 0.3 * candidates[:, 7] + 0.05 * rng.normal(size=60)
     costs = [np.linalg.lstsq(np.column_stack([fixed, column]), y, rcond=None)[1][0] for column in candidates.T]
-    assert best_beside(fixed, candidates, y) == int(np.argmin(costs)) == 7
+    assert best_column(fixed, candidates, y) == int(np.argmin(costs)) == 7
     spanned = np.column_stack([fixed @ [1.0, 1.0, 1.0], candidates])
-    assert best_beside(fixed, spanned, y) == 8
+    assert best_column(fixed, spanned, y) == 8
 
 
 def _normal(made: Problem, z: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from hystfit.fitting.verdict import with_left_out
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality.baselines import Baselines, play_positions
-from hystfit.results.accuracy import Limits, lasting
+from hystfit.results.accuracy import Limits, persistent_error
 
 N = 600
 T = np.arange(N) / 100
@@ -121,6 +121,15 @@ def test_a_large_cross_validation_error_is_not_usable():
     assert with_left_out(fit, 0.02 * fit.baselines.span).status is Status.OK
 
 
+@pytest.mark.parametrize("failed", [False, True])
+def test_an_error_in_the_last_half_cycle_alone_is_said(failed):
+    y = output()
+    y = y + failed * 0.3 * np.ptp(y) * np.clip(T - T[575], 0, None) / 0.25  # from the last turning point on
+    fit = hf.fit("bouc-wen", made(y + 0.01 * WHITE), starts=1)
+    assert has(fit.notes, Code.LAST_HALF_CYCLE) == failed
+    assert not has(fit.notes, Code.INITIAL_STATE)
+
+
 MODELS = {
     "bouc-wen": (hf.BoucWen(c=0.15, mu=0.45, tau=0.05, rho=0.6, offset=3.0, h0=-0.9), "h0", -0.9),
     "bouc-wen-asymmetric": (hf.AsymmetricBoucWen(c=0.15, mu=0.45, tau=0.05, rho=0.6, h0=0.8, n=1.0, skew=0.2), "h0", 0.8),
@@ -178,7 +187,7 @@ def test_limits_follow_what_the_data_admit():
 
 def test_an_error_of_one_sample_does_not_last():
     errors = np.array([0.0, 9.0, 0.0, 2.0, -3.0, 4.0, 0.0])
-    assert lasting(errors).max() == 2.0
+    assert persistent_error(errors).max() == 2.0
 
 
 def test_a_sequential_result_is_judged_by_the_same_limits():

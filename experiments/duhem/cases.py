@@ -26,6 +26,9 @@ WAVES = ("sine", "decaying sine")
 Q = 30.0  # of the paper's weights; its print has lost a zero, and 30 suits 0-60 V
 ORDERS = np.array([0, 1, 2, 3, 0, 0, 1, 2])  # power of v in each column
 WEIGHTS = {"1/q^i, the paper's": Q**-ORDERS, "1/q^(2i)": Q ** (-2.0 * ORDERS)}
+SMALL_STEPS = {"Legendre polynomials, scaled": {}} | {
+    f"powers, {name}": {"basis": "powers", "weights": weights} for name, weights in WEIGHTS.items()
+}
 DURATION, CYCLES, DECAY = 2.0, {"sine": 2, "decaying sine": 5}, 1.0  # s, -, 1/s
 
 

@@ -46,7 +46,7 @@ def one_step(case: Case, model: hf.Duhem | None) -> float:
 
 
 def gradient_correction(
-    case: Case, seed: int, *, passes: int = 1, floor: float = 1.0, basis: str = "legendre", weights: Any = None
+    case: Case, seed: int, *, passes: int = 1, basis: str = "legendre", **settings: Any
 ) -> hf.Duhem | None:
     """Gradient correction from a start within 10 % of the paper's parameters; None where it diverges or the rate is not positive.
 
@@ -54,11 +54,9 @@ def gradient_correction(
         case: the record.
         seed: of the start.
         passes: over the record.
-        floor: of the normalized step.
-        basis, weights: see `GradientCorrection.of`.
+        basis, settings: see `GradientCorrection.of`.
     """
-    options = {"start": "model", "floor": floor, "basis": basis, "weights": weights}
-    identifier = GradientCorrection.of(case.model, case.record, **options)
+    identifier = GradientCorrection.of(case.model, case.record, start="model", basis=basis, **settings)
     start = jnp.asarray(identifier.regressor.from_powers(near(PAPER_RLS, seed)))
     identifier = eqx.tree_at(lambda g: g.theta0, identifier, start)
     state, _ = run_stream(identifier, identifier.init(), Sample.stream([case.record], passes))

@@ -107,7 +107,10 @@ def three_axes(results: Results) -> tuple[str, dict[str, LoopResult]]:
     t = runs["identified"].t
     line = middle(truth) + np.stack([20 * np.sin(2 * np.pi * 5 * t), 0 * t, 0 * t], axis=1)
     error = run(np.minimum(5 * t, 1.0)[:, None] * line, found, jacobian).max_error(ALMOST)
-    results.add("M9: cross-axis, y and theta moved by x alone, %", 100 * max(error[1], 40 * error[2]) / 40.0)
+    results.add(
+        "M9: cross-axis motion by an identified Jacobian, y and theta moved by x alone, %",
+        100 * max(error[1], 40 * error[2]) / 40.0,
+    )
     return table(
         ["run", "x, max error %", "y", "theta"], [[name, *row.tolist()] for name, row in percent.items()]
     ), runs

@@ -52,21 +52,25 @@ def sines(results: Results, quick: bool, identified: Series) -> tuple[str, Track
     example = runs[10.0, 20.0, "identified"]
     results.add("M5: 20 um at 10 Hz, maximum error %, identified", example.worst)
     results.add("M5: 20 um at 10 Hz, maximum error %, perturbed", runs[10.0, 20.0, "perturbed"].worst)
-    led = []
+    output_resonance = []
     for frequency, stroke in ((50.0, 50.0), (100.0, 20.0), (100.0, 100.0)):
         reference, dt, cycle = cosine(frequency, stroke)
         kinds = (plant, with_mode(on_axis(identified)))
-        led.append([frequency, stroke, *(track(plant, inverted, reference, dt, cycle).worst for inverted in kinds)])
+        output_resonance.append(
+            [frequency, stroke, *(track(plant, inverted, reference, dt, cycle).worst for inverted in kinds)]
+        )
     results.add(
-        "M6: maximum error % at 100 Hz, matched, resonance inverted", max(row[2] for row in led if row[0] == 100)
+        "M6: maximum error % at 100 Hz, matched, resonance inverted",
+        max(row[2] for row in output_resonance if row[0] == 100),
     )
     results.add(
-        "M6: maximum error % at 100 Hz, identified, resonance inverted", max(row[3] for row in led if row[0] == 100)
+        "M6: maximum error % at 100 Hz, identified, resonance inverted",
+        max(row[3] for row in output_resonance if row[0] == 100),
     )
     head = ["frequency / Hz", "stroke / um", *(f"{name}, max error %" for name in models)]
     rows = [[f, s, *(runs[f, s, name].worst for name in models)] for f, s, name in runs if name == "identified"]
     extra = [*head[:2], "matched, resonance inverted, max error %", "identified, resonance inverted"]
-    return table(head, rows) + "\n" + table(extra, led), example
+    return table(head, rows) + "\n" + table(extra, output_resonance), example
 
 
 def least(make: Callable[[float], Tracking], low: float, high: float) -> Tracking:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,11 +19,14 @@ from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Column, Status, Table
 from hystfit.registry import near
-from hystfit.results.result import FitResult, provenance
+from hystfit.results.plots import MANY
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.batch/1"
 _ERRORS = ("rmse", "error_percent", "max_error_percent")
 _WORST = 20
+_REASON = 240  # characters of a reason in text; fits.csv and the reports have all of it
 _OUTER = (0.05, 0.5, 0.95)
 
 
@@ -222,16 +226,20 @@ class Fits:
     # -- overviews ------------------------------------------------------------------------------------------------------------
 
     def worst(self, count: int = _WORST) -> tuple[Row, ...]:
-        """Loops that need a look: those without a fit first, then those not usable, then the largest errors."""
+        """Loops to inspect: first those without a fit, then unusable ones, then those with the largest errors."""
         rank = lambda row: (row.status is not Status.FAILED, row.usable, -(row.error_percent or 0.0))
         return tuple(sorted(self.rows, key=rank)[:count])
 
-    def summary(self) -> Table:
-        """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit."""
+    def summary(self, names: Sequence[str] | None = None) -> Table:
+        """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit.
+
+        Args:
+            names: of parameters and quantities; all of them by default.
+        """
         columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median")]
         columns += [Column("5 %"), Column("95 %"), Column("standard deviation"), Column("median stderr")]
         rows: list[Sequence[Any]] = []
-        for name in (*self.names, *self.quantities):
+        for name in names or (*self.names, *self.quantities):
             values = self.values(name)
             errors = [error for row in self.rows if row.usable and (error := row.stderr.get(name)) is not None]
             low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
@@ -244,9 +252,20 @@ class Fits:
         counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
         lines = [f"{self.model} fitted to {len(self.rows)} loops: {counted}"]
         if any(row.usable for row in self.rows):
-            lines += ["", "Usable fits", *self.summary().lines("  ")]
+            arrays = Counter(name.partition("[")[0] for name in self.names)
+            few = [name for name in self.names if arrays[name.partition("[")[0]] <= MANY]
+            lines += ["", "Usable fits", *self.summary((*self.quantities, *few)).lines("  ")]
+            many = [f"{name}[{count}]" for name, count in arrays.items() if count > MANY]
+            lines += [f"  {', '.join(many)}: in fits.csv"] if many else []
         if worst := [row for row in self.worst(5) if not row.usable]:
-            lines += ["", "Not usable", *(f"  {row.name}: {row.status}: {row.reason}" for row in worst)]
+            lines += [
+                "",
+                "Not usable",
+                *(
+                    f"  {row.name}: {row.status}: {textwrap.shorten(row.reason, _REASON, placeholder=' ...')}"
+                    for row in worst
+                ),
+            ]
             rest = sum(not row.usable for row in self.rows) - len(worst)
             lines += [f"  and {rest} more"] if rest else []
         return "\n".join(lines)

@@ -88,7 +88,7 @@ def _name(work: Work) -> str:
 
 
 def _described(work: Work) -> dict[str, Any]:
-    """What identifies a batch: model, options and reading, not its loops."""
+    """The settings that identify a batch: model, options and reading, not its loops."""
     model = work.model if isinstance(work.model, str) else to_json(work.model)
     plain = lambda options: {name: repr(value) for name, value in sorted(options.items())}
     return {"model": model, "options": plain(work.options), "reading": plain(work.reading), "units": dict(work.units)}

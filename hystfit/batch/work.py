@@ -16,7 +16,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.fitting.entry import fit
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.fit import Posed, changed_settings, check_settings, judge, pose, solve, starting_vectors
+from hystfit.fitting.fit import FitSetup, changed_settings, check_settings, judge, set_up_fit, solve, starting_vectors
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status
@@ -34,7 +34,7 @@ _DEFAULTS = {name: inspect.signature(fit).parameters[name].default for name in (
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What is done with every loop; other processes receive it.
+    """The task for every loop, as other processes receive it.
 
     Attributes:
         model: a model or its name.
@@ -100,12 +100,12 @@ class Work:
 
 @dataclasses.dataclass
 class _Loop:
-    """A loop on its way: what was read, then posed, then solved, or why it has no fit."""
+    """State of one loop: its record, its fit setup, its estimate, or the reason why it has no fit."""
 
     source: Source
     name: str
     record: Record | None = None
-    posed: Posed | None = None
+    fit_setup: FitSetup | None = None
     estimate: Estimate | None = None
     row: Row | None = None
 
@@ -164,7 +164,7 @@ def _read(work: Work, source: Source) -> list[_Loop]:
 
 
 def _alike(work: Work, loop: _Loop) -> Record:
-    """The record in the units of the batch."""
+    """The record converted to the units of the batch."""
     loop.record = loop.record.in_units(**work.units)  # type: ignore[union-attr]
     return loop.record
 
@@ -177,14 +177,14 @@ def _search(work: Work, loop: _Loop) -> None:
 def _pose(work: Work, loop: _Loop) -> None:
     options = {name: work.options[name] for name in _POSED}
     named = isinstance(work.model, str)
-    loop.posed = pose(make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options)
+    loop.fit_setup = set_up_fit(make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options)
 
 
 def _solve(work: Work, loops: Sequence[_Loop]) -> None:
     """Solve together those that can be, a bucket at a time."""
     buckets: dict[Any, list[tuple[_Loop, Task]]] = defaultdict(list)
     for loop in loops:
-        if loop.posed is not None and loop.posed.method == _TOGETHER:
+        if loop.fit_setup is not None and loop.fit_setup.method == _TOGETHER:
             _attempt(loop, lambda loop: _enter(work, loop, buckets))
     for tasks in buckets.values():
         size = tasks[0][1].capacity
@@ -195,20 +195,20 @@ def _solve(work: Work, loops: Sequence[_Loop]) -> None:
 
 
 def _enter(work: Work, loop: _Loop, buckets: dict[Any, list[tuple[_Loop, Task]]]) -> None:
-    posed = cast(Posed, loop.posed)
-    starts = starting_vectors(posed.problem, work.options["starts"], work.options["seed"], posed.points)
-    task = Task.of(posed.problem, starts)
+    fit_setup = cast(FitSetup, loop.fit_setup)
+    starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)
+    task = Task.of(fit_setup.problem, starts)
     buckets[task.key].append((loop, task))
 
 
 def _judge(work: Work, loop: _Loop) -> None:
-    watch, posed, record = Stopwatch(), cast(Posed, loop.posed), cast(Record, loop.record)
+    watch, fit_setup, record = Stopwatch(), cast(FitSetup, loop.fit_setup), cast(Record, loop.record)
     estimate = loop.estimate or solve(
-        posed.problem, posed.method, work.options["starts"], work.options["seed"], posed.points
+        fit_setup.problem, fit_setup.method, work.options["starts"], work.options["seed"], fit_setup.points
     )
-    result = judge(posed, estimate, noise=work.options["noise"], seed=work.options["seed"], watch=watch)
+    result = judge(fit_setup, estimate, noise=work.options["noise"], seed=work.options["seed"], watch=watch)
     loop.row = row_of(loop.name, loop.source.file, record, result)
-    loop.posed = loop.estimate = None  # arrays of the record are not kept
+    loop.fit_setup = loop.estimate = None  # arrays of the record are not kept
 
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:

@@ -31,7 +31,7 @@ _FEW = 32  # loops below which further processes take longer to start than to co
 @lists(methods=ESTIMATORS, noises=NOISES)
 def batch(
     *loops: Loops,
-    model: str,
+    model: str = "auto",
     method: str = "auto",
     fix: list[str] | None = None,
     free: list[str] | None = None,

@@ -20,7 +20,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
     from hystfit.models.data_check import check as judge
-    from hystfit.results.result import provenance
+    from hystfit.results.provenance import provenance
 
     output.check()
     data = load(loops, reading)

@@ -41,11 +41,11 @@ def invert(
     """
     from hystfit.control.inverse import invert as solve
     from hystfit.data.record import Dataset
-    from hystfit.results.result import provenance
+    from hystfit.results.provenance import provenance
 
     sampled = (fitdir / "posterior.nc").is_file()
     result = open_fit(fitdir / "fit" if sampled else fitdir, output, trust)
-    target = result.in_own_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
+    target = result.in_fitted_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None

@@ -16,7 +16,7 @@ _interrupted = False
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the body soon after an interrupt, even where its first exception was swallowed.
+    """Raise KeyboardInterrupt in the body soon after an interrupt, even if the first exception was swallowed.
 
     Outside the main thread, where signals cannot be caught, this has no effect. The alarm signal is used only after an interrupt.
     """

@@ -58,7 +58,7 @@ def lists(**registries: Iterable[str]) -> Callable[[F], F]:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Reading:
-    """How a file is read.
+    """Options for reading a file.
 
     Args:
         time: column of the time, by name or number from 0; "none" reads without time. Recognized by name or unit by default.
@@ -102,7 +102,7 @@ class Reading:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Split:
-    """Which samples are fitted and which are kept for the test.
+    """Options that select the samples to fit and the samples to test on.
 
     Args:
         window: fit only the samples in start:stop (seconds, or sample numbers without time); 5:25, :27, 25:.
@@ -164,7 +164,7 @@ class SequentialSettings:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Output:
-    """Where the result goes.
+    """Options for the output of a verb.
 
     Args:
         out: folder for result.json and the other files of this verb; made if it does not exist.
@@ -175,7 +175,7 @@ class Output:
     json: Annotated[bool, Parameter(name="--json")] = False
 
     def check(self, own: str = "") -> None:
-        """Fail before long work where the result could not be written after it, or would replace another one.
+        """Fail before long work if the result could not be written, or would replace another one.
 
         Args:
             own: schema of the result without its number, where it may replace a fit or a posterior of its own kind.

@@ -213,9 +213,10 @@ def calibrate_page(calibration: Calibration) -> Page:
 def design_page(proposal: Design) -> Page:
     """The page of `hystfit design`: the input over time, and the errors that it leaves."""
     best, record = proposal.best, proposal.result.data[0]
-    answer = [("Proposed input", best.name), ("Aim", ", ".join(proposal.aim))]
-    for name in proposal.aim[:4]:
-        now, then = proposal.present[name], best.stderr[name]
+    aims = proposal.families(proposal.aim)
+    answer = [("Proposed input", best.name), ("Aim", ", ".join(aims))]
+    for name, members in list(aims.items())[:4]:
+        now, then = proposal.median(proposal.present, members), proposal.median(best.stderr, members)
         answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
     answer.append(("Next", "measure with input.csv, then hystfit fit LOOP NEW"))
     figure = _sheet()
@@ -238,13 +239,17 @@ def design_page(proposal: Design) -> Page:
 
 def _gains(proposal: Design) -> Figure:
     """Errors with each candidate relative to those of the present data."""
-    names = [name for name in proposal.aim if proposal.present[name]]
+    families = {name: m for name, m in proposal.families(proposal.aim).items() if proposal.median(proposal.present, m)}
+    names = list(families)
     figure = _sheet(5.6, 1.6 + 0.3 * len(names))
     ax = figure.subplots()
     for candidate, marker, color in zip(
         proposal.candidates[:4], "os^D", (MODEL, "#d55e00", "#009e73", "#4d4d4d"), strict=False
     ):
-        ratio = [(candidate.stderr[name] or np.nan) / (proposal.present[name] or np.nan) for name in names]
+        ratio = [
+            (proposal.median(candidate.stderr, m) or np.nan) / (proposal.median(proposal.present, m) or np.nan)
+            for m in families.values()
+        ]
         ax.plot(ratio, range(len(names)), marker, color=color, ls="none", label=candidate.name)
     ax.axvline(1.0, color="black", lw=0.7)
     ax.set_yticks(range(len(names)), names)

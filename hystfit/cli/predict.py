@@ -65,7 +65,7 @@ def predict(
         data = load_one_sided(loops, reading, "output").map(lambda record: record.replace(y_unit=unit))
     else:
         data = load(loops, reading)
-    data = data.map(result.in_own_units)
+    data = data.map(result.in_fitted_units)
     part = bounds_of(window)
     if part is not None:
         data = data.map(lambda record: record.window(*part))
@@ -87,14 +87,14 @@ def _compared(
     """Content of result.json for a prediction, and its text."""
     import numpy as np
 
-    from hystfit.fitting.verdict import try_on
+    from hystfit.fitting.verdict import evaluate_on
     from hystfit.results.accuracy import verdict_dict
+    from hystfit.results.provenance import provenance
     from hystfit.results.report import metrics_words
-    from hystfit.results.result import provenance
 
     finite = all(np.isfinite(run).all() for run in runs)
     measured = [record for record in data if record.used.any()]
-    trial = try_on(result, measured, refit_offset=refit_offset) if measured and finite else None
+    trial = evaluate_on(result, measured, refit_offset=refit_offset) if measured and finite else None
     notes = list(dict.fromkeys(note for record in data for note in record.notes if note.code is Code.UNITS))
     notes += [] if trial is None else [note for note in trial.notes if note not in notes]
     for record in data:

@@ -36,7 +36,7 @@ def forc(
     """
     from hystfit.models.preisach.forc import density_of, fit_forc, forc_diagram, forc_numbers
     from hystfit.quality.reversal_curves import reversal_curves
-    from hystfit.results.result import provenance
+    from hystfit.results.provenance import provenance
 
     output.check()
     data = load(loops, reading)

@@ -74,7 +74,7 @@ def simulate(
         raise ParameterError(f"--population is of the stage; got {what}")
     import numpy as np
 
-    from hystfit.results.result import provenance
+    from hystfit.results.provenance import provenance
 
     t, u, curve, used = _drive(signal, shape, what, seed)
     values = named_values(set or [])

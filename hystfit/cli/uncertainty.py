@@ -179,7 +179,7 @@ def calibrate(
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
     """
-    from hystfit.results.result import provenance
+    from hystfit.results.provenance import provenance
     from hystfit.uncertainty.calibration import calibrate as study
 
     result = open_fit(fitdir, output, trust)

@@ -38,6 +38,9 @@ VERBS = {
 }
 # A value that is not quoted is left alone: records are called by column=value, too.
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
+_OPTIONS = re.compile(
+    r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)"
+)  # options in parentheses, without other words
 
 
 def place(verb: str) -> str:
@@ -67,4 +70,6 @@ def as_options(message: str) -> str:
         value = "none" if match[3] else match[2]
         return f"--{match[1].replace('_', '-')}" + (f" {value}" if value else "")
 
-    return _ARGUMENT.sub(option, message)
+    text = _ARGUMENT.sub(option, message)
+    named = lambda match: all(f"{name} " in text[: match.start() + 1] for name in re.findall(r"--[\w-]+", match[0]))
+    return _OPTIONS.sub(lambda match: "" if named(match) else match[0], text)

@@ -65,7 +65,7 @@ def written(folder: Path, names: Sequence[str]) -> str:
 
 
 def show(text: str, content: dict[str, Any], as_json: bool) -> None:
-    """Print the text, or the content of result.json alone; a reader that stops early (head, less) changes no status."""
+    """Print the text, or the content of result.json alone; a closed pipe (head, less) does not change the exit status."""
     try:
         print(json.dumps(content, indent=1, allow_nan=False) if as_json else as_options(text), flush=True)
     except BrokenPipeError:

@@ -58,7 +58,7 @@ def export_c(
     try:
         inverse, obstacle = InverseStep.of(model, limits=limits), ""
     except ModelError as error:
-        if exported.led() is None and exported.obstacle("inverse") is None:
+        if exported.output_resonance() is None and exported.obstacle("inverse") is None:
             raise
         inverse, obstacle = None, str(error)
     low, high = (-np.inf, np.inf) if inverse is None else (float(inverse.low), float(inverse.high))

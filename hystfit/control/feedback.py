@@ -40,7 +40,7 @@ def pd_lead_lag(gain: float, *, derivative: float, filter: float, zero: float, p
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """A controller and what it is on paper, with the plant it was designed for.
+    """A controller, its design values, and the plant for which it was designed.
 
     Attributes:
         controller: as a transfer function, input over output units.
@@ -127,7 +127,7 @@ def design(
 def assess(
     controller: TransferFunction, plant: TransferFunction, *, rate: float | None = None, delay: float = 1.5
 ) -> Design:
-    """What a controller does with a plant, on paper; refuses a loop that is unstable.
+    """Analyze the closed loop of a controller and a plant; refuse an unstable one.
 
     Args:
         controller, plant: of the loop.
@@ -177,11 +177,11 @@ class AbstractController(eqx.Module):
 
     @abc.abstractmethod
     def ask(self, state: Array, error: Array) -> Array:
-        """Its output for an error."""
+        """Output of the controller for an error."""
 
     @abc.abstractmethod
     def step(self, state: Array, error: Array, taken: Any = 0.0) -> Array:
-        """Its next state.
+        """Next state of the controller.
 
         Args:
             state: before the sample.
@@ -239,11 +239,11 @@ class Controller(AbstractController):
         return jnp.zeros_like(self.B)
 
     def ask(self, state: Float[Array, " n"], error: Float[Array, ""]) -> Float[Array, ""]:
-        """Its output for an error."""
+        """Output of the controller for an error."""
         return self.C @ state + self.D * error
 
     def step(self, state: Float[Array, " n"], error: Float[Array, ""], taken: Any = 0.0) -> Float[Array, " n"]:
-        """Its next state; `taken` is given less asked, what the limits changed.
+        """Next state of the controller; `taken` is the applied less the computed output, nonzero at the limits.
 
         Args:
             state: before the sample, shape (n,).

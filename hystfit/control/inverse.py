@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from hystfit.config import require_x64
 from hystfit.control.lead import lead
-from hystfit.control.online_inverse import InverseStep, Limits, Status, known_inputs
+from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Resume, simulate
 from hystfit.models.bracketed import solve_rising
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Inverse:
-    """What `invert` gives back.
+    """Result of `invert`.
 
     Attributes:
         u: input for every sample of the reference, shape (T,).
@@ -58,7 +58,7 @@ class Inverse:
         return {kind.label: int(np.count_nonzero(self.codes == kind)) for kind in Status}
 
     def notes(self) -> tuple[str, ...]:
-        """What went wrong, one sentence each."""
+        """Warnings, one sentence each."""
         texts = {
             Status.SATURATED: "lie beyond what the input's limits reach: the input is held there",
             Status.NOT_MONOTONE: "lie where the model's output does not rise with its input: the input may jump there",
@@ -147,8 +147,8 @@ def prepare(
     if times.shape != wanted.shape:
         raise DataError(f"dt must be a number or have the shape of the reference {wanted.shape}, got {times.shape}")
     targets, steps = jnp.asarray(wanted), jnp.asarray(times)
-    led = inverted.led()
-    if led is not None and led.model is not None:
+    resonance = inverted.output_resonance()
+    if resonance is not None and resonance.model is not None:
         return Task(None, resume, targets, steps)
     finite = wanted[np.isfinite(wanted)]
     span = float(np.ptp(finite)) if finite.size else 0.0
@@ -160,14 +160,14 @@ def prepare(
 def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
     if resume is not None:
         raise ModelError("a model with a resonance is led, not stepped: its inverse starts from rest, leave resume out")
-    known, inverted = known_inputs(model)
-    resonant = inverted.led()
+    known, inverted = fitted_inputs(model)
+    resonant = inverted.output_resonance()
     assert resonant is not None
     assert resonant.model is not None
     wanted, times = np.asarray(task.wanted), np.asarray(task.steps)
     edges = limits if limits is not None else known
-    led = lead(wanted, times, omega=resonant.omega, zeta=resonant.zeta)
-    inner = invert(resonant.model, led, times, limits=edges)
+    leading = lead(wanted, times, omega=resonant.omega, zeta=resonant.zeta)
+    inner = invert(resonant.model, leading, times, limits=edges)
     y, end = simulate(inverted, inner.u, times)
     codes = inner.codes
     if limits is None:
@@ -189,7 +189,7 @@ def _rest_on(inverse: InverseStep, target: Array, dt: Array, middle: Array, edge
 
 
 def _start(inverse: InverseStep, target: Array, dt: Array) -> Resume:
-    """The rest in which the model gives the first sample; at the input nearest zero where there is none."""
+    """The state at rest whose output is the first sample; where there is none, at rest at the input nearest zero."""
     low, high = float(inverse.low), float(inverse.high)
     middle = float(np.clip(0.0, low, high))
     if not bool(jnp.isfinite(target)):

@@ -19,7 +19,7 @@ from hystfit.models.base import Resume
 
 
 class Loop(eqx.Module):
-    """A plant and what drives it, sample by sample.
+    """A plant with its feed-forward and feedback, sample by sample.
 
     In sample k the controller takes r - y of sample k - 1, so that one sample of dead time belongs to every loop, and the input goes in a
     straight line from u_(k-1) to u_k; `delay` samples of the sensor come on top.
@@ -101,7 +101,7 @@ def _run(loop: Loop, start: _Carry, samples: tuple[Array, Array, Array]) -> tupl
 
 @dataclasses.dataclass(frozen=True)
 class LoopResult:
-    """What a loop did.
+    """Result of a control loop.
 
     Attributes:
         t: times [s], shape (T,).

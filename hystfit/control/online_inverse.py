@@ -23,7 +23,7 @@ Limits = tuple[float | int, float | int]
 
 
 class Status(enum.IntEnum):
-    """What became of one sample of a reference."""
+    """Status of one sample of a reference."""
 
     OK = 0
     SATURATED = 1
@@ -63,7 +63,7 @@ class AbstractRunningInverse(eqx.Module):
 
     @abc.abstractmethod
     def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
-        """The memory where another input was given than asked for.
+        """The memory after an input that differs from the one computed.
 
         Args:
             memory: before the sample.
@@ -112,13 +112,13 @@ class InverseStep(AbstractRunningInverse):
             ModelError: a delay or a resonance; no limits where the inverse is a search and the model names no range.
         """
         require_x64()
-        known, inverted = known_inputs(model)
+        known, inverted = fitted_inputs(model)
         edges = limits if limits is not None else known
         low, high = (float(edge) for edge in edges) if edges is not None else (-np.inf, np.inf)
         if not low < high:
             raise ModelError(f"limits must be (low, high) with low < high, got {limits}")
         solver = inverted.step_inverse()
-        travel = _travel(solver, low, high)
+        travel = _output_travel(solver, low, high)
         if travel < 0:
             solver = inverted.step_inverse(-1.0)
         if solver.needs_limits and not (np.isfinite(low) and np.isfinite(high)):
@@ -183,8 +183,8 @@ def _run(inverse: InverseStep, memory: Resume, targets: Array, dt: Array) -> tup
     return jax.lax.scan(lambda m, sample: inverse.step(m, *sample), memory, (targets, dt))
 
 
-def known_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
-    """The inputs between which a model or fit is known (of a fit: the range of the fitted input), and the model."""
+def fitted_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHysteresis]:
+    """The input range of a model (for a fit, the range of the fitted input), and the model."""
     if isinstance(model, AbstractHysteresis):
         return model.reach(), model
     return model.input_range, model.model
@@ -196,8 +196,8 @@ def _across(solver: AbstractStepInverse, low: Array, high: Array) -> Array:
     return solver.advance(state, low, high, jnp.zeros_like(low))[1] - first
 
 
-def _travel(solver: AbstractStepInverse, low: float, high: float) -> float:
-    """By how much the output moves on a way from the lower to the upper limit; 0 where they are not finite."""
+def _output_travel(solver: AbstractStepInverse, low: float, high: float) -> float:
+    """Change of the output from the lower to the upper limit; 0 where these are not finite."""
     if not (np.isfinite(low) and np.isfinite(high)):
         return 0.0
     edges = jnp.asarray([low, high], dtype=jnp.result_type(float))

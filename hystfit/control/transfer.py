@@ -95,7 +95,7 @@ def root_locus(loop: TransferFunction, gains: Any) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Margins:
-    """How far a loop is from oscillation.
+    """Stability margins of a loop.
 
     Attributes:
         phase: at the crossover that has the least [deg]; None where the loop's gain never passes one.

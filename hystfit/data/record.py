@@ -332,7 +332,7 @@ class Record:
                 record = record.noted(Code.UNITS, text, Severity.WARNING)
                 continue
             changes: dict[str, Any] = {f"{symbol}_unit": unit}
-            text = f"the unit of the {role} is unknown: {unit} is assumed"
+            text = f"the unit of the {role} of {self.name!r} is unknown: {unit} is assumed"
             if factor is not None:
                 changes[symbol] = values * factor
                 text = f"{role} converted from {old} to {unit}"

@@ -17,7 +17,7 @@ _MANY = 12  # weights above this number are counted in a note, not listed
 
 
 def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, errors: Uncertainty) -> list[Note]:
-    """Notes that belong beside the numbers: bounds, undetermined parameters, and how the standard errors were obtained.
+    """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed.
 
     Args:
         problem: what was fitted.
@@ -97,7 +97,7 @@ def _undetermined(problem: Problem, errors: Uncertainty) -> list[Note]:
 
 
 def _slow_part(errors: Uncertainty) -> str:
-    """The slow noise behind errors that a short correlation time alone would not explain."""
+    """Note on slow noise, where the standard errors include it."""
     noise = errors.residuals.noise
     if not errors.residuals.correlated or noise is None:
         return ""

@@ -32,7 +32,7 @@ from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
-_SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, FloatingPointError, RuntimeError)
+_SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 _EQUAL = 1.02  # errors on left-out data up to this times the smallest do not tell models apart
 _HOPELESS = 2.0  # a model whose first fit errs this much more than the best on left-out data is not validated
 _HOPELESS_SIZE = 3.0  # the same of models with elements, whose other sizes may err less than the default one
@@ -86,7 +86,7 @@ def compare(
     named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named), "") if named else candidates(data)
     judge = _Judge(data, left_out, purpose, seed, named)
-    with _shown(progress) as update:
+    with _progress_or_default(progress) as update:
         judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
     rows = _ranked(judge.rows, purpose)
     if not judge.fits:
@@ -120,8 +120,8 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 
 @contextlib.contextmanager
-def _shown(progress: Callable[..., object] | None) -> Iterator[Callable[..., object]]:
-    """The caller's function, or one that shows progress where somebody can see it."""
+def _progress_or_default(progress: Callable[..., object] | None) -> Iterator[Callable[..., object]]:
+    """The caller's progress function, or one that prints to a terminal or notebook."""
     if progress is not None:
         yield progress
         return
@@ -142,12 +142,12 @@ class _Shown:
         update(f"{self._count} to try: {', '.join(names)}", 0.0)
 
     def step(self, name: str, text: str) -> None:
-        """A model reached a step."""
+        """Report the step that a model has reached."""
         with self._lock:
             self._update(f"{name}: {text}", self._done / self._count)
 
     def done(self, name: str) -> None:
-        """A model is done."""
+        """Report that a model is finished."""
         with self._lock:
             self._done += 1
             self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
@@ -184,7 +184,7 @@ class _First(NamedTuple):
     parameters: int | None = None
 
 
-def _leading(firsts: dict[str, _First], alone: bool) -> list[str]:
+def _contenders(firsts: dict[str, _First], alone: bool) -> list[str]:
     """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
 
     Args:
@@ -200,7 +200,7 @@ def _leading(firsts: dict[str, _First], alone: bool) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class _Outcome:
-    """What work on one candidate gave.
+    """Outcome of the work on one candidate.
 
     Attributes:
         row, result: of the comparison, where the candidate was validated.
@@ -253,15 +253,15 @@ class _Judge:
             for name, outcome in zip(chosen, workers.run(tasks), strict=True):
                 outcomes[name] = outcome.after(outcomes.get(name))
 
-        each(self._begun, names)
+        each(self._first_fit, names)
         waiting = [name for name in names if outcomes[name].row is None]
         self._keep([name for name in names if name not in waiting], outcomes, shown)
         while waiting:
-            stopped = {name: row for name in waiting if (row := self._stopped(name, outcomes[name])) is not None}
+            stopped = {name: row for name in waiting if (row := self._excluded_row(name, outcomes[name])) is not None}
             for name, row in stopped.items():
                 outcomes[name] = dataclasses.replace(outcomes[name], row=row)
             going = {name: first for name in waiting if name not in stopped and (first := outcomes[name].first)}
-            leading = _leading(going, self._best() is None)
+            leading = _contenders(going, self._best() is None)
             each(self._judged, leading)
             self._keep([*stopped, *leading], outcomes, shown)
             waiting = [name for name in going if name not in leading]
@@ -270,7 +270,7 @@ class _Judge:
     def _timed(
         self, work: Callable[[str, Callable[[str], object]], _Outcome], name: str, shown: _Shown, workers: Workers
     ) -> _Outcome:
-        """What one piece of work on a candidate gives, with its time; an error becomes the candidate's row."""
+        """Run one piece of work on a candidate and measure its time; an error becomes the candidate's row."""
 
         def say(text: str) -> None:
             workers.check()
@@ -335,7 +335,7 @@ class _Judge:
         )
         return _Outcome(row=row, result=result)
 
-    def _begun(self, name: str, progress: Callable[[str], object]) -> _Outcome:
+    def _first_fit(self, name: str, progress: Callable[[str], object]) -> _Outcome:
         """A first fit, which decides whether a model is validated; the models that users chose, and a search, are validated."""
         if self.named or name == SEARCH:
             return self._judged(name, progress)
@@ -356,7 +356,7 @@ class _Judge:
         rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
         return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
 
-    def _stopped(self, name: str, outcome: _Outcome) -> Row | None:
+    def _excluded_row(self, name: str, outcome: _Outcome) -> Row | None:
         """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
         best, first = self._best(), outcome.first
         if best is None or first is None:

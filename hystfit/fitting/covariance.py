@@ -26,7 +26,7 @@ _PART = 0.25  # components of a direction that its description includes
 
 @dataclasses.dataclass(frozen=True)
 class Uncertainty:
-    """Errors of a fit.
+    """Covariance and standard errors of a fit.
 
     Attributes:
         covariance: of the free parameters in physical units, shape (p, p); NaN where it means nothing.
@@ -136,7 +136,7 @@ def _determined(
     ridge: np.ndarray | None,
     inside: np.ndarray | None,
 ) -> dict[str, Any]:
-    """What an SVD shows: covariance, and which parameters and directions the data determine.
+    """Covariance, and which parameters and directions the data determine, from an SVD.
 
     The rank is that of the Jacobian centered and scaled to columns of unit length: neither the unit of a parameter nor the place of
     zero in input and output may decide what the data determine.

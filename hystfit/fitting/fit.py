@@ -21,7 +21,7 @@ from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.structure import search_structure
-from hystfit.fitting.verdict import Fitted, try_on, verdict_of, with_left_out, worse
+from hystfit.fitting.verdict import Fitted, evaluate_on, verdict_of, with_left_out, worse
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
 from hystfit.inference.noise.base import AbstractNoise
@@ -35,8 +35,10 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 from hystfit.results.timing import Stopwatch
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
@@ -88,16 +90,16 @@ def fit(
     if settings:
         raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
     check_settings(method, starts, loss, noise, start)
-    posed = pose(
+    fit_setup = set_up_fit(
         model, data, method=method, fix=fix, free=free, start=start, loss=loss, held=not named, notes=tuple(notes)
     )
-    estimate = solve(posed.problem, posed.method, starts, seed, posed.points)
-    result = judge(posed, estimate, noise=noise, seed=seed, watch=watch)
+    estimate = solve(fit_setup.problem, fit_setup.method, starts, seed, fit_setup.points)
+    result = judge(fit_setup, estimate, noise=noise, seed=seed, watch=watch)
     return result if test is None else with_test(result, test)
 
 
 @dataclasses.dataclass(frozen=True)
-class Posed:
+class FitSetup:
     """A fit that is ready to be solved.
 
     Attributes:
@@ -113,7 +115,7 @@ class Posed:
     notes: tuple[Note, ...] = ()
 
 
-def pose(
+def set_up_fit(
     model: AbstractHysteresis,
     data: Dataset,
     *,
@@ -124,8 +126,8 @@ def pose(
     loss: Loss = "linear",
     held: bool = False,
     notes: tuple[Note, ...] = (),
-) -> Posed:
-    """Collect what a fit needs before it is solved: the problem, its estimator and starting points.
+) -> FitSetup:
+    """Set up a fit: the problem, its estimator and starting points.
 
     Args:
         model: what is fitted.
@@ -137,7 +139,7 @@ def pose(
     check_fittable(model, data)
     points: tuple[AbstractHysteresis, ...] = (model,)
     if start != "model":
-        fix = _held(model, fix) if held else fix
+        fix = _fixed_values(model, fix) if held else fix
         problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
         if isinstance(start, Mapping):
             points = (points[0].replace(**start),)
@@ -149,22 +151,22 @@ def pose(
     if name == "convex" and start != "model" and model.has_rest:
         problem, of_rest = _choose_rest(problem, fix, free, loss)
         notes = (*notes, *of_rest)
-    return Posed(problem, name, points, notes)
+    return FitSetup(problem, name, points, notes)
 
 
 def judge(
-    posed: Posed, estimate: Estimate, *, noise: str | type[AbstractNoise], seed: int, watch: Stopwatch
+    fit_setup: FitSetup, estimate: Estimate, *, noise: str | type[AbstractNoise], seed: int, watch: Stopwatch
 ) -> FitResult:
     """The result of a solved fit: standard errors under the noise, and the verdict.
 
     Args:
-        posed: what was solved.
+        fit_setup: what was solved.
         estimate: where the fit ended.
         noise: see `hystfit.fit`.
         seed: of the starting points.
         watch: started with the fit.
     """
-    problem, notes = posed.problem, list(posed.notes)
+    problem, notes = fit_setup.problem, list(fit_setup.notes)
     if noise in ("auto", "iid"):
         errors = uncertainty(problem, estimate, correlated=noise == "auto")
         slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
@@ -173,8 +175,8 @@ def judge(
         estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
         notes.append(description)
     notes += _mismatches(errors, noise, problem.scales.y)
-    label = ESTIMATORS.label(posed.method)
-    return conclude(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
+    label = ESTIMATORS.label(fit_setup.method)
+    return make_result(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
 
 
 def started_problem(
@@ -198,7 +200,7 @@ def changed_settings(given: Mapping[str, Any]) -> list[str]:
     return [name for name, value in given.items() if (value or None) != (defaults[name] or None)]
 
 
-def _held(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:
+def _fixed_values(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:
     """`fix` with the model's own values where it gives none: starting values read off the data must not replace them."""
     values = dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix)
     return {name: ParameterSpace.of(model).value(name) if value is None else value for name, value in values.items()}
@@ -309,11 +311,13 @@ def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[A
     if not len(problem.space):
         raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
     models = points[:count] or (problem.model,)
-    at = [problem.space.unconstrained(_settled(problem, problem.space.vector(model))) for model in models]
+    at = [
+        problem.space.unconstrained(_with_record_parameters(problem, problem.space.vector(model))) for model in models
+    ]
     return np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed)
 
 
-def _settled(problem: Problem, x: np.ndarray) -> np.ndarray:
+def _with_record_parameters(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
     per_record = np.array([info.per_record and info.linear for info in problem.space.infos])
     if len(problem.data) > 1 and per_record.any():
@@ -337,7 +341,7 @@ def _choose_rest(
     other = Problem(first, problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
-        x = _settled(candidate, candidate.space.vector(candidate.model))
+        x = _with_record_parameters(candidate, candidate.space.vector(candidate.model))
         scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
     best, where = (problem, "on zero input") if scores[0] <= scores[1] else (other, "on its first input")
     gain = 1 - min(scores) / max(scores)
@@ -345,7 +349,7 @@ def _choose_rest(
     return best, [Note(Code.CHOICE, text)]
 
 
-def conclude(
+def make_result(
     problem: Problem,
     estimate: Estimate,
     errors: Uncertainty,
@@ -356,7 +360,7 @@ def conclude(
     noise: NoiseEstimate,
     notes: Sequence[Note] = (),
 ) -> FitResult:
-    """Put an estimate into the result that users see.
+    """Make the `FitResult` of an estimate.
 
     Args:
         problem: what was fitted.
@@ -416,7 +420,7 @@ def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, r
     Raises:
         HystfitError: the model cannot predict the records.
     """
-    trial = try_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
+    trial = evaluate_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
     notes = [Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted")] if refit_offset else []
     status = worse(result.status, trial.status)
     changed = dataclasses.replace(result, test=trial.metrics, test_baselines=trial.baselines, status=status)

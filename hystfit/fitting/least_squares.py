@@ -53,11 +53,11 @@ class LeastSquares(AbstractEstimator):
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
         short = thin(problem)
-        objective, settings = (problem.objective, self) if short is None else (short, _rough(self))
+        objective, settings = (problem.objective, self) if short is None else (short, _loose(self))
         ended = settings._run(objective, starts)
         # The first start goes on too: another basin may be ahead after few steps.
         for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
-            settings._go_on(objective, ended, number)
+            settings._continue(objective, ended, number)
         costs, steps = ended.cost, int(ended.evaluations.sum())
         number = int(np.argmin(costs))
         z, cost, success = ended.z[number], float(costs[number]), bool(ended.converged[number])
@@ -73,7 +73,7 @@ class LeastSquares(AbstractEstimator):
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
 
-    def _go_on(self, objective: Objective, ended: Descents, number: int) -> None:
+    def _continue(self, objective: Objective, ended: Descents, number: int) -> None:
         """Further rounds for one start, in place."""
         for _ in range(self.rounds):
             if ended.converged[number] or ended.given_up[number] or not np.isfinite(ended.cost[number]):
@@ -95,7 +95,7 @@ class LeastSquares(AbstractEstimator):
         return Descents(*parts, np.zeros(len(starts), bool))
 
 
-def _rough(settings: LeastSquares) -> LeastSquares:
+def _loose(settings: LeastSquares) -> LeastSquares:
     """The tolerances of starting points that are polished later."""
     return dataclasses.replace(settings, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
 

@@ -26,7 +26,7 @@ _BYTES = 2**26  # of their Jacobians, beyond which a program has room for fewer
 
 
 class Descents(NamedTuple):
-    """Where descents ended, S of them.
+    """End points of S descents.
 
     Attributes:
         z: unconstrained, shape (S, p).
@@ -90,22 +90,22 @@ def _together(
         good = accepted & (predicted < 0) & (change < _GOOD * predicted)
         size[at] = np.minimum(size[at] * np.where(good, _LONGER, np.where(accepted, 1.0, _SHORTER)), _LONGEST)
         taken, new, jacobian = at[accepted], new[accepted], jacobian[accepted]
-        done = _settled(trial[taken] - z[taken], trial[taken], rtol, atol)
-        done &= _settled(new - misfit[taken], new, rtol, atol)
+        done = _converged(trial[taken] - z[taken], trial[taken], rtol, atol)
+        done &= _converged(new - misfit[taken], new, rtol, atol)
         z[taken], misfit[taken], cost[taken], converged[taken] = trial[taken], new, new_cost[accepted], done
         going = ~done & np.isfinite(cost[taken]) & np.isfinite(jacobian).all(axis=(1, 2))
         active[taken[~going]] = False
         rows = np.concatenate([jacobian[going], new[going, None]], axis=1).swapaxes(1, 2)
         at = taken[going]
         triangle[at] = _factor(rows)
-        converged[at] |= cost[at] - _promised(triangle[at]) <= gain * cost[at]
+        converged[at] |= cost[at] - _attainable_cost(triangle[at]) <= gain * cost[at]
         active[at[converged[at]]] = False
-        behind = active & _behind(triangle, cost, converged)
+        behind = active & _cannot_win(triangle, cost, converged)
         given_up |= behind
         active &= ~behind
         left = np.flatnonzero(active)
         trial[left] = z[left] - _step(triangle[left], size[left])
-    promised = np.maximum(_promised(triangle), (1 + _BETTER) * cost[converged].min(initial=np.inf))
+    promised = np.maximum(_attainable_cost(triangle), (1 + _BETTER) * cost[converged].min(initial=np.inf))
     cost = np.where(given_up, promised, cost)
     return Descents(z, np.where(np.isfinite(cost), cost, np.inf), converged, evaluations, given_up)
 
@@ -133,7 +133,7 @@ def _linearize_first(objective: Objective, z: Float[Array, "lanes p"], count: Ar
     return jax.lax.fori_loop(0, count, one, empty)
 
 
-def _settled(change: np.ndarray, value: np.ndarray, rtol: float, atol: float) -> np.ndarray:
+def _converged(change: np.ndarray, value: np.ndarray, rtol: float, atol: float) -> np.ndarray:
     return np.max(np.abs(change) / (atol + rtol * np.abs(value)), axis=1, initial=0.0) < 1
 
 
@@ -150,17 +150,17 @@ def _predicted(triangle: np.ndarray, step: np.ndarray, cost: np.ndarray) -> np.n
     return 0.5 * np.sum(rows**2, axis=1) - cost
 
 
-def _promised(triangle: np.ndarray) -> np.ndarray:
+def _attainable_cost(triangle: np.ndarray) -> np.ndarray:
     """Least cost of the linear model."""
     return 0.5 * triangle[:, -1, -1] ** 2
 
 
-def _behind(triangle: np.ndarray, cost: np.ndarray, converged: np.ndarray) -> np.ndarray:
+def _cannot_win(triangle: np.ndarray, cost: np.ndarray, converged: np.ndarray) -> np.ndarray:
     """Which starts approach no lower cost than that of the best converged one."""
     if not converged.any():
         return np.zeros(cost.size, bool)
     best = cost[converged].min()
-    return (cost <= (1 + _CLOSE) * best) & (_promised(triangle) >= (1 - _BETTER) * best)
+    return (cost <= (1 + _CLOSE) * best) & (_attainable_cost(triangle) >= (1 - _BETTER) * best)
 
 
 def _step(triangle: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, 
 
 
 class Polished(NamedTuple):
-    """Where the steps ended: unconstrained z, the cost there, whether they converged, and the number of linearizations."""
+    """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations."""
 
     z: np.ndarray
     cost: float
@@ -48,20 +48,21 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), np.asarray(problem.space.coordinates.kinds) != REAL
     residual, jacobian = _linearize(problem, z)
-    cost, damping, converged = 0.5 * float(residual @ residual), 1e-6, False
+    cost, damping, converged = _cost(residual), 1e-6, False
     for evaluations in range(1, steps):
+        floor = _floor(problem, z)
+        if not np.isfinite(cost + floor):
+            return Polished(z, cost, False, evaluations)
         triangle = np.linalg.qr(np.column_stack([jacobian[:, order], residual]), mode="r")
         ordered, decrease = _step(triangle, int(offsets.sum()), damping)
-        floor = _floor(problem, z)
         converged = decrease <= gain * cost + floor
-        if converged or damping > _MOST or not np.isfinite(cost):
+        if converged or damping > _MOST:
             return Polished(z, cost, converged, evaluations)
         step = np.zeros(z.size)
         step[order] = ordered
         step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
         new_residual, new_jacobian = _linearize(problem, z + step)
-        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-            new_cost = 0.5 * float(new_residual @ new_residual)
+        new_cost = _cost(new_residual)
         blurred = _BLUR * np.sqrt(2 * cost * floor)  # where a smaller decrease cannot be seen, the linear model decides
         if new_cost < cost + (blurred if decrease < blurred else 0.0):
             z, residual, jacobian, cost = z + step, new_residual, new_jacobian, new_cost
@@ -71,11 +72,21 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     return Polished(z, cost, converged, steps)
 
 
+def _cost(residual: np.ndarray) -> float:
+    """Half the sum of squares; not finite after a step too far, which is taken back."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return 0.5 * float(residual @ residual)
+
+
 def _floor(problem: Problem, z: np.ndarray) -> float:
-    """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output."""
+    """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output.
+
+    Infinite where an offset has run away, as in a refit whose samples do not determine it.
+    """
     largest = [np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data]
     largest = max(*largest, problem.scales.y, *np.abs(problem.space.physical(z))[problem.space.offsets])
-    return int(problem.used.sum()) * (_ROUNDING * float(largest) / problem.scales.y) ** 2
+    with np.errstate(over="ignore"):
+        return float(problem.used.sum() * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
 
 
 def _linearize(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

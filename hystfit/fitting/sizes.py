@@ -34,7 +34,7 @@ class Sized:
 
 
 def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[str], object] = lambda _: None) -> Sized:
-    """Take, while it pays, the single change of size that lowers the error on left-out data most.
+    """Greedy search: repeat the single change of size that lowers the cross-validation error most.
 
     The weights are solved for at the starting values of the other parameters.
 

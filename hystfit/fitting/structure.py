@@ -92,7 +92,7 @@ class Structure:
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """What the search found.
+    """Result of the structure search.
 
     Attributes:
         model: started on the data, ready for `fit(..., start="model")`.
@@ -117,13 +117,13 @@ class Found:
 
 
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
-    """Start from plays with one envelope and take, while it pays, the single change that lowers the left-out error most.
+    """Greedy search from plays with one envelope: repeat the single change that lowers the cross-validation error most.
 
     Args:
         data: records; only samples that count are fitted or judged.
         plays: number of thresholds; None for the number that blocks left out choose among those that the data can determine.
     """
-    most = most_plays(data)
+    most = max_plays(data)
     bench = _Bench(data, min(_PLAYS, most) if plays is None else plays)
     options = bench.options()
     structure, score = min(((s, bench.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
@@ -155,7 +155,7 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
     return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
 
 
-def most_plays(data: Dataset) -> int:
+def max_plays(data: Dataset) -> int:
     """Number of thresholds that the samples and the distinct levels of the input can determine."""
     samples = sum(int(record.used.sum()) for record in data)
     inputs = np.concatenate([record.u[record.used] for record in data])

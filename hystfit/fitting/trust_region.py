@@ -31,8 +31,8 @@ class TrustRegion(AbstractEstimator):
         solutions = []
         for z in starts:
             x0 = np.clip(problem.space.physical(z) / scale, lower / scale, upper / scale)
-            solutions.append(
-                scipy.optimize.least_squares(
+            with np.errstate(all="ignore"):  # of trial steps that are not taken
+                solution = scipy.optimize.least_squares(
                     lambda v: problem.misfit(v * scale),
                     x0,
                     jac=lambda v: problem.linearize_misfit(v * scale)[1] * scale,  # type: ignore[arg-type]
@@ -43,7 +43,7 @@ class TrustRegion(AbstractEstimator):
                     gtol=self.tolerance,
                     max_nfev=self.max_evaluations,
                 )
-            )
+            solutions.append(solution)
         costs = np.array([s.cost if np.isfinite(s.cost) else np.inf for s in solutions])
         best = solutions[int(np.argmin(costs))]
         evaluations = int(sum(s.nfev for s in solutions))

@@ -20,7 +20,14 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
-from hystfit.results.accuracy import accuracy_note, is_noise, lasting, misses_the_loop, other_family, shortcomings
+from hystfit.results.accuracy import (
+    accuracy_note,
+    better_family_warning,
+    exceeded_limits,
+    is_noise,
+    is_single_valued_error,
+    persistent_error,
+)
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
@@ -30,14 +37,15 @@ _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
 _FEWEST = 10  # samples, below which no fit is usable
 _LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
-_BEGINS = 3.0  # times the rms error that the largest error exceeds where the initial state is wrong
+_BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
+_DAMAGED = "the loop loses stiffness or strength from cycle to cycle (damage)"
 _VISIBLE = 1.0  # percent of range, below which it does not matter
 _OFFSET = 0.5  # part of the test error that remains, below which a constant offset explains it
 
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
-    """What a verdict rests on.
+    """The data on which a verdict is based.
 
     Attributes:
         problem: what was fitted.
@@ -100,7 +108,7 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
     notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
-    found = (other_family(fitted.train, fitted.baselines), _initial_state(fitted))
+    found = (better_family_warning(fitted.train, fitted.baselines), _at_an_end(fitted))
     notes += [note for note in found if note is not None]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
         notes += coverage_notes(fitted.data)
@@ -122,19 +130,21 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         text = f"{train.n} samples for {parameters} parameters: the fit is not tested by any sample"
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
-    unexplained = misses_the_loop(train.rmse, baselines) and not white
+    unexplained = is_single_valued_error(train.rmse, baselines) and not white
     if not fitted.model.from_saturation and percent <= _POOR and _is_single_valued(train, baselines, unexplained):
         text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
-    poor = None if white else _poor(fitted, unexplained)
+    poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
         return poor
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if white:
         return Status.OK, _noise_notes(fitted)
-    rough = shortcomings(train, fitted.rows, baselines)
-    return (Status.ROUGH if rough else Status.OK), [warn(Code.ROUGH_FIT, text) for text in rough]
+    rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, fitted.rows, baselines)]
+    if rough and _degrading(data):
+        rough.append(warn(Code.MODEL_MISMATCH, f"{_DAMAGED}: the model has no term for damage (see hystfit check)"))
+    return (Status.ROUGH if rough else Status.OK), rough
 
 
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
@@ -142,7 +152,7 @@ def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -
     return exact or (unexplained and is_noise(min(train.rmse, baselines.curve), baselines))
 
 
-def _poor(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
+def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
     """Status and reason where the model does not describe the loop.
 
     The usual method has run from several starts; another one that did not converge says nothing about the model.
@@ -154,12 +164,9 @@ def _poor(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None
     elif percent > _ROUGH and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
         text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
-    elif percent > _ROUGH and any(summarize(record).degrading for record in fitted.data):
+    elif percent > _ROUGH and _degrading(fitted.data):
         code = Code.MODEL_MISMATCH
-        text = (
-            f"the loop loses stiffness from cycle to cycle (damage), and the error is {percent:.3g} % of the range: the model has no "
-            "term for damage (see hystfit check)"
-        )
+        text = f"{_DAMAGED}, and the error is {percent:.3g} % of the range: the model has no term for damage (see hystfit check)"
     if not text:
         return None
     if fitted.method != fitted.usual:
@@ -169,9 +176,13 @@ def _poor(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None
     return Status.POOR, _error(code, text)
 
 
+def _degrading(data: Dataset) -> bool:
+    return any(summarize(record).degrading for record in data)
+
+
 def _noise_notes(fitted: Fitted) -> list[Note]:
     if fitted.percent <= _POOR and (
-        fitted.percent <= _ROUGH or not misses_the_loop(fitted.train.rmse, fitted.baselines)
+        fitted.percent <= _ROUGH or not is_single_valued_error(fitted.train.rmse, fitted.baselines)
     ):
         return []
     text = (
@@ -193,25 +204,33 @@ def _no_loop(data: Dataset) -> Note:
     return Note(Code.NO_LOOP, text, Severity.ERROR)
 
 
-def _initial_state(fitted: Fitted) -> Note | None:
-    """A warning where the largest error lies in the first half cycle: the device did not start in the state of the model."""
-    size = [lasting(row) for row in fitted.rows]
+def _at_an_end(fitted: Fitted) -> Note | None:
+    """A warning where the largest error lies in the first half cycle (another initial state) or the last one (a device that failed)."""
+    size = [persistent_error(row) for row in fitted.rows]
     worst = int(np.argmax([row.max() for row in size]))
     record, errors = fitted.data[worst], size[worst]
     largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
     turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
-    if not turns.size or largest < _VISIBLE or np.flatnonzero(record.used)[int(np.argmax(errors))] > turns[0]:
+    if not turns.size or largest < _VISIBLE:
         return None
-    first = int(np.count_nonzero(record.used[: turns[0] + 1]))
-    rest = fitted.rows[worst][first:]
-    if not rest.size or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
+    samples = np.flatnonzero(record.used)
+    first, last = samples <= turns[0], samples >= turns[-1]
+    code, inside = (Code.INITIAL_STATE, first) if first[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, last)
+    rest = fitted.rows[worst][~inside]
+    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
-    held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
-    remedy = "the model starts at rest on the first input: leave the first half cycle out of the fit (window=)"
-    if held:
-        remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
-    text = f"the largest error, {largest:.3g} % of the range, lies in the first half cycle of {record.name!r}: {remedy}"
-    return warn(Code.INITIAL_STATE, text)
+    if code is Code.LAST_HALF_CYCLE:
+        which, remedy = "last", f"if the device failed there, fit the samples before sample {turns[-1]} (window=)"
+    else:
+        held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
+        which = "first"
+        remedy = "the model starts at rest on the first input: leave the first half cycle out of the fit (window=)"
+        if held:
+            remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
+    text = (
+        f"the largest error, {largest:.3g} % of the range, lies in the {which} half cycle of {record.name!r}: {remedy}"
+    )
+    return warn(code, text)
 
 
 # -- records that were not fitted, and samples left out ----------------------------------------------------------------
@@ -234,7 +253,7 @@ class Trial:
     notes: tuple[Note, ...]
 
 
-def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
+def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
     """Judge a fit on records that were not fitted.
 
     Args:
@@ -246,7 +265,7 @@ def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool =
         HystfitError: the model cannot predict the records.
     """
     try:
-        records = [result.in_own_units(result.model.prepared(record)) for record in records]
+        records = [result.in_fitted_units(result.model.prepared(record)) for record in records]
         runs = [result.predict(record, refit_offset=refit_offset) for record in records]
     except HystfitError as error:
         raise type(error)(f"test data: {error}") from error
@@ -260,7 +279,7 @@ def try_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool =
         status = Status.POOR
         text = f"test data: the error is {percent:.3g} % of the range: the model does not describe these records"
         notes += _error(Code.TEST_ERROR, text)
-    elif reasons := shortcomings(metrics, rows, baselines):
+    elif reasons := exceeded_limits(metrics, rows, baselines):
         status = Status.ROUGH
         notes += [warn(Code.TEST_ERROR, f"test data: {text}") for text in reasons]
     notes.append(accuracy_note(metrics, baselines, "test error"))

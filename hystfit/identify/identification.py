@@ -16,9 +16,11 @@ from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
-from hystfit.results.accuracy import accuracy_note, shortcomings
+from hystfit.results.accuracy import accuracy_note, exceeded_limits
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import FitResult, NoiseEstimate, ParameterEstimate, provenance
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 from hystfit.results.timing import Stopwatch
 
 
@@ -154,7 +156,7 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
     baselines = Baselines.of(data)
     rough = []
     if identification.usable:
-        rough = [warn(Code.ROUGH_FIT, text) for text in shortcomings(identification.free_run, residuals, baselines)]
+        rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(identification.free_run, residuals, baselines)]
     status = Status.ROUGH if rough else identification.status
     notes += [*rough, accuracy_note(identification.free_run, baselines, "simulation error")]
     correlation = max(autocorrelation_time(r) for r in residuals)

@@ -30,7 +30,7 @@ _STEPS, _TRIAL = 30, 8  # of a descent, and of those from several starts of whic
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """Where a descent ended.
+    """End point of a descent.
 
     Attributes:
         v: coordinates, shape (p,).

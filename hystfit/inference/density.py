@@ -145,7 +145,7 @@ class Density(eqx.Module):
         return value, by_squares * push, by_noise
 
     def _slope_by_residuals(self, z: Array) -> tuple[Array, Array, Array]:
-        """The same for any noise."""
+        """`_slope_by_squares` for any noise model."""
         x = self.objective.coordinates.physical(z[: self.p])
         density = lambda noise, r: self._of_residual(self.noise.tree(noise), r)
         slopes = jax.value_and_grad(density, argnums=(0, 1))

@@ -25,7 +25,7 @@ Moments = tuple[Array, ...]
 
 
 class AbstractInformation(eqx.Module):
-    """What records tell about parameters under a noise."""
+    """Fisher information of records about the parameters under a noise model."""
 
     @abc.abstractmethod
     def moments(self, setting: Setting, J: Float[Array, "R T p"]) -> Moments:

@@ -20,7 +20,7 @@ _PART = 0.5  # of a standard deviation: differences of gradients that far apart 
 
 
 class Optimum(NamedTuple):
-    """Where an optimizer stopped.
+    """End point of an optimizer.
 
     Attributes:
         z: coordinates, shape (d,).

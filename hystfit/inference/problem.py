@@ -188,7 +188,7 @@ class Problem:
 
     def predict(self, x: Any) -> list[np.ndarray]:
         """Free-run output of every record at physical x, shapes (T_r,)."""
-        if self.model.short_cut:
+        if self.model.has_fast_run:
             models = [self.space.assembled(x, k) for k in range(len(self.data))]
             return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
         rows = np.asarray(_run(self.objective, "predict", to_device(x)))
@@ -209,7 +209,7 @@ class Problem:
 
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
-        if self.model.short_cut and self.model.estimator is not None:
+        if self.model.has_fast_run and self.model.estimator is not None:
             length = self.objective.batch.u.shape[1]
             jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
             return self.residuals(x), jacobian * self.used[..., None]

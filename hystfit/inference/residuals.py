@@ -33,7 +33,7 @@ FEW = 60  # parameters up to which errors use the covariance of the noise; for m
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """Residuals of a fit, and what can be learned from them about the noise.
+    """Analysis of the residuals of a fit and of the noise in them.
 
     Attributes:
         samples: those that count.

@@ -1,4 +1,4 @@
-"""What every model is: parameters as fields, dynamics as two methods, one scan that runs them all."""
+"""The base class of all models: parameters as fields, dynamics as `init` and `step`, simulation by one scan."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
-from hystfit.models.default_start import searched_start
-from hystfit.models.description import described
+from hystfit.models.default_start import hypercube_start
+from hystfit.models.description import format_model
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.one_device import check_one_device
 from hystfit.params.param import leaves_of
@@ -31,7 +31,7 @@ Use = Literal["inverse", "export"]
 
 
 class AbstractHysteresis(eqx.Module):
-    """A hysteresis model: `init` makes the state at rest on an input, `step` moves it over one sample.
+    """A hysteresis model: `init` returns the state at rest on an input, `step` advances it by one sample.
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
 
@@ -43,7 +43,7 @@ class AbstractHysteresis(eqx.Module):
     @property
     @abc.abstractmethod
     def rate_independent(self) -> bool:
-        """The output depends on the order of the inputs alone, so that no time is needed."""
+        """Whether the output depends only on the order of the inputs, so that no time is needed."""
 
     @abc.abstractmethod
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
@@ -53,7 +53,7 @@ class AbstractHysteresis(eqx.Module):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Move the input from u0 to u1 in the time dt: (new state, output at the new sample).
+        """Advance the state by one sample, from input u0 to u1 in the time dt: (new state, output at u1).
 
         Args:
             state: before the sample, shape (states,).
@@ -65,7 +65,7 @@ class AbstractHysteresis(eqx.Module):
     # -- values ------------------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        return described(self)
+        return format_model(self)
 
     def replace(self, **values: Any) -> AbstractHysteresis:
         """The same model with other values of some parameters.
@@ -90,7 +90,7 @@ class AbstractHysteresis(eqx.Module):
         dt: Float[Array, " T"],
         unroll: int = 1,
     ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
-        """Move the input from u0 over all samples u: (state after the last, output at each). One scan of `step`.
+        """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
 
         To override where part of the work does not depend on the state, and need not be in the scan.
 
@@ -117,7 +117,7 @@ class AbstractHysteresis(eqx.Module):
         return True
 
     @property
-    def short_cut(self) -> bool:
+    def has_fast_run(self) -> bool:
         """Whether `free_run` is faster than a scan over the samples."""
         return False
 
@@ -158,7 +158,7 @@ class AbstractHysteresis(eqx.Module):
 
         By default the best of a Latin hypercube within the bounds and the data's scales; to override where the loop shows them.
         """
-        return searched_start(self, records)
+        return hypercube_start(self, records)
 
     @property
     def allows_thinning(self) -> bool:
@@ -178,7 +178,7 @@ class AbstractHysteresis(eqx.Module):
         return (self.start(records),)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """What a user should know before trusting this model on an input; nothing by default.
+        """Warnings about using this model on an input; none by default.
 
         Args:
             u: input, shape (T,).
@@ -200,16 +200,16 @@ class AbstractHysteresis(eqx.Module):
 
     @property
     def needs(self) -> Needs | None:
-        """The data that determine its parameters; None where that is not declared."""
+        """The data needed to determine the parameters; None where this is not declared."""
         return None
 
     @property
     def estimator(self) -> str | None:
-        """Name of the estimator that suits it; None where the number of its bounded linear weights decides."""
+        """Name of the preferred estimator; None where the number of bounded linear weights decides."""
         return None
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """What the linear weights are multiplied by, at the present values of the other parameters.
+        """The design matrix of the linear weights, at the present values of the other parameters.
 
         By differentiation of the simulation; to override where the columns are known in closed form.
 
@@ -217,9 +217,9 @@ class AbstractHysteresis(eqx.Module):
             u: input, shape (T,).
             dt: as in `simulate`.
         """
-        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _servable(leaf.info.bounds)]
+        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _solvable(leaf.info.bounds)]
         u, dt = drive(self, u, dt)
-        rest, columns = _differentiated(self, tuple(leaf.index for leaf in leaves), u, dt)
+        rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), u, dt)
         blocks = (
             Block(leaf.index, leaf.info, np.asarray(part).reshape(u.size, -1))
             for leaf, part in zip(leaves, columns, strict=True)
@@ -256,11 +256,11 @@ class AbstractHysteresis(eqx.Module):
     # -- optional: control ---------------------------------------------------------------------------------------------------
 
     def reach(self) -> tuple[float, float] | None:
-        """Lowest and highest input for which the model was made; None where it has no such range."""
+        """Lowest and highest input for which the model is defined; None where it has no such range."""
         return None
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Its one-sample inverse: a closed form, or by default a search.
+        """The one-sample inverse: a closed form, or by default a bracketed search.
 
         Args:
             sign: of a search; -1 for outputs that fall with the input.
@@ -270,26 +270,26 @@ class AbstractHysteresis(eqx.Module):
         """
         return SearchStep(self, sign)
 
-    def led(self) -> Led | None:
+    def output_resonance(self) -> OutputResonance | None:
         """The resonance at the end of the model, which is inverted by leading the reference; None where there is none."""
         return None
 
     def obstacle(self, use: Use) -> str | None:
-        """Why the model cannot be inverted, or exported to C; None where it can.
+        """The reason why the model cannot be inverted or exported to C; None where it can.
 
         A resonance at the end of a model is no obstacle to an inverse, because the reference leads it.
         """
         try:
             if use == "export":
                 self.c_part()
-            elif self.led() is None:
+            elif self.output_resonance() is None:
                 self.step_inverse()
         except ModelError as error:
             return str(error)
         return None
 
     def c_part(self) -> CPart:
-        """Its part of the exported C code.
+        """The model's part of the exported C code.
 
         Raises:
             ModelError: the model has no C code.
@@ -306,7 +306,7 @@ class Derived(NamedTuple):
     value: Callable[[Any], Array]
 
 
-class Led(NamedTuple):
+class OutputResonance(NamedTuple):
     """A resonance at the end of a model: the model before it (None where there is nothing), omega [rad/s] and zeta."""
 
     model: AbstractHysteresis | None
@@ -314,13 +314,13 @@ class Led(NamedTuple):
     zeta: float
 
 
-def _servable(bounds: tuple[float, float]) -> bool:
+def _solvable(bounds: tuple[float, float]) -> bool:
     """Weights that are free or >= 0 can be solved for in one quadratic program."""
     return bounds[1] == np.inf and bounds[0] in (0.0, -np.inf)
 
 
 @eqx.filter_jit
-def _differentiated(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
+def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
     """Output with the leaves `at` set to zero, and its derivatives in them."""
     leaves, treedef = jax.tree_util.tree_flatten(model)
 
@@ -457,7 +457,7 @@ class PlayWeights(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Where a simulation stopped, to go on from: state of the model and the last input."""
+    """The end of a simulation, from which it can be resumed: state of the model and the last input."""
 
     state: Float[Array, " state"]
     u: Float[Array, ""]
@@ -493,7 +493,7 @@ def simulate(
         raise ModelError(
             f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
         )
-    u, dt = _driven(model, u, dt)
+    u, dt = _checked_drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
     try:
         return _compiled(model)(model, u, dt, resume, unroll)
@@ -514,12 +514,12 @@ def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
         ModelError: no time for a model that needs it, or shapes that do not fit.
         PrecisionError: double precision is off.
     """
-    u, dt = _driven(model, u, dt)
+    u, dt = _checked_drive(model, u, dt)
     return jnp.asarray(u), jnp.asarray(dt)
 
 
-def _driven(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
-    """`drive`, with what was not an array of JAX in NumPy: compiled code takes it over faster than it is converted here."""
+def _checked_drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
+    """`drive` without conversion to JAX arrays: compiled code accepts NumPy arrays faster than they convert here."""
     require_x64()
     u = _floating(u)
     if u.ndim != 1 or u.size == 0:
@@ -566,6 +566,6 @@ _run_any = eqx.filter_jit(run)
 
 
 def _compiled(model: AbstractHysteresis) -> Callable[..., tuple[Array, Resume]]:
-    """`run`, compiled; models whose leaves are all arrays, as those of hystfit, need no sorting of leaves at every call."""
+    """`run`, compiled. Models whose leaves are all arrays skip the filtering of leaves at every call."""
     arrays = all(isinstance(leaf, (jax.Array, np.ndarray)) for leaf in jax.tree_util.tree_leaves(model))
     return _run_arrays if arrays else _run_any

@@ -14,10 +14,10 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
-from hystfit.models.bouc_wen_steps import begun, bound, exact_step, passed_rates, phi, trapezoid
+from hystfit.models.bouc_wen_steps import bound, exact_step, initial_hysteresis, phi, rate_integral, trapezoid
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -75,7 +75,7 @@ class BoucWen(AbstractHysteresis):
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: h, shape (1,)."""
         highest = bound(self.mu * self.c, self.tau * (1 + self.rho))
-        return begun(self.h0, -highest, highest)[None] + 0.0 * u0
+        return initial_hysteresis(self.h0, -highest, highest)[None] + 0.0 * u0
 
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
@@ -172,7 +172,7 @@ class BoucWenStep(AbstractStepInverse):
         bound = jnp.where(up > 0, m / jnp.where(up > 0, up, 1.0), jnp.inf)
         if bw.scheme == "semi-implicit":
             # Where a long step is held at the bound of h, h is known.
-            half = 0.5 * passed_rates(q, x, m, up, down)
+            half = 0.5 * rate_integral(q, x, m, up, down)
             stuck = ((1 - half) * q + m * x) / (1 + half)
             held = jnp.clip(stuck, jnp.minimum(q, bound), jnp.maximum(q, bound))
             x = jnp.where(held == stuck, x, (way + held - q) / bw.c)
@@ -212,9 +212,9 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[float, float, np
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))
     states = np.concatenate([unit_hysteresis(record.u, tau, rho)[record.used] for record in records])
     u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
-    offsets = own_columns(records)
+    offsets = offset_columns(records)
     bend = np.polynomial.legendre.legvander((u - place.center) / place.half, degree + 1)[:, 2:]
-    k = best_beside(np.column_stack([u, offsets, bend]), states, y)
+    k = best_column(np.column_stack([u, offsets, bend]), states, y)
     theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets, bend]), y)
     return float(tau[k]), float(rho[k]), np.concatenate([theta[:3], theta[2 + len(records) :]])
 

@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import coarse, grid_start
-from hystfit.models.bouc_wen_steps import begun, bound, passed_rates, power_of, runge_kutta, semi_implicit
+from hystfit.models.bouc_wen_steps import bound, initial_hysteresis, power_of, rate_integral, runge_kutta, semi_implicit
 from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import input_range
@@ -78,7 +78,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
         """State: h, shape (1,)."""
         falling, rising = self._bounds()
-        return begun(self.h0, -falling, rising)[None] + 0.0 * u0
+        return initial_hysteresis(self.h0, -falling, rising)[None] + 0.0 * u0
 
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
@@ -124,7 +124,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         if self.scheme == "exact":
             return s * runge_kutta(slope, q, x, 8, jnp.maximum(q, highest))
         middle = jnp.minimum(q + 0.5 * x * slope(q), jnp.maximum(q, highest))
-        passed = power(middle) * passed_rates(q, x, m, up, down)  # the power there keeps the second order
+        passed = power(middle) * rate_integral(q, x, m, up, down)  # the power there keeps the second order
         return s * semi_implicit(q, x, m, passed, highest)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:

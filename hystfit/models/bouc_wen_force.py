@@ -15,7 +15,8 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import power_of
-from hystfit.models.starting import best_beside, fit_linear, input_range, own_columns, thinned
+from hystfit.models.c_code import CPart, template
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -75,14 +76,19 @@ class BoucWenForce(AbstractHysteresis):
         w = s * jax.lax.fori_loop(0, self.substeps, once, s * state[0])
         return w[None], self.offset + self.kappa_x * u1 + self.kappa_w * w
 
+    def c_part(self) -> CPart:
+        """One state; the substeps of `step`."""
+        names = ("kappa_x", "kappa_w", "rho", "sigma", "n", "w0", "offset", "substeps")
+        return CPart(template("bouc_wen_force.c"), 1, {name.upper(): getattr(self, name) for name in names})
+
     def start(self, records: Sequence[Record]) -> BoucWenForce:
         """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""
         half, records = input_range(records).half, thinned(records)
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
         states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
         u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
-        offsets = own_columns(records)
-        k = best_beside(np.column_stack([u, offsets]), states, y)
+        offsets = offset_columns(records)
+        k = best_column(np.column_stack([u, offsets]), states, y)
         theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets]), y)
         values = (theta[0], theta[1], rho[k], max(n[k], 1.05), theta[2])
         fields = lambda m: (m.kappa_x, m.kappa_w, m.rho, m.n, m.offset)

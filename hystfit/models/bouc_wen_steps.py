@@ -15,12 +15,12 @@ from jaxtyping import Array
 
 
 def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
-    """Where q stops rising, m / up times a factor; no bound where nothing saturates."""
+    """Saturation level of q, m / up times a factor; infinite where nothing saturates."""
     return jnp.where(up > 0, m * factor / jnp.where(up > 0, up, 1.0), jnp.inf)
 
 
-def begun(part: Array, lowest: Array, highest: Array) -> Array:
-    """State at the first sample from its part of the bound on its side; 0 where nothing saturates.
+def initial_hysteresis(part: Array, lowest: Array, highest: Array) -> Array:
+    """State at the first sample, given as a fraction of its bound; 0 where nothing saturates.
 
     As a part of the bound it stays inside the loop whatever the other parameters are, so that it can be fitted.
     """
@@ -28,27 +28,27 @@ def begun(part: Array, lowest: Array, highest: Array) -> Array:
     return part * jnp.where(jnp.isfinite(side), side, 0.0)
 
 
-def passed_rates(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
+def rate_integral(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
     """Integral of kappa over a step, with q rising by m: `down` until it reaches zero, `up` beyond.
 
     So the step is continuous in its arguments. With a kappa by the sign of q at its start it jumps where q passes zero, and
     sharp likelihoods are full of small steps.
     """
-    return up * x + over(down - up, m) * risen(q, x, m)
+    return up * x + over(down - up, m) * rise_below_zero(q, x, m)
 
 
-def risen(q: Array, x: Array, m: Array) -> Array:
-    """By how much q, rising by m on the way x, rises below zero."""
+def rise_below_zero(q: Array, x: Array, m: Array) -> Array:
+    """The part of the rise m x of q that lies below zero."""
     return jnp.minimum(jnp.maximum(-q, 0.0), m * x)
 
 
 def over(value: Array, m: Array) -> Array:
-    """value / m, and nothing where m vanishes, with finite derivatives."""
+    """value / m, or 0 where m vanishes, with finite derivatives."""
     return jnp.where(m > 0, value / jnp.where(m > 0, m, 1.0), 0.0)
 
 
 def semi_implicit(q: Array, x: Array, m: Array, passed: Array, highest: Array) -> Array:
-    """Trapezoidal step; what a long one puts beyond the bound, or back, is held between q and the bound."""
+    """Trapezoidal step, clipped between q and its bound where the step is too long."""
     half = 0.5 * passed
     moved = ((1 - half) * q + m * x) / (1 + half)
     return jnp.clip(moved, jnp.minimum(q, highest), jnp.maximum(q, highest))
@@ -63,7 +63,7 @@ def trapezoid(h: Array, dv: Array, m: Array, up: Array, down: Array) -> Array:
     """
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
     q = s * h
-    return s * semi_implicit(q, x, m, passed_rates(q, x, m, up, down), bound(m, up))
+    return s * semi_implicit(q, x, m, rate_integral(q, x, m, up, down), bound(m, up))
 
 
 @trapezoid.defjvp
@@ -71,8 +71,8 @@ def _trapezoid_slope(values: tuple[Array, ...], tangents: tuple[Array, ...]) -> 
     h, dv, m, up, down = values
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
     q, new = s * h, trapezoid(*values)
-    below = over(risen(q, x, m), m)
-    half = 0.5 * passed_rates(q, x, m, up, down)
+    below = over(rise_below_zero(q, x, m), m)
+    half = 0.5 * rate_integral(q, x, m, up, down)
     moved = ((1 - half) * q + m * x) / (1 + half)
     free = s * new == moved
     stays = ~free & (s * new == q)

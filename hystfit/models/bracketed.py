@@ -13,7 +13,7 @@ _MOST = 100
 
 
 class Root(NamedTuple):
-    """Where a search ended.
+    """Result of a bracketed search.
 
     Attributes:
         x: where the function came nearest to zero.

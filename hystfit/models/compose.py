@@ -1,4 +1,4 @@
-"""Models built of models: `Sum` adds outputs, `Series` feeds one into the next."""
+"""Compositions of models: `Sum` adds their outputs, `Series` feeds each output into the next model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hystfit.models.base import (
     AbstractHysteresis,
     AbstractStepInverse,
     Derived,
-    Led,
+    OutputResonance,
     PlayWeights,
     SearchStep,
     drive,
@@ -49,7 +49,7 @@ def _check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> 
 
 
 class AbstractComposition(AbstractHysteresis):
-    """What `Sum` and `Series` delegate to their parts in the same way."""
+    """Methods that `Sum` and `Series` delegate to their parts in the same way."""
 
     parts: eqx.AbstractVar[tuple[AbstractHysteresis, ...]]
 
@@ -69,9 +69,9 @@ class AbstractComposition(AbstractHysteresis):
         return all(part.allows_thinning for part in self.parts)
 
     @property
-    def short_cut(self) -> bool:
+    def has_fast_run(self) -> bool:
         """Whether some part has one."""
-        return any(part.short_cut for part in self.parts)
+        return any(part.has_fast_run for part in self.parts)
 
     @property
     def linear_in_input(self) -> bool:
@@ -178,7 +178,7 @@ class Sum(AbstractComposition):
         return jnp.concatenate([s for s, _ in runs]), sum((y for _, y in runs), jnp.zeros_like(u))
 
     def start(self, records: Sequence[Record]) -> Sum:
-        """Each part starts on the residuals of the parts before it."""
+        """Starting values of each part come from the residuals of the parts before it."""
         started, remaining = [], list(records)
         for part in self.parts:
             started.append(part.start(remaining))
@@ -188,7 +188,7 @@ class Sum(AbstractComposition):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """Part by part, where some part has a short cut."""
-        if not self.short_cut:
+        if not self.has_fast_run:
             return super().free_run(u, dt)
         u, dt = drive(self, u, dt)
         return np.sum([part.free_run(u, dt) for part in self.parts], axis=0)
@@ -218,7 +218,7 @@ class Sum(AbstractComposition):
     def c_part(self) -> CPart:
         """Adds the outputs of the parts."""
         line = "    y += @f@{k}_step(s + {at}, before, signal, dt, next ? next + {at} : 0);\n"
-        return _composed(self.parts, "Outputs add up.", lambda k, at, total: ("", line.format(k=k, at=at)), 0)
+        return _join_c_parts(self.parts, "Outputs add up.", lambda k, at, total: ("", line.format(k=k, at=at)), 0)
 
 
 class SumStep(AbstractStepInverse):
@@ -306,7 +306,7 @@ class Series(AbstractComposition):
         return list(zip(self.parts, _split(state[:edge], self.parts), [u0, *state[edge:]], strict=True))
 
     def start(self, records: Sequence[Record]) -> Series:
-        """Each part starts on the output of the part before it and the measured output."""
+        """Starting values of each part come from the output of the part before it and the measured output."""
         started, arriving = [], list(records)
         for k, part in enumerate(self.parts):
             started.append(part.start(arriving))
@@ -315,16 +315,16 @@ class Series(AbstractComposition):
                 arriving = [r.replace(u=y) for r, y in zip(arriving, outputs, strict=True)]
         return type(self)(*started)
 
-    def _rested(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
-        """The input with one sample more before the first: each part then starts from its rest, as `init` has it."""
+    def _with_rest_sample(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
+        """The input with one more sample before the first, so that each part starts from its own rest, as in `init`."""
         u, dt = drive(self, u, dt)
         return np.append(u[0], u), np.append(0.0, dt)
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """Part by part, where some part has a short cut."""
-        if not self.short_cut:
+        if not self.has_fast_run:
             return super().free_run(u, dt)
-        signal, steps = self._rested(u, dt)
+        signal, steps = self._with_rest_sample(u, dt)
         for part in self.parts:
             signal = part.free_run(signal, steps)
         return signal[1:]
@@ -339,25 +339,25 @@ class Series(AbstractComposition):
         number = len(self.parts) - 1
         while number and self.parts[number].linear_in_input:
             number -= 1
-        signal, steps = self._rested(u, dt)
+        signal, steps = self._with_rest_sample(u, dt)
         for part in self.parts[:number]:
             signal = part.free_run(signal, steps)
         design = self.parts[number].design_matrix(signal, steps)
         for part in self.parts[number + 1 :]:
-            design = _through(part, design.rows(), steps)
+            design = _filter_design(part, design.rows(), steps)
         return DesignMatrix(tuple(self._blocks(number, design.blocks)), design.rest, design.index[1:])
 
     def reach(self) -> tuple[float, float] | None:
         """That of the first part that has one."""
         return next((edges for part in self.parts if (edges := part.reach()) is not None), None)
 
-    def led(self) -> Led | None:
+    def output_resonance(self) -> OutputResonance | None:
         """The resonance of the last part, and the parts before it."""
-        last = self.parts[-1].led()
+        last = self.parts[-1].output_resonance()
         if last is None:
             return None
         before = [*self.parts[:-1], *(() if last.model is None else (last.model,))]
-        return Led(before[0] if len(before) == 1 else Series(*before), last.omega, last.zeta)
+        return OutputResonance(before[0] if len(before) == 1 else Series(*before), last.omega, last.zeta)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Those of the parts, from the last to the first; a search where a part needs limits and has no range."""
@@ -381,7 +381,7 @@ class Series(AbstractComposition):
             )
             return init, step
 
-        return _composed(self.parts, "Each output is the next one's input.", lines, len(self.parts) - 1)
+        return _join_c_parts(self.parts, "Each output is the next one's input.", lines, len(self.parts) - 1)
 
 
 class SeriesStep(AbstractStepInverse):
@@ -415,7 +415,7 @@ class SeriesStep(AbstractStepInverse):
         return Root(u1, rising & fine)
 
 
-def _through(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
+def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
     """A design matrix, one row a sample, through a filter that is linear in its input."""
     columns = [block.columns for block in design.blocks]
     out = np.asarray(_filtered(part, jnp.asarray(np.column_stack([design.rest, *columns])), jnp.asarray(dt)))
@@ -435,7 +435,7 @@ def _filtered(part: Any, signals: Array, dt: Array) -> Array:
     return outputs.at[:, 1:].add(-constant[:, None])
 
 
-def _composed(
+def _join_c_parts(
     parts: Sequence[AbstractHysteresis], doc: str, lines: Callable[[int, int, int], tuple[str, str]], between: int
 ) -> CPart:
     """C code of a composition.

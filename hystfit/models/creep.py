@@ -89,7 +89,7 @@ class LogCreep(AbstractHysteresis):
         return total
 
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
-        """State: the relaxations, at rest for ever on u0."""
+        """State: the relaxations, in equilibrium at u0."""
         return self._rate(u0) * self.weights * u0
 
     def step(

@@ -40,7 +40,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
 
 
 def data_kinds(records: Sequence[RecordQuality]) -> tuple[DataKind, ...]:
-    """Kinds of data that records are, apart from reversal curves; each calls for models of its own (`registry.compared`)."""
+    """The kinds of data of the records, apart from reversal curves; each has its own models (`registry.compared`)."""
     timed = all(record.sampling.rate is not None for record in records)
     kinds: list[DataKind] = []
     if _clockwise(records):
@@ -65,7 +65,7 @@ def _clockwise(records: Sequence[RecordQuality]) -> bool:
 
 
 def _point_symmetric(record: RecordQuality) -> bool:
-    """Whether the loop is that of a material without remembered sign: centered on zero input, and alike on both sides."""
+    """Whether the loop is centered on zero input and symmetric about its center."""
     if record.shape is None or abs(record.u.low + record.u.high) > 2 * _CENTERED * record.u.range:
         return False
     return record.shape.asymmetry_percent <= _SYMMETRIC

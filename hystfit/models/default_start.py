@@ -22,7 +22,7 @@ _NUDGE, _LEAST = 0.3, 1e-3  # change of z in that test, and the least change of 
 _RECORDS = 4  # of several records, the ones simulated
 
 
-def searched_start(model: Any, records: Sequence[Record]) -> Any:
+def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
     """The model with the values, of its own and of a hypercube within its bounds, that simulate the records best.
 
     Linear parameters are solved for at every point, and are not part of the hypercube. Points at which one of the others has no

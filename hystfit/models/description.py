@@ -12,7 +12,7 @@ import numpy as np
 _SHOWN = 4  # elements of an array that are shown one by one
 
 
-def described(model: Any) -> str:
+def format_model(model: Any) -> str:
     """`BoucWen(c=0.15 y/u, mu=0.5, ...)`: parameters in the units of input u, output y and time s, and changed settings."""
     fields = ((field, getattr(model, field.name, None)) for field in dataclasses.fields(model))
     words = [text for field, value in fields if (text := _field(field, value))]

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Led, LinearStep, check_rest
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep, OutputResonance, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
 from hystfit.params.param import param
@@ -214,9 +214,9 @@ class SecondOrder(AbstractHysteresis):
         typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.01
         return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)
 
-    def led(self) -> Led:
+    def output_resonance(self) -> OutputResonance:
         """The resonance itself."""
-        return Led(None, float(self.omega), float(self.zeta))
+        return OutputResonance(None, float(self.omega), float(self.zeta))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""
@@ -228,7 +228,7 @@ class SecondOrder(AbstractHysteresis):
 
 
 def no_inverse(model: AbstractHysteresis) -> ModelError:
-    """The error of a model whose output does not answer to the input of the same sample."""
+    """The error for a model whose output does not depend on the input of the same sample."""
     return ModelError(
         f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
         "shift or lead the reference (hystfit.control.lead)"

@@ -68,7 +68,7 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
 
 
 def _by_root(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The slow way, by an active set on a square root of A: free unknowns as differences of two that are not negative."""
+    """Fallback: an active-set method on a square root of A, with free unknowns as differences of two nonnegative ones."""
     values, vectors = np.linalg.eigh(A)
     root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
     L, d = (vectors * root).T, (vectors / root).T @ b

@@ -87,7 +87,7 @@ class BoucWenOscillator(AbstractHysteresis):
 
     @property
     def causal(self) -> bool:
-        """Whether the force between samples needs no later sample."""
+        """Whether the force between samples is independent of later samples."""
         return self.between != "bandlimited"
 
     def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:

@@ -214,7 +214,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
     def step(
         self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
     ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """Drag the plays along."""
+        """One sample: every play follows the input."""
         plays, total, fading = self._dragged(state[: self.w.size].reshape(self.w.shape), u1)
         x = self._position(u1)
         y = self.offset + total + self._single(x)

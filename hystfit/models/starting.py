@@ -76,12 +76,12 @@ def fit_linear(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     return solution, float(np.sum((y - columns @ solution) ** 2))
 
 
-def own_columns(records: Sequence[Record]) -> np.ndarray:
+def offset_columns(records: Sequence[Record]) -> np.ndarray:
     """A column of ones for each record on its samples that count: offsets of their own, shape (n, R)."""
     return np.repeat(np.eye(len(records)), [int(record.used.sum()) for record in records], axis=0)
 
 
-def best_beside(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:
+def best_column(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:
     """Which candidate column, beside the fixed ones, leaves the smallest sum of squared residuals.
 
     Args:

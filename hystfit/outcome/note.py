@@ -72,6 +72,11 @@ class Code(enum.StrEnum):
         "the largest error lies in the first half cycle",
         "free the initial state (`--free h0`), or leave out the first half cycle with `--window`",
     )
+    LAST_HALF_CYCLE = (
+        "last-half-cycle",
+        "the largest error lies in the last half cycle",
+        "look whether the device failed there; if so, leave it out with `--window`",
+    )
     MEASUREMENT_NOISE = (
         "measurement-noise",
         "the error is large, and the residuals are white",
@@ -389,7 +394,7 @@ class Code(enum.StrEnum):
     )
     DEGRADING = (
         "degrading",
-        "stiffness is lost from cycle to cycle",
+        "stiffness or strength is lost from cycle to cycle",
         "fit the cycles before the damage; no model here describes it",
     )
     DRIFT = (

@@ -50,7 +50,7 @@ _ADVICE = {
     Status.NOT_CONVERGED: "the solver did not converge: use more starts, method='trf', or fix what the data do not determine",
     Status.POOR: "the model does not describe this loop: try hystfit compare, or a model with more freedom",
     Status.ROUGH: (
-        "the model describes the loop only roughly, see the limits above: try hystfit compare, or use it where this error is allowed"
+        "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where this error is allowed"
     ),
     Status.NO_LOOP: "there is no loop in these data: measure full cycles of a larger amplitude, or fit a curve instead",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",

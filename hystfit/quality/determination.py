@@ -160,7 +160,7 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
     if needs.loop and facts.degrading:
         reasons.append(
-            "the loop loses stiffness (damage or backlash): the model has no terms for degradation or pinching"
+            "the loop loses stiffness or strength (damage or backlash): the model has no terms for degradation or pinching"
         )
     if needs.loop and not facts.branches_apart:
         reasons.append("the branches coincide within the noise: a single-valued curve explains the data")

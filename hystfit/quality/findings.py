@@ -98,10 +98,16 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
         pinched = (
             f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinching < 0.6 else ""
         )
+        loss = (
+            f"stiffness (damage or backlash): late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first stiffness at "
+            "the same stroke"
+        )
+        if record.weakens:
+            loss = f"strength (damage): late loops reach {100 * (record.strength_left or 0.0):.0f} % of the output of shorter ones before"
         yield warn(
             Code.DEGRADING,
-            f"loss of stiffness (damage or backlash): late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first "
-            f"stiffness at the same stroke{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this",
+            f"loss of {loss}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit "
+            "the cycles before the damage (window=)",
         )
     if drift is not None and drift.law != "none":
         slope, per, r2 = drift.per_cycle, "cycle", drift.r2_linear

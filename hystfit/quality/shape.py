@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 
@@ -175,6 +176,26 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     if not (before > 0).all():
         return None
     left = change[repeated] / stroke[repeated] / before
+    return float(np.median(left[-4:])) if left.size >= 4 else None
+
+
+def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
+    """Range of the output over branches longer than all before, over its largest range on a shorter branch before.
+
+    Hysteresis without damage covers on a longer branch what it covered on a shorter one (softening included: the peak lies inside
+    the branch). Arguments as in `stiffness_left`.
+
+    Returns:
+        The median of the last four ratios; None with fewer.
+    """
+    turns = np.unique(cycles)
+    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
+    if len(branches) < 5:
+        return None
+    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
+    reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
+    longer = stroke[1:] > 1.02 * np.maximum.accumulate(stroke)[:-1]
+    left = reached[1:][longer] / np.maximum.accumulate(reached)[:-1][longer]
     return float(np.median(left[-4:])) if left.size >= 4 else None
 
 

@@ -16,7 +16,7 @@ from hystfit.quality.drift import Drift, drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
 from hystfit.quality.resonance import Dynamics, estimate_dynamics
-from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left
+from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
 
@@ -114,6 +114,7 @@ class RecordQuality:
     velocity_gain: float | None
     rate_effect: float | None
     stiffness_left: float | None
+    strength_left: float | None
     dynamics: Dynamics | None
     clipped: int
     spikes: int
@@ -125,11 +126,16 @@ class RecordQuality:
 
     @property
     def degrading(self) -> bool:
-        """Whether the loop loses more stiffness from cycle to cycle than loops without damage do; unknown in a resonance."""
-        left = self.stiffness_left
-        if self.shape is None or left is None or self.dynamic:
+        """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance."""
+        if self.shape is None or self.dynamic:
             return False
-        return left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
+        left = 1.0 if self.stiffness_left is None else self.stiffness_left
+        return self.weakens or left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
+
+    @property
+    def weakens(self) -> bool:
+        """Whether longer branches reach less output than shorter ones before did; unknown in a resonance."""
+        return self.strength_left is not None and self.strength_left < 0.85 and not self.dynamic
 
     @property
     def lags(self) -> bool:
@@ -187,6 +193,7 @@ def summarize(record: Record) -> RecordQuality:
         velocity_gain=gain,
         rate_effect=rate_effect(u, y, t, cycles),
         stiffness_left=stiffness_left(u, y, cycles),
+        strength_left=strength_left(u, y, cycles),
         dynamics=dynamics,
         clipped=clipped_samples(u, y),
         spikes=int(spikes(y, y_column.noise_rms, turns).size),

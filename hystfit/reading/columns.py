@@ -315,6 +315,8 @@ def _guess_pair(
             f"changing numbers{beside}. "
             f"The columns are {table.describe()}; name them with input= and output=, or check delimiter= and decimal="
         )
+    if not table.named:
+        free = _without_copies(table, free, given, notes)
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     _find_velocities(table, free, kinds)
@@ -339,6 +341,24 @@ def _guess_pair(
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
+    """The columns that do not repeat an earlier one, where there are enough of others."""
+    kept: list[int] = []
+    for k in free:
+        source = next((j for j in (*given.values(), *kept) if _repeats(table.columns[j], table.columns[k])), None)
+        if source is None:
+            kept.append(k)
+        else:
+            notes.append(Note(Code.LEFT_OUT, f"column {k} repeats column {source} and is not used"))
+    return kept if len(kept) + len(given) >= 2 else free
+
+
+def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether `other` has the very values of `one` at most samples where that moves."""
+    moves = np.diff(one, prepend=one[0]) != 0
+    return bool(moves.any() and np.mean(one[moves] == other[moves]) > 0.5)
 
 
 def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> None:

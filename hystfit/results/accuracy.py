@@ -45,12 +45,12 @@ def is_noise(rmse: float, baselines: Baselines) -> bool:
     return baselines.noise is not None and rmse <= _NOISY * baselines.noise
 
 
-def misses_the_loop(rmse: float, baselines: Baselines) -> bool:
+def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
     """Whether an rms error [y] is that of a single-valued curve, or nearly so."""
     return rmse > _SHARE * baselines.curve
 
 
-def lasting(errors: np.ndarray) -> np.ndarray:
+def persistent_error(errors: np.ndarray) -> np.ndarray:
     """Size of the error that three successive samples have in common, shape (T,): at each sample, the smallest of it and its neighbors.
 
     Args:
@@ -63,7 +63,7 @@ def lasting(errors: np.ndarray) -> np.ndarray:
     return np.concatenate([[inner[0]], inner, [inner[-1]]])
 
 
-def shortcomings(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines) -> list[str]:
+def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines) -> list[str]:
     """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
 
     Args:
@@ -74,14 +74,14 @@ def shortcomings(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baseli
     if metrics.nrmse_percent is None or baselines.span <= 0:
         return []
     limits, found = Limits.of(baselines), []
-    largest = 100 * max(float(lasting(row).max()) for row in rows if row.size) / baselines.span
+    largest = 100 * max(float(persistent_error(row).max()) for row in rows if row.size) / baselines.span
     if metrics.nrmse_percent > limits.error:
         found.append(
             f"the error is {metrics.nrmse_percent:.3g} % of the range, above the limit of {limits.error:.2g} %"
         )
     if largest > limits.largest:
         found.append(f"an error of {largest:.3g} % of the range lasts, above the limit of {limits.largest:.2g} %")
-    if misses_the_loop(metrics.rmse, baselines) and not is_noise(metrics.rmse, baselines):
+    if is_single_valued_error(metrics.rmse, baselines) and not is_noise(metrics.rmse, baselines):
         found.append(
             f"the error is {100 * metrics.rmse / baselines.curve:.0f} % of that of a single-valued curve: the loop itself is not described"
         )
@@ -94,7 +94,7 @@ def ratios(metrics: Metrics, baselines: Baselines) -> dict[str, float | None]:
     return {name: over(getattr(baselines, name)) for name in ("noise", "line", "curve", "plays")}
 
 
-def other_family(metrics: Metrics, baselines: Baselines) -> Note | None:
+def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None:
     """A warning where ten plays leave far less than the model; None where they do not, or the noise explains its error."""
     if baselines.plays is None or is_noise(metrics.rmse, baselines) or metrics.rmse <= _BETTER * baselines.plays:
         return None

@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.results.result import FitResult, ParameterEstimate
+from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.result import FitResult
 
 
 def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
-    """What `derived` of the fitted model gives, of the first record; no standard error where a parameter behind it has none."""
+    """The derived quantities of the fitted model, of the first record; no standard error where a parameter has none."""
     coordinates, units = result.problem.space.coordinates, result.problem.scales.label
     rows = []
     for name, unit, doc, value in result.model.derived():

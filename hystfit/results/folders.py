@@ -24,7 +24,7 @@ _PATIENCE = 5.0  # seconds to wait for another process that moves its files in p
 
 @contextlib.contextmanager
 def alone(folder: str | Path, patience: float = 0.0) -> Iterator[None]:
-    """Keep other processes out of a folder while the body runs; a process that ends, however it ends, lets the next one in.
+    """Lock a folder while the body runs; the lock is released when the process ends, however it ends.
 
     Args:
         folder: made where it does not exist.
@@ -172,7 +172,7 @@ def check_writable(target: str | Path) -> None:
 
 
 def dump_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON that any reader takes: no NaN, no infinity.
+    """Write strict JSON, without NaN and infinity.
 
     Raises:
         HystfitError: the content is not JSON-able.

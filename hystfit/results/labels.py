@@ -42,16 +42,16 @@ def write(target: Text, text: str, instead: str) -> None:
         target.set_fontfamily(families)
 
 
-def make_legible(figure: Any) -> None:
+def use_available_fonts(figure: Any) -> None:
     """Give every text of a figure a font that has its characters; without one, a question mark takes their place."""
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
         if not text.get_text().isascii():
-            write(text, text.get_text(), legible(text.get_text()))
+            write(text, text.get_text(), substitute_missing_glyphs(text.get_text()))
 
 
-def legible(text: str) -> str:
+def substitute_missing_glyphs(text: str) -> str:
     """A text in which question marks stand for characters that no installed font has."""
     return text if _families(text) is not None else "".join("?" if c in _lacking(text) else c for c in text)
 

@@ -15,13 +15,14 @@ from hystfit.errors import HystfitError
 from hystfit.inference.autocorrelation import autocorrelation
 from hystfit.params.units import axis_label
 from hystfit.quality.loops import cycles
-from hystfit.results.accuracy import lasting
-from hystfit.results.labels import column_label, legible, make_legible
+from hystfit.results.accuracy import persistent_error
+from hystfit.results.labels import column_label, substitute_missing_glyphs, use_available_fonts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from hystfit.results.result import FitResult, ParameterEstimate
+    from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.result import FitResult
 
 # Okabe and Ito's colors, which can also be distinguished with color-vision deficiency.
 MEASURED, HELD_OUT, MODEL, FAINT = "#a6a6a6", "#e69f00", "#0072b2", "#bbbbbb"
@@ -75,7 +76,7 @@ def fit(
         return KINDS[kind](result, ax)
     KINDS[kind](_traces(result, data, refit_offset), ax)
     ax.spines[["top", "right"]].set_visible(False)
-    make_legible(ax)
+    use_available_fonts(ax)
     return ax
 
 
@@ -92,13 +93,13 @@ class _Trace:
             "u": (record.u_name, record.u_unit, "input"),
             "y": (record.y_name, record.y_unit, "output"),
         }
-        self.residual_label = legible(axis_label("measured - model", record.y_unit))
-        self.axis_label = "sample" if record.t is None else legible(f"time [{record.t_unit}]")
+        self.residual_label = substitute_missing_glyphs(axis_label("measured - model", record.y_unit))
+        self.axis_label = "sample" if record.t is None else substitute_missing_glyphs(f"time [{record.t_unit}]")
 
 
 def _traces(result: FitResult, data: Any, refit_offset: bool) -> list[_Trace]:
     """Records one after another along one axis."""
-    records = list(result.data if data is None else Dataset.of(data).map(result.in_own_units))
+    records = list(result.data if data is None else Dataset.of(data).map(result.in_fitted_units))
     traces, start = [], 0.0
     for record in records:
         predicted = result.predict(record, refit_offset=refit_offset and data is not None)
@@ -130,7 +131,7 @@ def _line(ax: Axes, x: np.ndarray, y: np.ndarray, label: str, color: str, width:
     ax.plot(x, y, color=color, lw=width, label=None if label in known else label, rasterized=x.size > _RASTER)
 
 
-def _some_of(trace: _Trace) -> dict[str, tuple[int, slice]]:
+def _selected_cycles(trace: _Trace) -> dict[str, tuple[int, slice]]:
     """Number and samples of the first, the last and the worst cycle of many; empty where there are few."""
     found = cycles(trace.u, _TURN * float(np.ptp(trace.u)))
     counted = trace.seen if trace.seen.any() else trace.held
@@ -139,17 +140,19 @@ def _some_of(trace: _Trace) -> dict[str, tuple[int, slice]]:
         return {}
     size = np.where(counted, trace.residual, np.nan)
     errors = [float(np.nanmean(size[a : c + 1] ** 2)) for a, _, c in found]
-    at = {"first": 0, "last": len(found) - 1, "largest error": int(np.argmax(errors))}
-    return {name: (k + 1, slice(int(found[k, 0]), int(found[k, 2]) + 1)) for name, k in at.items()}
+    worst = int(np.argmax(errors))
+    at = {"first": 0, "last": len(found) - 1, "largest error": worst}
+    cut = lambda k: slice(int(found[k, 0]), int(found[k, 2]) + 1)
+    return {name: (k + 1, cut(k)) for name, k in at.items() if k != worst or name == "largest error"}
 
 
-def shows_cycles(result: FitResult) -> bool:
+def selects_cycles(result: FitResult) -> bool:
     """Whether pictures of a fit show some of its many cycles."""
-    return len(result.data) == 1 and bool(_some_of(_traces(result, None, False)[0]))
+    return len(result.data) == 1 and bool(_selected_cycles(_traces(result, None, False)[0]))
 
 
 def _loop(traces: list[_Trace], ax: Axes) -> None:
-    if len(traces) == 1 and (shown := _some_of(traces[0])):
+    if len(traces) == 1 and (shown := _selected_cycles(traces[0])):
         _some_cycles(traces[0], shown, ax)
         return
     share = max(1, _LOOP_POINTS // len(traces))
@@ -179,7 +182,7 @@ def _some_cycles(trace: _Trace, shown: dict[str, tuple[int, slice]], ax: Axes) -
 def _cycle_errors(traces: list[_Trace], ax: Axes) -> None:
     """Residuals of some cycles over the input."""
     trace = traces[0]
-    shown = _some_of(trace) or {"first": (1, slice(0, trace.u.size))}
+    shown = _selected_cycles(trace) or {"first": (1, slice(0, trace.u.size))}
     for name, (number, part) in shown.items():
         at = part.start + thin(_POINTS, trace.u[part], trace.residual[part])
         ax.plot(trace.u[at], trace.residual[at], color=CYCLES[name], lw=0.9, label=f"cycle {number} ({name})")
@@ -191,10 +194,10 @@ def _cycle_errors(traces: list[_Trace], ax: Axes) -> None:
 
 def _worst(traces: list[_Trace], ax: Axes) -> None:
     """Output over time around the largest error that lasts."""
-    errors = [lasting(np.where(t.seen | t.held, t.residual, 0.0)) for t in traces]
+    errors = [persistent_error(np.where(t.seen | t.held, t.residual, 0.0)) for t in traces]
     trace, error = max(zip(traces, errors, strict=True), key=lambda pair: float(pair[1].max()))
     middle, size = int(np.argmax(error)), error.size
-    turns = [part.stop - part.start for _, part in _some_of(trace).values()]
+    turns = [part.stop - part.start for _, part in _selected_cycles(trace).values()]
     half = max(20, turns[-1] if turns else int(_STRETCH * size / 2))
     part = slice(max(middle - half, 0), min(middle + half + 1, size))
     at = part.start + thin(_POINTS, trace.y[part], trace.predicted[part])
@@ -261,7 +264,7 @@ def _frame(ax: Axes, traces: list[_Trace]) -> None:
     outliers = outliers[outliers > usual]
     if usual > 0 and (seen > usual).any() and outliers.size <= 0.01 * (seen.size + held.size):
         ax.set_ylim(-1.1 * usual, 1.1 * usual)
-        _say_outside(
+        _annotate_outliers(
             ax,
             f"{outliers.size} {'outlier lies' if outliers.size == 1 else 'outliers lie'} outside (up to {outliers.max():.3g})",
         )
@@ -270,10 +273,10 @@ def _frame(ax: Axes, traces: list[_Trace]) -> None:
     beyond = held > limit
     if limit > 0 and 0 < beyond.sum() <= 0.05 * held.size:
         ax.set_ylim(-limit, limit)
-        _say_outside(ax, f"{beyond.sum()} samples not fitted lie outside (up to {held.max():.3g})")
+        _annotate_outliers(ax, f"{beyond.sum()} samples not fitted lie outside (up to {held.max():.3g})")
 
 
-def _say_outside(ax: Axes, text: str) -> None:
+def _annotate_outliers(ax: Axes, text: str) -> None:
     ax.text(0.99, 0.98, text, transform=ax.transAxes, ha="right", va="top", fontsize="small", color=DARK)
 
 
@@ -341,7 +344,7 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
     left, right = min(10 ** (np.floor(np.log10(low)) - 0.2), 10.0), max(10 ** (np.ceil(np.log10(high)) + 0.2), 200.0)
     for k, ((_, family), values) in enumerate(zip(rows, relative, strict=True)):
         if not values:
-            ax.text(left * 1.1, k, _why(family), va="center", fontsize="small", color="#666666")
+            ax.text(left * 1.1, k, _missing_error_reason(family), va="center", fontsize="small", color="#666666")
         elif len(family) == 1:
             ax.plot([left, values[0]], [k, k], color=FAINT, lw=1)
             ax.plot(values[0], k, "o", color=MODEL, ms=6)
@@ -355,8 +358,10 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
     ax.text(100.0, 1.01, "100 % of the value", transform=over, color=DARK, fontsize="small", ha="center")
     ax.set_xscale("log")
     ax.set(xlim=(left, right), ylim=(-0.6, len(rows) - 0.4), xlabel="standard error [% of the value]")
-    ax.set_yticks(range(len(rows)), [legible(name if len(f) == 1 else f"{name} ({len(f)})") for name, f in rows])
-    make_legible(ax)
+    ax.set_yticks(
+        range(len(rows)), [substitute_missing_glyphs(name if len(f) == 1 else f"{name} ({len(f)})") for name, f in rows]
+    )
+    use_available_fonts(ax)
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
     return ax
@@ -366,7 +371,7 @@ def _weights(result: FitResult, ax: Axes) -> Axes:
     """Weights of plays or stops over their thresholds, with standard errors where they have one."""
     found, unit = result.model.plays(), result.data.units
     if not found:
-        return _absent(ax, f"{result.name} has no plays")
+        return _empty_axes(ax, f"{result.name} has no plays")
     errors = {p.name: p.stderr for p in result.parameters}
     for plays, color in zip(found, itertools.cycle(CYCLES.values())):
         spread = [errors.get(name) or 0.0 for name in plays.names]
@@ -379,7 +384,7 @@ def _weights(result: FitResult, ax: Axes) -> Axes:
     return ax
 
 
-def _absent(ax: Axes, text: str) -> Axes:
+def _empty_axes(ax: Axes, text: str) -> Axes:
     ax.set(xlabel=text, xticks=[], yticks=[])
     return ax
 
@@ -390,7 +395,7 @@ def _density(result: FitResult, ax: Axes) -> Axes:
 
     plane = result.model.plane()
     if plane is None:
-        return _absent(ax, f"{result.name} has no Preisach density")
+        return _empty_axes(ax, f"{result.name} has no Preisach density")
     at = [k for k, name in enumerate(result.free_names) if re.fullmatch(r"w\[\d+\]", name)]
     reach = None
     if result.joint is not None and len(at) == plane.w.size:
@@ -398,7 +403,7 @@ def _density(result: FitResult, ax: Axes) -> Axes:
     return plot_density(plane, ax, reach, units=result.data.units)
 
 
-def _why(family: Sequence[ParameterEstimate]) -> str:
+def _missing_error_reason(family: Sequence[ParameterEstimate]) -> str:
     """The reason why parameters have no standard error."""
     if all(p.at_bound for p in family):
         return f"at its {family[0].at_bound} bound" if len(family) == 1 else "all at a bound"

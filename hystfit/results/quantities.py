@@ -171,7 +171,7 @@ QUANTITIES: dict[str, Quantity] = {
         lambda loops: loops.remanence, leads=_REMANENT,
     ),
     "hysteresis_percent": Quantity(
-        "hysteresis", "largest height of the loop in percent of the stroke", "%",
+        "hysteresis (of the stroke)", "largest height of the loop in percent of the stroke", "%",
         lambda loops: 100 * loops.gap.max(1) / loops.stroke, leads=frozenset({Trade.ACTUATOR, Trade.OTHER}),
     ),
     "stroke": Quantity(

@@ -80,14 +80,16 @@ def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str
     """
     names, found = applicable(result.data, timed=not result.model.rate_independent), {}
     with np.errstate(all="ignore"):
-        loops = excitation.loops(_tried(outputs, excitation.loop))
+        loops = excitation.loops(_simulated_outputs(outputs, excitation.loop))
         for name in names:
             of_loops = QUANTITIES[name].of_loops
-            found[name] = Excitation.creep(_tried(outputs, excitation.step)) if of_loops is None else of_loops(loops)
+            found[name] = (
+                Excitation.creep(_simulated_outputs(outputs, excitation.step)) if of_loops is None else of_loops(loops)
+            )
     return found
 
 
-def _tried(outputs: Any, record: Record) -> np.ndarray:
+def _simulated_outputs(outputs: Any, record: Record) -> np.ndarray:
     """Outputs over a record; NaN where the model cannot be driven by it."""
     try:
         return outputs(record)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import functools
-import importlib.metadata
-import platform
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,61 +23,12 @@ from hystfit.quality.baselines import Baselines
 from hystfit.reading.in_memory import excitation_of, records_of
 from hystfit.registry import attribute, near
 from hystfit.results.accuracy import verdict_dict
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
 from hystfit.results.quantities import QuantityEstimate
 
 SCHEMA = "hystfit.fit/3"
 COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
-_CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
-
-
-@dataclasses.dataclass(frozen=True)
-class ParameterEstimate:
-    """One parameter of a fit.
-
-    Attributes:
-        name, unit, doc: what it is.
-        value: in `unit`.
-        stderr: standard error; None where it means nothing (fixed, on a bound, not determined).
-        lower, upper: bounds; None where there is none.
-        fixed: whether it was held.
-        at_bound: "lower" or "upper" where it reached a bound.
-        identifiable: whether the data determine it; None where it was fixed.
-    """
-
-    name: str
-    value: float
-    stderr: float | None
-    unit: str
-    lower: float | None
-    upper: float | None
-    fixed: bool
-    at_bound: str | None
-    identifiable: bool | None
-    doc: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """For `result.json`."""
-        return {k: v for k, v in dataclasses.asdict(self).items() if k not in ("name", "doc")}
-
-
-@dataclasses.dataclass(frozen=True)
-class NoiseEstimate:
-    """The noise behind the standard errors of a fit.
-
-    Attributes:
-        name: as it was chosen: "auto" (least squares, with errors for the noise seen in the residuals), "iid", or the noise model
-            that refined the fit.
-        parameters: of that noise, by name; empty where the residuals count as independent.
-    """
-
-    name: str
-    parameters: dict[str, float] = dataclasses.field(default_factory=dict)
-
-    @property
-    def refines(self) -> bool:
-        """Whether the estimate is the optimum of a likelihood of its own, not of least squares."""
-        return self.name not in ("auto", "iid")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -269,7 +217,7 @@ class FitResult:
         names = [fitted.name for fitted in self.data]
         return names.index(record.name) if record.name in names else 0
 
-    def in_own_units(self, record: Record) -> Record:
+    def in_fitted_units(self, record: Record) -> Record:
         """The record in the units of the fitted records, with a note on each unit that was converted or assumed.
 
         Raises:
@@ -312,7 +260,7 @@ class FitResult:
             DataError: an input that cannot be used, or an offset is to be refitted and no output counts.
         """
         given = excitation_of(data, t, u=u, like=self.data[0])
-        record = self.in_own_units(given)
+        record = self.in_fitted_units(given)
         if record.t is None and not self.model.rate_independent:
             raise ModelError(f"{self.name} depends on time: give t, the time of each sample")
         fitted = next((k for k, own in enumerate(self.data) if own is record), None)
@@ -330,7 +278,7 @@ class FitResult:
 
     def metrics(self, data: Any, *, refit_offset: bool = False) -> Metrics:
         """Metrics of the prediction on the samples that count, in the units of the fit: of records or a data frame."""
-        records = [self.in_own_units(self.model.prepared(record)) for record in records_of(data)]
+        records = [self.in_fitted_units(self.model.prepared(record)) for record in records_of(data)]
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
@@ -364,15 +312,16 @@ class FitResult:
 
     def extrapolation(self, record: Record) -> Note | None:
         """A warning where a record leaves the fitted range of inputs; None where it does not."""
-        record = self.in_own_units(record)
+        record = self.in_fitted_units(record)
         low, high = self.input_range
         outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
         outside &= record.used
         if not outside.any():
             return None
+        span = f"{low:.4g} to {high:.4g} {record.u_unit}".rstrip()
         text = (
-            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs "
-            f"({low:.4g} to {high:.4g} {record.u_unit}): the prediction there is an extrapolation"
+            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs ({span}): the prediction "
+            "there is an extrapolation"
         )
         return warn(Code.EXTRAPOLATION, text)
 
@@ -469,33 +418,3 @@ def _matrix(values: np.ndarray) -> list[list[float | None]]:
 def _view(name: str) -> Any:
     """A function of a result that its methods call; bound late, because those modules import this one."""
     return attribute(f"hystfit.results.{name}")
-
-
-@functools.cache  # the metadata of a package is a file that is parsed each time
-def _version(package: str) -> str:
-    return importlib.metadata.version(package)
-
-
-def provenance(data: Iterable[Record], seed: int | None, **more: Any) -> dict[str, Any]:
-    """Versions, seed, checksums of the data, date; a record for people, never read back."""
-    packages = ("hystfit", "jax", "equinox", "optimistix", "numpy", "scipy")
-    return {
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "python": platform.python_version(),
-        "versions": {name: _version(name) for name in packages},
-        "seed": seed,
-        "records": [
-            {
-                "name": r.name,
-                "source": r.source,
-                "file_sha256": r.sha256,
-                "data_sha256": r.digest(),
-                "samples": len(r),
-                "units": {"u": r.u_unit or None, "y": r.y_unit or None, "t": None if r.t is None else r.t_unit},
-                "metadata": dict(r.metadata),
-                "changes": [note.text for note in r.notes if note.code in _CHANGES],
-            }
-            for r in data
-        ],
-        **more,
-    }

@@ -15,8 +15,9 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
 from hystfit.quality.baselines import Baselines
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult, NoiseEstimate, ParameterEstimate
+from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult
 from hystfit.results.stored_values import Stored, is_number
 from hystfit.results.user_code import allow, noise_file
 
@@ -65,7 +66,7 @@ def result_of(
             f"{stored.place}: the metrics of the fitted samples are missing; restore the file, or fit again"
         )
     if noise.refines:
-        _try(f"{stored.place}: noise", lambda: NOISES.find(noise.name)(**noise.parameters))
+        _build(f"{stored.place}: noise", lambda: NOISES.find(noise.name)(**noise.parameters))
     return FitResult(
         problem=problem,
         x=x,
@@ -109,9 +110,9 @@ def _models_of(described: Stored, noise: NoiseEstimate, trust: bool) -> tuple[li
     code = described.part("code")
     files = files_named(listed) | ({noise_file(noise.name)} - {None})
     allowed, notes = allow(files, {name: code.optional_text(name) for name in code.content}, trust)  # type: ignore[arg-type]
-    models = [_try(described.place, lambda one=one: from_json(one, allowed)) for one in listed]
+    models = [_build(described.place, lambda one=one: from_json(one, allowed)) for one in listed]
     for model in models:
-        _try(described.place, lambda model=model: _traced(model))
+        _build(described.place, lambda model=model: _traced(model))
     return models, notes
 
 
@@ -122,7 +123,7 @@ def _traced(model: AbstractHysteresis) -> None:
     jax.eval_shape(step, number, number, number)
 
 
-def _try(place: str, make: Any) -> Any:
+def _build(place: str, make: Any) -> Any:
     """What `make` returns; any error, also one of the user's own class, as a DataError."""
     try:
         return make()
@@ -138,7 +139,7 @@ def _problem_of(block: Stored, names: tuple[str, ...], model: AbstractHysteresis
     if loss not in LOSSES:
         raise DataError(f"{block.place}: no loss {loss!r}; restore the file, or fit again")
     fixed = block.texts("fixed")
-    problem = _try(block.place, lambda: Problem(model, data, fix=fixed, free=free, loss=loss))  # type: ignore[arg-type]
+    problem = _build(block.place, lambda: Problem(model, data, fix=fixed, free=free, loss=loss))  # type: ignore[arg-type]
     if problem.space.names != names:
         raise DataError(
             f"{block.place}: the free parameters {list(names)} are not those of the model {problem.space.names}"

@@ -50,10 +50,10 @@ class Stored:
     def __init__(self, content: Any, place: str):
         self.place = place
         if not isinstance(content, dict):
-            raise self._wrong("", "an object", content)
+            raise self._type_error("", "an object", content)
         self.content: dict[str, Any] = content
 
-    def _wrong(self, key: str, expected: str, value: Any) -> DataError:
+    def _type_error(self, key: str, expected: str, value: Any) -> DataError:
         found = _KINDS.get(type(value), "") or f"{value!r:.40}"
         member = f" {key!r}" if key else ""
         return DataError(f"{self.place}:{member} is {found} instead of {expected}; restore the file, or fit again")
@@ -66,7 +66,7 @@ class Stored:
     def _read(self, key: str, expected: str, fits: Callable[[Any], bool], optional: bool = False) -> Any:
         value = self._value(key)
         if not (fits(value) or (optional and value is None)):
-            raise self._wrong(key, expected, value)
+            raise self._type_error(key, expected, value)
         return value
 
     def part(self, key: str) -> Stored:
@@ -137,7 +137,7 @@ class Stored:
         """A member of an enumeration."""
         value = self.text(key)
         if value not in list(kind):
-            raise self._wrong(key, f"one of {', '.join(kind)}", value)
+            raise self._type_error(key, f"one of {', '.join(kind)}", value)
         return kind(value)
 
     def notes(self, key: str) -> tuple[Note, ...]:

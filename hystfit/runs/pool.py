@@ -83,7 +83,7 @@ def _by_dask(task: Task, items: Sequence[Any], scheduler: str) -> Iterator[Outco
     except ImportError as error:
         raise MissingExtraError("distributed", "batch", "scheduler=") from error
     try:
-        _knock(scheduler)
+        _check_scheduler(scheduler)
         client = Client(scheduler)
     except (OSError, ValueError) as error:
         raise DataError(f"no Dask scheduler answers at {scheduler!r}: {error}") from error
@@ -94,7 +94,7 @@ def _by_dask(task: Task, items: Sequence[Any], scheduler: str) -> Iterator[Outco
 
 
 def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Future]:
-    """Tasks as they end. A scheduler keeps what no worker takes for ever: where none runs for long, that is an error."""
+    """Yield tasks as they end; a scheduler without running workers for long is an error."""
     alone = time.monotonic()
     while waiting:
         time.sleep(_PAUSE)
@@ -121,8 +121,8 @@ def _running(client: Client) -> bool:
     return any(worker["status"] == "running" for worker in workers.values())
 
 
-def _knock(scheduler: str) -> None:
-    """A client that finds nobody tries for half a minute, and again when it is thrown away: see whether anybody listens first."""
+def _check_scheduler(scheduler: str) -> None:
+    """Check that a scheduler listens: a Dask client without one retries for half a minute, and again when it is closed."""
     from distributed.comm.addressing import get_address_host_port, parse_address
     from distributed.comm.registry import get_backend
 

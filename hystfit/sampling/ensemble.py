@@ -68,7 +68,9 @@ class Ensemble(AbstractSampler):
         sampler = walk(target, self.walkers)
         file = None if folder is None else folder / "emcee.h5"
         chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, seed)
-        tau, settled = _look(chain, longest_time(chain[: -len(chain) // 20])) if len(chain) else (np.inf, False)
+        tau, settled = (
+            _check_convergence(chain, longest_time(chain[: -len(chain) // 20])) if len(chain) else (np.inf, False)
+        )
         while len(chain) < self.draws and not settled:
             count = min(max(self.check, len(chain) // 20), self.draws - len(chain))
             sampler.reset()
@@ -78,7 +80,7 @@ class Ensemble(AbstractSampler):
             accepted = accepted + sampler.backend.accepted
             if file is not None:
                 _write(file, chain, logs, accepted, state.random_state)
-            tau, settled = _look(chain, tau)
+            tau, settled = _check_convergence(chain, tau)
             report(
                 f"{len(chain)} steps of {self.walkers} walkers, about {len(chain) * self.walkers / tau:.0f} effective draws so far",
                 len(chain) / self.draws,
@@ -113,7 +115,7 @@ def longest_time(chain: Float[np.ndarray, "steps walkers d"], before: float = np
     return time if np.isfinite(time) else np.inf
 
 
-def _look(chain: np.ndarray, before: float) -> tuple[float, bool]:
+def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
     """The autocorrelation time now, and whether the chain is long enough for it."""
     tau = longest_time(chain, before)
     return tau, bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)

@@ -62,7 +62,7 @@ class Nested(AbstractSampler):
             DataError: hardly any draw from the prior has a finite likelihood.
         """
         runs = [self._once(setup, seed, number, folder, report) for number in range(self.chains)]
-        keep = min(self.draws, *(int(run.worth) for run in runs))
+        keep = min(self.draws, *(int(run.effective_count) for run in runs))
         rng = np.random.default_rng(seed)
         rows = [_equal(run.weights, keep, rng) for run in runs]
         z = np.stack([run.z[at] for run, at in zip(runs, rows, strict=True)])
@@ -124,7 +124,7 @@ class _Run(NamedTuple):
     ended: bool
 
     @property
-    def worth(self) -> float:
+    def effective_count(self) -> float:
         """Effective number of draws of the weights (Kish)."""
         return float(1 / np.sum(self.weights**2))
 

@@ -189,7 +189,7 @@ class Posterior:
             count: number of draws, chosen at random.
             seed: of the choice.
         """
-        own = self.result.in_own_units(record)
+        own = self.result.in_fitted_units(record)
         return self.result.to_unit_of(
             record, _view("predictive:simulate_draws")(self.result, own, self.thinned(count, seed))
         )

@@ -10,7 +10,7 @@ from scipy.stats import rankdata
 from hystfit.errors import MissingExtraError, ParameterError
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
-from hystfit.results.labels import column_label, make_legible
+from hystfit.results.labels import column_label, use_available_fonts
 from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
@@ -34,7 +34,7 @@ def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
     if kind not in _KINDS:
         raise ParameterError(f"no picture {kind!r} of a posterior; there are {', '.join(_KINDS)}")
     figure = {"corner": _corner, "trace": _trace, "rank": _rank, "bands": _bands}[kind](posterior, **options)
-    make_legible(figure)
+    use_available_fonts(figure)
     return figure
 
 

@@ -54,7 +54,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
         seed: of their choice and of the noise.
     """
     result = posterior.result
-    given, record = record, result.in_own_units(record)
+    given, record = record, result.in_fitted_units(record)
     flat = posterior.draws.reshape(-1, len(posterior.names))
     rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
     y = simulate_draws(result, record, rows[:, : len(result.free_names)])

@@ -25,7 +25,8 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.results.agreement import differences
 from hystfit.results.folders import alone
-from hystfit.results.result import FitResult, provenance
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
 from hystfit.runs.chunks import claim
 from hystfit.sampling.base import AbstractSampler, Progress
 from hystfit.sampling.diagnostics import Convergence
@@ -104,7 +105,7 @@ def sample(
             *setup.notes,
             *raw.notes,
             *problems,
-            *beside_priors(setup, draws),
+            *prior_dominated_notes(setup, draws),
             *_beside_fit(result, setup, draws),
         ),
         priors=setup.describe_priors(),
@@ -143,7 +144,7 @@ def _physical(density: Density, z: Array) -> Array:
     return jax.vmap(density.physical)(z)
 
 
-def beside_priors(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+def prior_dominated_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """Notes on parameters whose posterior is hardly narrower than the prior, or lies in the far tail of it."""
     key, notes = jax.random.key(0), []
     for k, (name, prior) in enumerate(zip(setup.names, setup.problem.priors, strict=True)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
@@ -22,6 +22,7 @@ from hystfit.models.base import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table
 from hystfit.outcome.note import warn
 from hystfit.results.agreement import differences
+from hystfit.results.plots import grouped
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.predicted_errors import PRIOR, Plan, covariance_with
 
@@ -99,18 +100,34 @@ class Design:
         sd = self.result.sigma if sigma is None else sigma
         return Record(u=u, y=y + sd * np.random.default_rng(seed).normal(size=u.size), t=t, name="designed")
 
+    def families(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+        """Parameters by the name under which they are shown: arrays of many weights share one, such as "w[60]".
+
+        Args:
+            names: of parameters.
+        """
+        rows = grouped([self.result[name] for name in names])
+        many = lambda name, family: name if len(family) == 1 else f"{name}[{len(family)}]"
+        return {many(name, family): tuple(p.name for p in family) for name, family in rows}
+
+    @staticmethod
+    def median(errors: Mapping[str, float | None], names: Sequence[str]) -> float | None:
+        """Median of the standard errors of these parameters; None where the data do not determine one half of them."""
+        value = float(np.median([np.inf if (error := errors[name]) is None else error for name in names]))
+        return value if np.isfinite(value) else None
+
     def table(self) -> Table:
-        """Predicted standard errors with the present data alone, and together with each candidate."""
-        columns = [Column("")]
-        for name in self.present:
-            unit = self.result[name].unit
-            columns.append(Column(f"{name} [{unit}]" if unit else name, key=name, form=".3g"))
+        """Predicted standard errors with the present data alone, and together with each candidate; the median of many weights."""
+        columns, families = [Column("")], self.families(tuple(self.present))
+        for name, members in families.items():
+            unit, head = self.result[members[0]].unit, name if len(members) == 1 else f"{name} median"
+            columns.append(Column(f"{head} [{unit}]" if unit else head, key=name, form=".3g"))
         rows = [("present", self.present)] + [(c.name, c.stderr) for c in self.candidates]
-        return Table(columns, [[label, *(errors[name] for name in self.present)] for label, errors in rows])
+        return Table(columns, [[label, *(self.median(errors, m) for m in families.values())] for label, errors in rows])
 
     def __str__(self) -> str:
         lines = [
-            f"{self.result.name}: next input for {', '.join(self.aim)}",
+            f"{self.result.name}: next input for {', '.join(self.families(self.aim))}",
             "predicted standard errors, present data and the new input:",
             *self.table().lines(),
         ]

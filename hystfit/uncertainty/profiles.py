@@ -27,7 +27,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
 from hystfit.results.agreement import differences
-from hystfit.results.labels import make_legible
+from hystfit.results.labels import use_available_fonts
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.profile_paths import LowerOptimum, Path, Walk
 
@@ -159,7 +159,7 @@ class Profiles:
             row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
         shown = dict(zip(*reversed(_handles(list(axes.ravel()))), strict=True))
         figure.legend(shown.values(), shown.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
-        make_legible(figure)
+        use_available_fonts(figure)
         return figure
 
 
@@ -314,9 +314,7 @@ def _whitened(
     sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))
     text = "independent"
     if np.any(wider != 1):
-        text = (
-            f"independent, intervals widened {wider.min():.3g} to {wider.max():.3g} times for autocorrelated residuals"
-        )
+        text = f"independent, widths times {wider.min():.3g} to {wider.max():.3g} for autocorrelated residuals"
     return text, x, problem.whitened(White(noise_white=sd)), wider
 
 

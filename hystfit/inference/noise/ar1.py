@@ -30,7 +30,7 @@ class Ar1(AbstractSlow):
 
     @classmethod
     def start(cls, scales: ResidualScales) -> Ar1:
-        """All residuals are slow noise."""
+        """Starting values that attribute all residuals to slow noise."""
         return cls(noise_slow=scales.total, noise_time=scales.start_time)
 
     @classmethod

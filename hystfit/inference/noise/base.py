@@ -115,7 +115,7 @@ class AbstractNoise(eqx.Module):
 
     @classmethod
     def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
-        """Priors that the data decide, by parameter; the others are those of the declarations.
+        """Priors that depend on the data, by parameter; the others come from the declarations.
 
         Args:
             longest: samples of the longest record.

@@ -57,7 +57,7 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
 
     @classmethod
     def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
-        """The curve is about as large as the residuals suggest.
+        """The prior of the curve is scaled to the residuals.
 
         Model and discrepancy explain the same data. Without this prior the draws include errors of any size that the model
         compensates (Brynjarsdottir and O'Hagan 2014).

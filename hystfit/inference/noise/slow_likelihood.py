@@ -221,7 +221,7 @@ def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
 
 
 def _nodes() -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
-    """Nodes and weights of a Gauss-Hermite rule of three by three points for a normal density of variance one."""
+    """Nodes and weights of a 3 x 3 Gauss-Hermite rule for a standard normal density."""
     at, weight = np.polynomial.hermite_e.hermegauss(3)
     return np.stack(np.meshgrid(at, at), -1).reshape(-1, 2), np.outer(weight, weight).ravel() / (2 * np.pi)
 

@@ -29,7 +29,7 @@ class White(AbstractNoise):
 
     @classmethod
     def start(cls, scales: ResidualScales) -> White:
-        """All residuals are independent noise."""
+        """Starting values that attribute all residuals to independent noise."""
         return cls(noise_white=scales.total)
 
     @classmethod

@@ -19,7 +19,7 @@ from hystfit.models.preisach.staircase import Staircase, compile_input
 
 
 class Terms(eqx.Module):
-    """What each of K nodes or states adds to the output of its parent, as look-ups.
+    """Look-up terms: what each of K nodes or states adds to the output of its parent.
 
     Attributes:
         first: of those without a parent, which come first: their input (cells), or where in the table of first excursions (relays).
@@ -63,7 +63,7 @@ def compile_for(model: AbstractPlane, u: np.ndarray) -> Compiled:
         u: input, shape (T,).
     """
     u = np.asarray(u, dtype=float)
-    code, stairs = stairs_of(model, u)
+    code, stairs = staircase_of(model, u)
     terms = _cell_terms if code is None else functools.partial(_relay_terms, code=code)
     nodes = terms(model, stairs.node_value, stairs.node_parent, stairs.node_value)
     states = terms(model, stairs.state_value, stairs.state_parent, stairs.node_value)
@@ -115,7 +115,7 @@ class Code:
         return at_most, before[code // 2]
 
 
-def stairs_of(model: AbstractPlane, u: np.ndarray) -> tuple[Code | None, Staircase]:
+def staircase_of(model: AbstractPlane, u: np.ndarray) -> tuple[Code | None, Staircase]:
     """The states that an input visits: of the input itself for cells, of its codes for relays."""
     center = float(model.center)
     if model.elements == "cells":

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from hystfit.models.preisach.compiled import Code, rises_first, stairs_of, ties
-from hystfit.models.preisach.everett import cells, fold, swept
+from hystfit.models.preisach.compiled import Code, rises_first, staircase_of, ties
+from hystfit.models.preisach.everett import cells, first_rise_masses, fold
 from hystfit.models.preisach.plane import AbstractPlane, ramps
 from hystfit.models.preisach.staircase import Staircase
 
@@ -25,7 +25,7 @@ def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarra
         A of shape (S, p), and the row of each sample, shape (T,).
     """
     u = np.asarray(u, dtype=float)
-    code, stairs = stairs_of(model, u)
+    code, stairs = staircase_of(model, u)
     columns = weight_columns(model, code, stairs)
     index, inputs = stairs.index, stairs.state_value
     if code is not None:  # one state serves many inputs, on which the single-valued part depends
@@ -128,7 +128,7 @@ def _first_cells(model: AbstractPlane, u: np.ndarray) -> np.ndarray:
 
     def rise(levels: np.ndarray, u: np.ndarray) -> np.ndarray:
         row, x = np.broadcast_arrays(rows, u[:, None])
-        return np.asarray(swept(levels, center, row, x, np))
+        return np.asarray(first_rise_masses(levels, center, row, x, np))
 
     up, down = rise(levels, np.maximum(u, center)), rise(2 * center - levels[::-1], 2 * center - np.minimum(u, center))
     return 2 * (up[:, i, j] - down[:, n - 1 - j, n - 1 - i])

@@ -123,7 +123,7 @@ class Everett(eqx.Module):
         return self.off[-1, 0] + self.sums[-1]
 
 
-def swept(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyArray, xp: Any = jnp) -> AnyArray:
+def first_rise_masses(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyArray, xp: Any = jnp) -> AnyArray:
     """Parts of the cells of a row that lie in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
 
     Args:
@@ -177,7 +177,7 @@ class FirstRise(eqx.Module):
         """
         n = levels.shape[0] - 1
         square = grid(w, n)
-        rows = jnp.sum(square * swept(levels, center, jnp.arange(n), levels[1:]), axis=1)
+        rows = jnp.sum(square * first_rise_masses(levels, center, jnp.arange(n), levels[1:]), axis=1)
         return cls(square, jnp.concatenate([jnp.zeros(1, w.dtype), jnp.cumsum(rows)]), levels, center)
 
     @classmethod
@@ -195,7 +195,7 @@ class FirstRise(eqx.Module):
     def __call__(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
         """Mass that a rise to u switches."""
         row = place(self.levels, u).cell
-        return self.sums[row] + jnp.sum(self.square[row] * swept(self.levels, self.center, row, u), axis=-1)
+        return self.sums[row] + jnp.sum(self.square[row] * first_rise_masses(self.levels, self.center, row, u), axis=-1)
 
 
 class CellMemory(eqx.Module):

@@ -21,7 +21,7 @@ _NEAR = 0.05  # of the levels' range: an input so close to the lowest level has 
 
 @dataclasses.dataclass(frozen=True)
 class Moved:
-    """How far a measured table had to move to be one of a Preisach model.
+    """Distance between a measured table and the nearest one of a Preisach model.
 
     Attributes:
         rms, largest: change of node values, in percent of the table's largest value.
@@ -123,7 +123,7 @@ class EverettTable:
         return np.concatenate([self.X[i, j] - self.X[i + 1, j], self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
 
     def faults(self) -> tuple[str, ...]:
-        """What keeps the table from being one of a Preisach model, one sentence each; none where it is."""
+        """Reasons why the table is not that of a Preisach model, one sentence each; empty where it is."""
         size = float(np.abs(self.X).max()) or 1.0
         turned, masses, found = self.turned(), self.masses() / size, []
         if (turned > 1e-9).any():

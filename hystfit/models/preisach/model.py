@@ -69,7 +69,7 @@ class Preisach(AbstractPlane):
     """
 
     rate_independent: ClassVar[bool] = True
-    short_cut: ClassVar[bool] = True
+    has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "preisach"
     needs: ClassVar[Needs] = Needs(
         turning_pairs=(3, 10),

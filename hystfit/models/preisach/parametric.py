@@ -40,7 +40,7 @@ class ParametricPreisach(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
-    short_cut: ClassVar[bool] = True
+    has_fast_run: ClassVar[bool] = True
 
     saturation: Float[Array, ""] = param(
         1.0, bounds=(0.0, np.inf), unit="y", linear=True, doc="half the jump between saturations"

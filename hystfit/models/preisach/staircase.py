@@ -75,12 +75,12 @@ def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
     run, v = np.cumsum(fresh) - 1, v[fresh]
     values, code = _codes(v)
     turns = turning_points(v)
-    tree = grow(v[turns], code[turns], values.size, rest, center)
+    tree = build_tree(v[turns], code[turns], values.size, rest, center)
     # A sample starts from the last turning point before it; the first one from the rest.
     passed = np.zeros(v.size, dtype=int)
     passed[turns[turns + 1 < v.size] + 1] = 1
     start = np.append(-1, tree.of_turn)[np.cumsum(passed)]
-    parent = settle(v.astype(float), start, tree.parent, tree.low, tree.high)
+    parent = enclosing_nodes(v.astype(float), start, tree.parent, tree.low, tree.high)
     keys, state = distinct((parent + 1) * values.size + code, (tree.value.size + 1) * values.size)
     state_parent = keys // values.size - 1
     return Staircase(tree.value, tree.parent, values[keys % values.size], state_parent, state[run], tree.depth)
@@ -124,7 +124,7 @@ class Tree:
     depth: int
 
 
-def grow(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) -> Tree:
+def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) -> Tree:
     """The tree of a sequence of turning points.
 
     Args:
@@ -142,7 +142,7 @@ def grow(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) 
     for a, b, c in reversed(passes):
         for start, now in ((a, b), (b, c)):
             x = v[now]
-            parent[now] = above = settle(x, start, parent, low, high)
+            parent[now] = above = enclosing_nodes(x, start, parent, low, high)
             other = np.where(above < 0, opposite(x, rest, center), v[above])
             low[now], high[now] = np.minimum(x, other), np.maximum(x, other)
             level[now] = np.where(above < 0, 1, level[above] + 1)
@@ -205,7 +205,9 @@ def opposite(v: Any, rest: str, center: float) -> Any:
     return 2 * center - v if rest == "demagnetized" else -np.inf if rest == "negative" else np.inf
 
 
-def settle(v: np.ndarray, node: np.ndarray, parent: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def enclosing_nodes(
+    v: np.ndarray, node: np.ndarray, parent: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
     """Walk up the tree from given extrema to those whose interval contains inputs v; -1 where none does.
 
     Args:

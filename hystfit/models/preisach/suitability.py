@@ -96,7 +96,7 @@ def _rest(record: Record) -> Rest:
 
 @dataclasses.dataclass(frozen=True)
 class PreisachCheck:
-    """Whether a record looks like a Preisach model's.
+    """Result of the Preisach tests on one record.
 
     Attributes:
         record: its name.
@@ -120,7 +120,7 @@ class PreisachCheck:
         return any(self.outcomes[name] != "untested" for name in ("wiping-out", "congruency"))
 
     def text(self) -> str:
-        """As lines of text, without the record's name."""
+        """The check as lines of text, without the record's name."""
         lines = [f"    - {note}" for note in self.notes]
         if self.higher is not None:
             lines += [f"      {'reversals remembered':<22}{'samples':>8}{'rms %':>9}{'largest %':>11}"]
@@ -153,7 +153,7 @@ class PreisachCheck:
 
 
 def check_preisach(record: Record, limit: float = 2.0, *, model: bool = False) -> PreisachCheck:
-    """Test the two properties that a Preisach model has and nothing else has (Mayergoyz): wiping-out and congruency.
+    """Test the two properties that characterize a Preisach model (Mayergoyz): wiping-out and congruency.
 
     Args:
         record: measured.
@@ -174,7 +174,7 @@ def check_preisach(record: Record, limit: float = 2.0, *, model: bool = False) -
 
 @dataclasses.dataclass(frozen=True)
 class PreisachChecks:
-    """Whether the records of a data set look like a Preisach model's.
+    """Results of the Preisach tests on all records of a data set.
 
     Attributes:
         checks: of the records.

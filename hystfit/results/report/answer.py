@@ -10,7 +10,7 @@ from hystfit.outcome.table import number, rounded
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.results.accuracy import Limits
-from hystfit.results.quantities import QUANTITIES, Trade
+from hystfit.results.quantities import CREEP, QUANTITIES, Trade
 from hystfit.results.result import FitResult
 
 _NAMED = 4  # parameters named one by one
@@ -22,7 +22,7 @@ def answer(result: FitResult) -> list[tuple[str, str]]:
     """Names and values, the most important first."""
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
-        rows.append(("Lag of the output at reversals", lag))
+        rows.append(lag)
     return [*rows, ("Not determined", _undetermined(result)), ("Next", "\n".join(next_commands(result)))]
 
 
@@ -42,7 +42,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     trade, rows = Trade.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if trade not in one.leads:
+        if trade not in one.leads or (q.name == CREEP and q.value == 0):
             continue
         if q.value is None:
             rows.append((_capital(one.label), "unknown" if q.reason is None else q.reason.text))
@@ -57,16 +57,17 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _lag(record: Record) -> str | None:
-    """The measured lag, where it is significant."""
+def _lag(record: Record) -> tuple[str, str] | None:
+    """The measured lag or lead, where it is significant."""
     if not record.used.all() or record.t is None:
         return None
     turns = reversals(record.u, _TURN * float(np.ptp(record.u)))
     found = estimate_lag(record.u, record.y, record.sampling_interval, turns)
     if found is None or abs(found.samples) < _LAGS * found.stderr:
         return None
-    clock = "" if found.seconds is None else f" ({found.seconds:.3g} {record.t_unit})"
-    return f"{found.samples:.1f} +- {found.stderr:.1f} samples{clock}"
+    clock = "" if found.seconds is None else f" ({abs(found.seconds):.3g} {record.t_unit})"
+    what = "Lag" if found.samples > 0 else "Lead"
+    return f"{what} of the output at reversals", f"{abs(found.samples):.1f} +- {found.stderr:.1f} samples{clock}"
 
 
 def _undetermined(result: FitResult) -> str:
@@ -85,5 +86,9 @@ def next_commands(result: FitResult) -> list[str]:
         return ["hystfit check LOOP"]
     if not result.usable:
         return ["hystfit compare LOOP", "hystfit check LOOP"]
-    commands = ["hystfit predict FIT LOOP2", "hystfit invert FIT REFERENCE", "hystfit export FIT --c C"]
+    commands = ["hystfit predict FIT LOOP2"]
+    if result.model.obstacle("inverse") is None:
+        commands.append("hystfit invert FIT REFERENCE")
+    if result.model.obstacle("export") is None:
+        commands.append("hystfit export FIT --c C")
     return [*commands, "hystfit sample FIT" if len(result.x) <= 40 else "hystfit errors FIT"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
 from hystfit.results.plots import fit as draw
-from hystfit.results.plots import grouped, shows_cycles
+from hystfit.results.plots import grouped, selects_cycles
 from hystfit.results.report.answer import answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
@@ -44,7 +44,7 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     """Figures by file name, made without global state of matplotlib."""
     from matplotlib.figure import Figure
 
-    kinds = ["loop", "cycle-errors"] if shows_cycles(result) else ["loop"]
+    kinds = ["loop", "cycle-errors"] if selects_cycles(result) else ["loop"]
     kinds += ["series", "worst"] if sum(map(len, result.data)) > _LONG else ["series"]
     kinds += ["residuals", "residuals-input", "autocorrelation", "parameters"]
     kinds += ["weights"] if result.model.plays() else []

@@ -6,10 +6,11 @@ import math
 
 from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number, rounded
+from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.metrics import Metrics
 from hystfit.results.plots import grouped
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate
-from hystfit.results.result import FitResult, ParameterEstimate
+from hystfit.results.result import FitResult
 
 
 def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:

@@ -1,0 +1,55 @@
+"""Parameters and noise as a fit reports them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterEstimate:
+    """One parameter of a fit.
+
+    Attributes:
+        name, unit, doc: what it is.
+        value: in `unit`.
+        stderr: standard error; None where it means nothing (fixed, on a bound, not determined).
+        lower, upper: bounds; None where there is none.
+        fixed: whether it was held.
+        at_bound: "lower" or "upper" where it reached a bound.
+        identifiable: whether the data determine it; None where it was fixed.
+    """
+
+    name: str
+    value: float
+    stderr: float | None
+    unit: str
+    lower: float | None
+    upper: float | None
+    fixed: bool
+    at_bound: str | None
+    identifiable: bool | None
+    doc: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
+        return {k: v for k, v in dataclasses.asdict(self).items() if k not in ("name", "doc")}
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseEstimate:
+    """The noise behind the standard errors of a fit.
+
+    Attributes:
+        name: as it was chosen: "auto" (least squares, with errors for the noise seen in the residuals), "iid", or the noise model
+            that refined the fit.
+        parameters: of that noise, by name; empty where the residuals count as independent.
+    """
+
+    name: str
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def refines(self) -> bool:
+        """Whether the estimate is the optimum of a likelihood of its own, not of least squares."""
+        return self.name not in ("auto", "iid")
