@@ -101,6 +101,7 @@ def test_priors_that_exclude_the_data_are_refused(two_modes):
         sample(two_modes, "nested", noise="iid", priors={name: priors.Uniform(100.0, 101.0)})
 
 
+@pytest.mark.usefixtures("as_users_run")
 @pytest.mark.parametrize(("sampler", "suggested"), [("nested", False), ("nuts", True)])
 def test_residuals_suggest_no_priors_for_an_evidence(monkeypatch, sampler, suggested):
     class Asked(Exception):
