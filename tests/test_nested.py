@@ -1,5 +1,6 @@
 """Nested sampling against quadrature, on a posterior with two modes by symmetry; runs that go on; bad input."""
 
+import importlib
 import itertools
 import shutil
 
@@ -13,11 +14,13 @@ from scipy.special import logsumexp
 import hystfit as hf
 from hystfit import priors
 from hystfit.errors import DataError, ParameterError
+from hystfit.inference.noise import LoopDiscrepancy
 from hystfit.sampling.files import load_posterior
 from hystfit.sampling.sample import sample
 from hystfit.sampling.setup import prepare
 
 SETTINGS = dict(noise="iid", live=300, seed=5)
+sampling = importlib.import_module("hystfit.sampling.sample")  # the package has a function of this name
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +99,23 @@ def test_priors_that_exclude_the_data_are_refused(two_modes):
     name = two_modes.free_names[0]
     with pytest.raises(ParameterError, match="outside the prior"):
         sample(two_modes, "nested", noise="iid", priors={name: priors.Uniform(100.0, 101.0)})
+
+
+@pytest.mark.usefixtures("as_users_run")
+@pytest.mark.parametrize(("sampler", "suggested"), [("nested", False), ("nuts", True)])
+def test_residuals_suggest_no_priors_for_an_evidence(monkeypatch, sampler, suggested):
+    class Asked(Exception):
+        pass
+
+    def prepare(result, *, noise, priors, by_residuals):
+        raise Asked(by_residuals)
+
+    monkeypatch.setattr(sampling, "prepare", prepare)
+    with pytest.raises(Asked) as asked:
+        sample(None, sampler, noise="discrepancy")
+    assert asked.value.args == (suggested,)
+
+
+def test_without_residuals_the_size_of_model_error_keeps_its_declared_prior():
+    assert "noise_loop" in LoopDiscrepancy.default_priors(300, 0.01)
+    assert "noise_loop" not in LoopDiscrepancy.default_priors(300, None)

@@ -52,8 +52,10 @@ def measured(results: Results) -> str:
         ("filter, then both", both, third.free_run),
         ("least squares", fitted.model, fitted.train),
     ):
+        assert inside is not None  # a run that ended has one
         rows.append([name, inside.nrmse_percent, *_held_out(model, record)])
         results.add(f"measured piezo: {name}, held out RMS %", rows[-1][2])
+    assert online.free_run is not None
     stopped = online.counts["total"] / len(train) * TRAINED
     rows.append(
         [

@@ -22,18 +22,21 @@ from hystfit.uncertainty.robust_errors import covariance
 
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
-SAMPLERS = ("nuts", "emcee")
-SAMPLED = ("white", "AR(1)", "repeating + white")
+BLOCKS = ("sandwich", "bootstrap")
+SAMPLED = (("AR(1) + white", "nuts"), ("AR(1) + white", "emcee"), ("repeating + white", "emcee"))
+SHORT = SAMPLES // 2  # samples of the records that are sampled
 REPLICATES, RIGHT, SOME = 100, 60, 25
-Row = dict[
-    str, Any
-]  # estimates and standard errors of the four parameters, whether 95 % intervals cover, whether it warned
+# Estimates and standard errors of the four parameters, whether 95 % intervals cover, whether notes warned of recurring model error
+# ("warned") or of anything that makes errors unreliable ("alarm").
+Row = dict[str, Any]
+ALARMS = (Code.REPEATING_RESIDUALS, Code.NOT_DETERMINED, Code.AT_BOUND)
 
 
-def _row(value: np.ndarray, sd: np.ndarray, inside: np.ndarray | None = None, warned: bool = False) -> Row:
+def _row(value: np.ndarray, sd: np.ndarray, inside: np.ndarray | None = None, **warnings: bool) -> Row:
     if inside is None:
         inside = np.abs(value - VALUES) < norm.ppf(0.975) * sd
-    return {"value": value.tolist(), "sd": sd.tolist(), "inside": inside.astype(int).tolist(), "warned": int(warned)}
+    row = {"value": value.tolist(), "sd": sd.tolist(), "inside": inside.astype(int).tolist()}
+    return row | {name: int(on) for name, on in warnings.items()}
 
 
 def _numbers(result: hf.FitResult) -> tuple[np.ndarray, np.ndarray]:
@@ -43,20 +46,23 @@ def _numbers(result: hf.FitResult) -> tuple[np.ndarray, np.ndarray]:
 
 
 def by_fit(result: hf.FitResult) -> Row:
-    """Errors of `fit`, and whether a note warns of recurring model error."""
-    return _row(*_numbers(result), warned=has(result.notes, Code.REPEATING_RESIDUALS))
+    """Errors of `fit`, and whether notes warn."""
+    alarm = any(has(result.notes, code) for code in ALARMS)
+    return _row(*_numbers(result), warned=has(result.notes, Code.REPEATING_RESIDUALS), alarm=alarm)
 
 
 @functools.lru_cache(maxsize=1)
-def plain(kind: str, seed: int) -> hf.FitResult:
+def plain(kind: str, seed: int, samples: int = SAMPLES) -> hf.FitResult:
     """The default fit, shared by several methods."""
-    return hf.fit(TRUTH, record(kind, seed), start="model", starts=1)
+    return hf.fit(TRUTH, record(kind, seed, samples), start="model", starts=1)
 
 
 def by_covariance(result: hf.FitResult, kind: str) -> Row:
-    """Errors of least squares by the sandwich or the block bootstrap."""
+    """Errors of least squares by the sandwich or the block bootstrap, with blocks of one cycle."""
     found = covariance(result, kind, block=SAMPLES // CYCLES)
-    return _row(_numbers(result)[0], np.array([found.stderr[found.names.index(name)] for name in NAMES]))
+    at = [found.names.index(name) for name in NAMES]
+    value = _numbers(result)[0]
+    return _row(value, found.stderr[at], np.abs(value - VALUES) < found.half_width[at])
 
 
 def by_profile(result: hf.FitResult) -> Row:
@@ -82,12 +88,12 @@ def by_filter(measured: hf.Record) -> Row:
 
 def by_sampler(result: hf.FitResult, sampler: str) -> Row:
     """Central intervals of a posterior; the noise model is the one that `sample` chooses."""
-    settings = {"chains": 2, "draws": 400, "warmup": 100} if sampler == "nuts" else {"walkers": 32, "draws": 600}
+    settings = {"chains": 2, "draws": 400, "warmup": 100} if sampler == "nuts" else {"walkers": 32, "draws": 500}
     made = hf.sample(result, sampler, seed=0, **settings)
     draws = np.stack([made[name].ravel() for name in NAMES])
     low, high = np.quantile(draws, [0.025, 0.975], axis=1)
     inside = (low < VALUES) & (VALUES < high)
-    return _row(draws.mean(axis=1), draws.std(axis=1), inside, warned=made.noise == "discrepancy")
+    return _row(draws.mean(axis=1), draws.std(axis=1), inside)
 
 
 def row_of(kind: str, method: str, seed: int) -> Row:
@@ -96,8 +102,8 @@ def row_of(kind: str, method: str, seed: int) -> Row:
         return by_fit(plain(kind, seed))
     if method in FITS:
         return by_fit(hf.fit(TRUTH, record(kind, seed), start="model", starts=1, noise=method))
-    if method in SAMPLERS:
-        return by_sampler(plain(kind, seed), method)
+    if (kind, method) in SAMPLED:
+        return by_sampler(plain(kind, seed, SHORT), method)
     if method == "UKF covariance":
         return by_filter(record(kind, seed))
     return by_profile(plain(kind, seed)) if method == "profile" else by_covariance(plain(kind, seed), method)
@@ -135,7 +141,9 @@ class Summary(NamedTuple):
     Attributes:
         covered, least: mean and least coverage over the parameters.
         width: median standard error over the standard deviation of the estimates.
-        warned, none: fraction of replicates with a warning, and of parameters without an error bar.
+        warned: fraction of replicates with a warning of recurring error.
+        none: fraction of parameters without an error bar.
+        unseen: fraction of parameters with an error bar that does not hold the truth, in replicates without any warning.
     """
 
     covered: float
@@ -143,15 +151,18 @@ class Summary(NamedTuple):
     width: float
     warned: float
     none: float
+    unseen: float
 
 
 def summary(rows: Sequence[Row]) -> Summary:
     """Summary over replicates; a parameter without a finite error bar counts neither as covered nor as missed."""
     value, sd, inside = (np.array([row[k] for row in rows], float) for k in ("value", "sd", "inside"))
-    covered = np.nanmean(np.where(np.isfinite(sd), inside, np.nan), axis=0)
+    known = np.isfinite(sd)
+    covered = np.nanmean(np.where(known, inside, np.nan), axis=0)
     width = np.nanmedian(sd, axis=0) / np.std(value, axis=0)
-    warned = float(np.mean([row["warned"] for row in rows]))
-    numbers = (covered.mean(), covered.min(), width.mean(), warned, np.mean(~np.isfinite(sd)))
+    warned, alarm = (np.array([row.get(name, 0) for row in rows], bool) for name in ("warned", "alarm"))
+    unseen = np.mean(known & (inside == 0) & ~alarm[:, None])
+    numbers = (covered.mean(), covered.min(), width.mean(), warned.mean(), np.mean(~known), unseen)
     return Summary(*(float(v) for v in numbers))
 
 
@@ -165,10 +176,10 @@ def methods_of(kind: str, quick: bool) -> tuple[str, ...]:
 
 
 def replicates_of(kind: str, method: str, quick: bool) -> int:
-    """Number of replicates: most for the default, and for its likelihood where that is the true one."""
+    """Number of replicates: most for the default and the rules that share its fit, and for its likelihood where that is the true one."""
     if quick:
         return 12
-    if method == "default" or (method == "ou" and "repeating" not in kind and "strong" not in kind):
+    if method in ("default", *BLOCKS) or (method == "ou" and "repeating" not in kind and "strong" not in kind):
         return REPLICATES
     return RIGHT if method == "discrepancy" and "repeating" in kind else SOME
 
@@ -193,26 +204,29 @@ def run(results: Results, file: Path | None) -> dict[str, str]:
         for method in methods:
             found[method] = summary(rows[method])
             results.add(f"coverage: {kind}, {method}", found[method].covered)
-        results.add(f"width over spread: {kind}, default", found["default"].width)
-        results.add(f"warned of repeating error: {kind}, default", found["default"].warned)
+        default = found["default"]
+        results.add(f"width over spread: {kind}, default", default.width)
+        results.add(f"warned of repeating error: {kind}, default", default.warned)
+        results.add(f"outside without a warning: {kind}, default", default.unseen)
         cell = lambda text, found=found: [text(found[m]) if m in found else None for m in head]
         cover.append([kind, *cell(lambda s: f"{100 * s.covered:.1f} ({100 * s.least:.0f})")])
         width.append([kind, *cell(lambda s: f"{s.width:.2f}")])
-        none.append([kind, *cell(lambda s: f"{100 * s.none:.0f}"), f"{100 * found['default'].warned:.0f}"])
+        none.append(
+            [kind, *cell(lambda s: f"{100 * s.none:.0f}"), f"{100 * default.warned:.0f}", f"{100 * default.unseen:.1f}"]
+        )
     tables = {"coverage": table(["error", *head], cover), "width": table(["error", *head], width)}
-    tables["none"] = table(["error", *head, "default warned of repeating error"], none)
-    if not quick:
-        tables["samplers"] = samplers(results, store)
+    more = ["default warned of repeating error", "default outside without a warning"]
+    tables["none"] = table(["error", *head, *more], none)
     return tables
 
 
-def samplers(results: Results, store: Store) -> str:
-    """NUTS and emcee beside least squares on the same replicates."""
-    lines: list[list[object]] = []
-    for kind in SAMPLED:
-        for method in (*SAMPLERS, "ou", "discrepancy", "default"):
-            found = summary([store.get(kind, method, seed) for seed in range(SOME)])
-            lines.append([kind, method, 100 * found.covered, found.width])
-            if method in SAMPLERS:
-                results.add(f"coverage: {kind}, {method}", found.covered)
-    return table(["error", "method", "95 % covered, %", "standard error / spread of the estimates"], lines)
+def samplers(results: Results, file: Path) -> str:
+    """Central intervals of posteriors on shorter records."""
+    store, lines = Store(file), []
+    for kind, method in SAMPLED:
+        found = summary([store.get(kind, method, seed) for seed in range(REPLICATES)])
+        lines.append([kind, method, 100 * found.covered, 100 * found.least, found.width])
+        results.add(f"coverage: {kind}, {method}", found.covered)
+    return table(
+        ["error", "sampler", "95 % covered, %", "least of four", "standard deviation / spread of the means"], lines
+    )

@@ -1,4 +1,4 @@
-"""Width and coverage of error bars on simulated loops, calibration of stated setups, and predictions of a measured piezo stack.
+"""Width and coverage of error bars on simulated loops, calibration of stated setups, and predictions of measured loops.
 
     python experiments/uncertainty/run.py [--quick] [--out FOLDER] [--only SECTION ...]
 
@@ -20,9 +20,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are too small for
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import agreement
+import bands
 import coverage
+import default_priors
 import one_amplitude
-import piezo
 import sbc
 from common import Results, arguments
 
@@ -71,23 +72,30 @@ def coverages(results: Results) -> dict[str, str]:
     titles = {
         "coverage": "Coverage of 95 % intervals, % (least of the four parameters in brackets)",
         "width": "Median standard error over the standard deviation of the estimates",
-        "none": "Parameters without an error bar, and replicates with a warning of recurring error, %",
-        "samplers": f"Samplers on the first {coverage.SOME} replicates",
+        "none": "Parameters without an error bar, replicates with a warning of recurring error, and intervals without a warning that do "
+        "not hold the truth, %",
     }
     return {title: tables[name] for name, title in titles.items() if name in tables}
 
 
-def measured(results: Results) -> dict[str, str] | None:
-    """The tables of `piezo.py` under their titles."""
-    found = piezo.run(results)
-    if found is None:
-        return None
-    return {"piezo_dbo: fitted 5 to 25 s, predicted 25 to 40 s": found["bands"], "Notes of that fit": found["notes"]}
+def sampled(results: Results) -> dict[str, str]:
+    """The table of posteriors under its title."""
+    words = f"Coverage of central 95 % intervals of samplers, {coverage.REPLICATES} records of {coverage.SHORT} samples"
+    return {words: coverage.samplers(results, results.out / "samplers.jsonl")}
 
 
 def calibrations(results: Results) -> dict[str, str]:
     """The table of `sbc.py`."""
     return {"Simulation-based calibration": sbc.run(results, None if results.quick else results.out / "sbc")}
+
+
+def wide(results: Results) -> dict[str, str]:
+    """The table of `default_priors.py` under its title."""
+    return {
+        "Calibration with the default priors of `hf.sample`, Bouc-Wen, independent noise": default_priors.run(
+            results, results.out
+        )
+    }
 
 
 # In the order of the page; those of FULL (long samplers, measured loops) run only in the full form.
@@ -100,16 +108,18 @@ SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
         "A curved posterior of all parameters, compared with a long run": agreement.banana_in_full(r)
     },
     "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
-    "piezo": measured,
+    "bands": bands.run,
     "calibration": calibrations,
+    "default-priors": wide,
     "coverage": coverages,
+    "samplers": sampled,
 }
-FULL = ("grid", "long-run", "piezo")
+FULL = ("grid", "long-run", "bands", "default-priors", "samplers")
 
 
 def main() -> None:
     """Run everything, or some sections."""
-    words = "Width and coverage of error bars, calibration, and predictions of a measured piezo stack."
+    words = "Width and coverage of error bars, calibration, and predictions of measured loops."
     given = arguments(words, tuple(SECTIONS))
     if given.quick and (left_out := [name for name in given.only if name in FULL]):
         sys.exit(f"the quick form has no {', '.join(left_out)}: leave out --quick")

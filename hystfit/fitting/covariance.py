@@ -14,13 +14,15 @@ from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
 from hystfit.inference.triangle import triangle
+from hystfit.params.coordinates import BOTH
 from hystfit.params.space import relative_size
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless
 _RANK = 1e-7  # or when its singular value, of columns of unit length, is below this fraction of the largest: rounding errors dominate
 _REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
-_TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar
+_TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar;
+_MOVED = 0.5  # where two bounds limit the direction: standard error that it adds, over the parameter's size, above which it has none
 _PART = 0.25  # components of a direction that its description includes
 
 
@@ -171,7 +173,8 @@ def _determined(
     root = np.sqrt(variance) * vectors[:, kept] / values[kept] / size[:, None]
     spreads, axes = np.linalg.eigh(root @ root.T / relative[:, None] / relative)
     free = vectors[:, ~kept] / (size * relative)[:, None]
-    open_axes = np.hstack([axes[:, spreads > _OPEN**2], free / np.linalg.norm(free, axis=0)])
+    wide = spreads > _OPEN**2
+    open_axes = np.hstack([axes[:, wide], free / np.linalg.norm(free, axis=0)])
     full = back @ root
     full = full @ full.T if inside is None else inside[np.ix_(live, live)]
     joint, at = np.full_like(covariance, np.nan), np.flatnonzero(live)
@@ -179,9 +182,21 @@ def _determined(
     if not kept.all():  # with large variances in the directions that the data do not determine
         root = back @ (np.sqrt(variance) * vectors / np.maximum(values, _RANK * values[0]) / size[:, None])
         joint[np.ix_(at, at)] = root @ root.T
-    touched = (np.abs(open_axes) > _TOUCHED).any(axis=1)
+    two_sided = (np.asarray(problem.space.coordinates.kinds) == BOTH)[live]
+    limited = np.array([two_sided[_main(axis)].all() for axis in open_axes.T], bool)
+    moved = np.abs(open_axes[:, : wide.sum()]) * np.sqrt(spreads[wide])
+    limited[wide.sum() :] = False
+    touched = (np.abs(open_axes[:, ~limited]) > _TOUCHED).any(axis=1)
+    touched |= (moved[:, limited[: wide.sum()]] > _MOVED).any(axis=1)
     near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
     touched |= near
+    nonlinear = ~(np.array([info.linear for info in problem.space.infos], bool) | problem.space.offsets)
+    known = np.zeros(x.size, bool)
+    known[at] = ~touched
+    if 2 * np.count_nonzero(nonlinear & known) < nonlinear.sum():
+        touched |= nonlinear[
+            live
+        ]  # other values of the many that are not known may change these as well, far from the estimate
     full[touched], full[:, touched] = np.nan, np.nan
     covariance[np.ix_(at, at)] = full
     determined[at[touched]] = False
@@ -304,9 +319,14 @@ def _rooms(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def describe(direction: np.ndarray, names: list[str]) -> str:
     """The parameters that trade against each other along a direction, with their relative components."""
-    order = np.argsort(-np.abs(direction))
-    main = [k for k in order if abs(direction[k]) > _PART * abs(direction[order[0]])][:6]
+    main = _main(direction)[:6]
     if len(main) == 1:
         return names[main[0]]
     lead = np.sign(direction[main[0]])
     return ", ".join(f"{names[k]} ({lead * direction[k]:+.2f})" for k in main)
+
+
+def _main(direction: np.ndarray) -> list[int]:
+    """The parameters with large components, largest first."""
+    order = np.argsort(-np.abs(direction))
+    return [int(k) for k in order if abs(direction[k]) > _PART * abs(direction[order[0]])]

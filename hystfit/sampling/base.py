@@ -53,10 +53,12 @@ class AbstractSampler(abc.ABC):
     Class attributes:
         name: by which users choose it.
         many_short_chains: whether chains are pooled for R-hat, because each alone is too short.
+        compares: whether it estimates the evidence, which priors drawn from the residuals would inflate.
     """
 
     name: ClassVar[str]
     many_short_chains: ClassVar[bool] = False
+    compares: ClassVar[bool] = False
 
     @abc.abstractmethod
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:

@@ -139,18 +139,19 @@ def walk(target: Target, walkers: int) -> Any:
     return emcee.EnsembleSampler(walkers, target.center.shape[0], density, vectorize=True, moves=moves)
 
 
-def start(target: Target, walkers: int, seed: int) -> Any:
+def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
     """emcee's state with walkers about the mode, each where the density is finite.
 
     Args:
         target: the density in whitened coordinates.
         walkers: how many.
         seed: of their places and of emcee.
+        away: standard deviation of the places in these coordinates.
     """
     import emcee
 
     d, rng = target.center.shape[0], np.random.default_rng(seed)
-    q = rng.normal(size=(walkers, d))
+    q = away * rng.normal(size=(walkers, d))
     logs = np.asarray(_many(target, jnp.asarray(q)))
     for _ in range(60):
         bad = ~np.isfinite(logs)

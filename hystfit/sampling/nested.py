@@ -43,6 +43,7 @@ class Nested(AbstractSampler):
     """
 
     name: ClassVar[str] = "nested"
+    compares: ClassVar[bool] = True
     live: int = 400
     moves: int | None = None
     rest: float = 0.01

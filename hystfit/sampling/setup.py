@@ -84,6 +84,7 @@ def prepare(
     *,
     noise: str | type[AbstractNoise] = "auto",
     priors: Mapping[str, AbstractPrior] | None = None,
+    by_residuals: bool = True,
 ) -> Setup:
     """Prepare the posterior of a fit: noise model, priors, mode and curvature.
 
@@ -91,6 +92,7 @@ def prepare(
         result: the fit; its data, free parameters and values are used.
         noise: "auto", a name of `NOISES`, my_noise.py:MyNoise, or a class.
         priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
+        by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
 
     Raises:
         ParameterError: an unknown name, a prior that is flat or excludes the fit, too many parameters.
@@ -107,7 +109,7 @@ def prepare(
         notes.append(warn(Code.INCOMPLETE, _RECURS))
     refined = refine(problem, result.x, choice)
     longest = max(row.size for row in residuals.rows)
-    suggested = refined.noise.default_priors(longest, residuals.curve_size)
+    suggested = refined.noise.default_priors(longest, residuals.curve_size if by_residuals else None)
     chosen = {name: prior for name, prior in suggested.items() if name in refined.space.names} | dict(priors or {})
     x = np.concatenate([refined.x, refined.values])
     problem = refined.problem.with_noise(refined.noise, chosen, x).trimmed()

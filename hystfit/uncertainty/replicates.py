@@ -31,7 +31,8 @@ CHUNK = 10  # replicates in one compiled call and one file
 RANKS = 79  # posterior draws among which the truth is ranked: eighty places, of which intervals of 90 and 95 % hold whole numbers
 REASONS = {1: "the mode was not found", 2: "the posterior is not finite", 3: "its chunk broke"}
 _THIN, _WARM, _DEPTH = 3, 60, 6  # of NUTS: transitions between two draws, for adaptation, and doublings at most
-_STEPS = 100  # of emcee, after which the last place of each walker is a draw
+_STEPS = 300  # of emcee, after which the last place of each walker is a draw
+_AWAY = 3.0  # standard deviations of the places where its walkers begin: they must find the posterior by themselves
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,7 +186,7 @@ def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key
     """One replicate; a draw is the last place of a walker, so that no draw follows from another."""
     x, whitened, reason = _prepared(target, truth, priors, key)
     d, seed = whitened.center.shape[0], int(jax.random.randint(key, (), 0, 2**31 - 1))
-    first_state = start(whitened, RANKS + 1, seed)
+    first_state = start(whitened, RANKS + 1, seed, _AWAY)
     if not np.isfinite(first_state.log_prob).all():
         return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
     last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, _STEPS, skip_initial_state_check=True)

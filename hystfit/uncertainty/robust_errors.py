@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 
 from hystfit.config import require_seed, require_x64
 from hystfit.data.record import Dataset
@@ -17,6 +20,9 @@ from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.errors/1"
+FEWEST = {"iid": 1, "sandwich": 6, "bootstrap": 8}  # blocks from which intervals hold the truth as often as they should
+_RANK = 1e-12  # square of the smallest singular value, over that of the largest, of a direction that counts
+_WEBB = np.sqrt([0.5, 1.0, 1.5]) * np.array([[-1.0], [1.0]])  # weights of the wild bootstrap
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,15 +33,18 @@ class Covariance:
         names: of the parameters.
         matrix: physical units, shape (p, p); NaN for parameters on a bound.
         kind: "iid", "sandwich" or "bootstrap".
-        block: samples a lag window or a block spans.
+        block, blocks: samples of a block, and how many there are.
         ratio: standard errors over those for independent noise, shape (p,).
+        factor: half a 95 % interval over the standard error, shape (p,): more than 1.96 where blocks are few.
     """
 
     names: tuple[str, ...]
     matrix: np.ndarray
     kind: str
     block: int
+    blocks: int
     ratio: np.ndarray
+    factor: np.ndarray
 
     def __repr__(self) -> str:
         rows = zip(self.names, self.stderr, self.ratio, strict=True)
@@ -47,6 +56,11 @@ class Covariance:
         """Standard errors, shape (p,)."""
         return np.sqrt(np.diag(self.matrix))
 
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half a 95 % interval, shape (p,)."""
+        return self.factor * self.stderr
+
 
 @dataclasses.dataclass(frozen=True)
 class StandardErrors:
@@ -56,12 +70,14 @@ class StandardErrors:
         result: the fit.
         errors: of each free parameter by rule, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
             where the data do not determine the parameter, whatever the rule.
-        block: samples a lag window or a block spans; None where the records are too short for either.
+        factors: half a 95 % interval over the error, by rule but "fit", shape (p,).
+        block: samples of a block; None where the records hold too few of them.
         notes: what is missing and why.
     """
 
     result: FitResult
     errors: dict[str, np.ndarray]
+    factors: dict[str, np.ndarray]
     block: int | None
     notes: tuple[Note, ...]
 
@@ -96,11 +112,13 @@ class StandardErrors:
         for k, name in enumerate(self.result.free_names):
             errors_of = {rule: number(error[k]) for rule, error in self.errors.items()}
             over = {rule: number(ratio[k]) for rule, ratio in self.ratios.items()}
+            factor = {rule: number(factors[k]) for rule, factors in self.factors.items()}
             rows[name] = {
                 "value": self.result[name].value,
                 "unit": self.result[name].unit,
                 "stderr": errors_of,
                 "ratio": over,
+                "factor": factor,
             }
         return {
             "schema": SCHEMA,
@@ -132,28 +150,31 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
     """
     reported = [np.nan if (e := result[name].stderr) is None else e for name in result.free_names]
     fit = np.array(reported, dtype=float)
-    errors, notes, span = {"fit": fit}, [], None
-    errors["iid"] = np.where(np.isfinite(fit), covariance(result, "iid", block=block).stderr, np.nan)
+    plain = covariance(result, "iid", block=block)
+    known = lambda values: np.where(np.isfinite(fit), values, np.nan)
+    errors, factors = {"fit": fit, "iid": known(plain.stderr)}, {"iid": known(plain.factor)}
+    notes, span = [], None
     for kind in ("sandwich", "bootstrap"):
         try:
             other = covariance(result, kind, block=block, seed=seed)
         except ParameterError as error:
             notes.append(warn(Code.BLOCKS, f"no {kind}: {error}"))
             continue
-        span = other.block
-        errors[kind] = np.where(np.isfinite(fit), other.stderr, np.nan)
-        text = f"the {kind} uses blocks of {span} samples; it does not include errors that repeat every loop"
+        errors[kind], factors[kind] = known(other.stderr), known(other.factor)
+        span, widest = other.block, float(np.nanmax(other.factor))
+        text = (
+            f"the {kind} uses {other.blocks} blocks of {span} samples, so that a 95 % interval reaches up to {widest:.2g} of its standard "
+            "errors to either side; it does not include errors that repeat every loop"
+        )
         notes.append(Note(Code.BLOCKS, text))
-        blocks = sum(int(record.used.sum()) for record in result.data) / span
-        known = 100 / np.sqrt(2 * blocks)
-        reason = f"with {blocks:.0f} blocks such an error is known to {known:.0f} % at best, and tends to be too small"
+        reason = f"with {other.blocks} blocks such an error is known to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
     if unknown:
         text = f"no rule has a standard error for parameters that the data do not determine: {', '.join(unknown)}"
         notes.append(warn(Code.NOT_DETERMINED, text))
-    return StandardErrors(result, errors, span, tuple(notes))
+    return StandardErrors(result, errors, factors, span, tuple(notes))
 
 
 def covariance(
@@ -164,10 +185,11 @@ def covariance(
     draws: int = 1000,
     seed: int = 0,
 ) -> Covariance:
-    """Covariance of a least-squares fit from its linearized scores J_t r_t.
+    """Covariance of a least-squares fit from its linearized scores J_t r_t, summed over blocks of consecutive samples.
 
-    "sandwich" sums their autocovariances under a Bartlett window (Newey and West 1987); "bootstrap" redraws blocks of them (Kuensch
-    1989). Both are right for many blocks only, and neither includes an error that repeats every loop.
+    "sandwich" corrects the residuals of each block for its leverage and counts degrees of freedom (CR2: Bell and McCaffrey 2002);
+    "bootstrap" gives the corrected scores of each block random signs and sizes and studentizes every draw (wild bootstrap: Webb 2023;
+    MacKinnon, Nielsen and Webb 2023). Neither includes an error that repeats every loop.
 
     Args:
         result: a least-squares fit.
@@ -177,8 +199,7 @@ def covariance(
         seed: of the bootstrap.
 
     Raises:
-        ParameterError: an unknown kind, a block that leaves fewer than four of them (or two of a record, to redraw), or a fit under a
-            noise model.
+        ParameterError: an unknown kind, records with fewer blocks than `FEWEST`, or a fit under a noise model.
     """
     require_x64()
     require_seed(seed)
@@ -186,43 +207,36 @@ def covariance(
         raise ParameterError(
             f"this fit is under noise {result.noise.name!r}, whose likelihood gives its errors: fit with noise='auto'"
         )
-    if kind not in ("iid", "sandwich", "bootstrap"):
-        raise ParameterError(f"kind must be iid, sandwich or bootstrap, got {kind!r}")
+    if kind not in FEWEST:
+        raise ParameterError(f"kind must be {', '.join(FEWEST)}, got {kind!r}")
     if block is not None and block < 1:
         raise ParameterError(f"a block holds at least one sample, got {block}")
     problem, x = result.problem.with_loss("linear"), result.x
-    used, root = problem.used, np.sqrt(np.asarray(problem.objective.batch.weight))
     r, J = problem.linearize(x)
+    root = np.sqrt(np.asarray(problem.objective.batch.weight))
     r, J = r * root, J * root[..., None]
     live = np.array([side is None for side in problem.at_bound(x)])
-    rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, used, strict=True) if on.any()]
-    total = sum(len(row) for row, _ in rows)
+    rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, problem.used, strict=True) if on.any()]
     span = _block(problem.data, rows) if block is None else block
-    if kind != "iid" and total < 4 * span:
+    back = _orthonormal([slope for _, slope in rows])
+    freedom = max(sum(len(row) for row, _ in rows) - back.shape[1], 1)
+    plain = back @ back.T * sum(float(np.sum(row**2)) for row, _ in rows) / freedom
+    blocks = _Blocks.of([(row, slope @ back) for row, slope in rows], span)
+    if len(blocks.scores) < FEWEST[kind]:
         raise ParameterError(
-            f"{total} samples hold fewer than four blocks of {span}: measure longer, or choose a smaller block"
+            f"the records hold {len(blocks.scores)} blocks of {span} samples, and the {kind} needs at least {FEWEST[kind]}: measure more "
+            "cycles, or choose a smaller block"
         )
-    if kind == "bootstrap" and any(len(row) < 2 * span for row, _ in rows):
-        raise ParameterError(
-            f"a record holds fewer than two blocks of {span} samples, so there is nothing to redraw: choose a smaller block"
-        )
-    size = np.sqrt(sum(np.sum(slope**2, axis=0) for _, slope in rows))
-    size[size == 0] = 1.0
-    inverse = np.linalg.pinv(sum((slope / size).T @ (slope / size) for _, slope in rows), rcond=1e-12)
-    squares = sum(float(np.sum(row**2)) for row, _ in rows) / max(total - int(live.sum()), 1)
-    plain = inverse * squares
-    scores = [(slope / size) * row[:, None] for row, slope in rows]
     if kind == "sandwich":
-        robust = inverse @ sum(_bartlett(score, span) for score in scores) @ inverse
+        robust, factor = blocks.sandwich(back)
     elif kind == "bootstrap":
-        robust = _bootstrap(scores, inverse, span, draws, seed)
+        robust, factor = blocks.bootstrap(back, draws, seed)
     else:
-        robust = plain
-    matrix = np.full((x.size, x.size), np.nan)
-    matrix[np.ix_(live, live)] = robust / size[:, None] / size
-    ratio = np.full(x.size, np.nan)
+        robust, factor = plain, np.full(len(plain), scipy.stats.t.ppf(0.975, freedom))
+    matrix, ratio, factors = np.full((x.size, x.size), np.nan), np.full(x.size, np.nan), np.full(x.size, np.nan)
+    matrix[np.ix_(live, live)], factors[live] = robust, factor
     ratio[live] = np.sqrt(np.diag(robust) / np.diag(plain))
-    return Covariance(problem.space.names, matrix, kind, span, ratio)
+    return Covariance(problem.space.names, matrix, kind, span, len(blocks.scores), ratio, factors)
 
 
 def _block(data: Dataset, rows: list[tuple[np.ndarray, np.ndarray]]) -> int:
@@ -234,22 +248,71 @@ def _block(data: Dataset, rows: list[tuple[np.ndarray, np.ndarray]]) -> int:
     return int(np.ceil(max(max(cycles), 5 * max(autocorrelation_time(row) for row, _ in rows))))
 
 
-def _bartlett(score: np.ndarray, span: int) -> np.ndarray:
-    total = score.T @ score
-    for lag in range(1, min(span, len(score) - 1) + 1):
-        cross = score[lag:].T @ score[:-lag]
-        total = total + (1 - lag / (span + 1)) * (cross + cross.T)
-    return total
+def _orthonormal(slopes: list[np.ndarray]) -> np.ndarray:
+    """The matrix B for which the derivatives times B have orthonormal columns, shape (p, k); k is their rank."""
+    size = np.sqrt(sum(np.sum(slope**2, axis=0) for slope in slopes))
+    size[size == 0] = 1.0
+    value, axes = np.linalg.eigh(sum((slope / size).T @ (slope / size) for slope in slopes))
+    kept = value > _RANK * value[-1]
+    return axes[:, kept] / np.sqrt(value[kept]) / size[:, None]
 
 
-def _bootstrap(scores: list[np.ndarray], inverse: np.ndarray, span: int, draws: int, seed: int) -> np.ndarray:
-    """Covariance of one-step estimates over redrawn overlapping blocks of scores."""
-    rng = np.random.default_rng(seed)
-    shifts = np.zeros((draws, inverse.shape[0]))
-    for score in scores:
-        sums = np.vstack([np.zeros(score.shape[1]), np.cumsum(score, axis=0)])
-        whole = sums[min(span, len(score)) :] - sums[: len(sums) - min(span, len(score))]
-        count = max(round(len(score) / span), 1)
-        picked = whole[rng.integers(0, len(whole), (draws, count))]
-        shifts += (picked - whole.mean(axis=0)).sum(axis=1) * np.sqrt(len(score) / (count * min(span, len(score))))
-    return np.cov((shifts @ inverse).T).reshape(inverse.shape)
+@dataclasses.dataclass(frozen=True)
+class _Blocks:
+    """Blocks of consecutive samples of a linear model y = Q q + e with orthonormal Q.
+
+    Attributes:
+        scores: Q_g' e_g of each block g, shape (G, k).
+        grams: Q_g' Q_g, shape (G, k, k).
+    """
+
+    scores: np.ndarray
+    grams: np.ndarray
+
+    @classmethod
+    def of(cls, rows: list[tuple[np.ndarray, np.ndarray]], span: int) -> _Blocks:
+        """Blocks of about `span` samples of (residuals, Q) of each record, at least one a record."""
+        scores, grams = [], []
+        for residual, Q in rows:
+            edges = np.linspace(0, len(Q), max(round(len(Q) / span), 1) + 1).astype(int)
+            for low, high in itertools.pairwise(edges):
+                scores.append(Q[low:high].T @ residual[low:high])
+                grams.append(Q[low:high].T @ Q[low:high])
+        return cls(np.array(scores), np.array(grams))
+
+    @functools.cached_property
+    def correction(self) -> np.ndarray:
+        """(1 - Q_g'Q_g)^-1/2 of each block, by which residuals are larger than a fit leaves them, shape (G, k, k)."""
+        value, axes = np.linalg.eigh(np.eye(self.grams.shape[1]) - self.grams)
+        scale = np.where(value > _RANK, 1 / np.sqrt(np.maximum(value, _RANK)), 0.0)
+        return axes * scale[:, None] @ axes.swapaxes(1, 2)
+
+    @functools.cached_property
+    def corrected(self) -> np.ndarray:
+        """Scores of the corrected residuals, shape (G, k)."""
+        return np.einsum("gij,gj->gi", self.correction, self.scores)
+
+    def sandwich(self, back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance of the parameters `back` q, and the t quantile for the degrees of freedom of each (as under independent noise)."""
+        lifted = self.correction @ back.T
+        across = self.grams @ lifted
+        own, inner = np.sum(lifted * across, axis=1), np.einsum("gkp,glp->pkl", across, across)
+        left = np.sum(across**2, axis=1)
+        trace = np.sum(own - left, axis=0)
+        square = np.sum(own**2 - 2 * own * left, axis=0) + np.sum(inner**2, axis=(1, 2))
+        moved = self.corrected @ back.T
+        return moved.T @ moved, scipy.stats.t.ppf(0.975, trace**2 / square)
+
+    def bootstrap(self, back: np.ndarray, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance of the parameters `back` q over draws, and half a 95 % interval of the studentized draws over its root."""
+        weights = np.random.default_rng(seed).choice(_WEBB.ravel(), (draws, len(self.scores)))
+        shifts, factor = weights @ self.corrected, np.empty(len(back))
+        robust = np.cov((shifts @ back.T).T).reshape(len(back), len(back))
+        for k, row in enumerate(back):
+            lifted = self.correction @ row
+            across = np.einsum("gkl,gl->gk", self.grams, lifted)
+            # Each draw is fitted, and the residuals of that fit corrected, as those of the data are.
+            spread = np.linalg.norm(weights * np.sum(self.corrected * lifted, axis=1) - shifts @ across.T, axis=1)
+            error = np.linalg.norm(self.corrected @ row)
+            factor[k] = np.quantile(np.abs(shifts @ row) / np.maximum(spread, 1e-300), 0.95) * error
+        return robust, factor / np.sqrt(np.diag(robust))
