@@ -17,12 +17,13 @@ from hystfit.data.record import Dataset, Record
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.models.compose import Series, Sum
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
 from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.registry import model_name
+from hystfit.models.series import Series
+from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 

@@ -6,15 +6,13 @@ from .base import simulate as simulate
 from .bouc_wen import BoucWen as BoucWen
 from .bouc_wen_asymmetric import AsymmetricBoucWen as AsymmetricBoucWen
 from .bouc_wen_force import BoucWenForce as BoucWenForce
-from .compose import Offset as Offset
-from .compose import Series as Series
-from .compose import Sum as Sum
 from .creep import LinearCreep as LinearCreep
 from .creep import LogCreep as LogCreep
 from .duhem import Duhem as Duhem
 from .dynamics import Delay as Delay
 from .dynamics import Lag as Lag
 from .dynamics import SecondOrder as SecondOrder
+from .offset import Offset as Offset
 from .oscillator import BoucWenOscillator as BoucWenOscillator
 from .prandtl_ishlinskii import PrandtlIshlinskii as PrandtlIshlinskii
 from .preisach.model import Preisach as Preisach
@@ -24,3 +22,5 @@ from .preisach.tabulated import TabulatedPreisach as TabulatedPreisach
 from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
 from .relaxation import Relaxation as Relaxation
+from .series import Series as Series
+from .sum import Sum as Sum

@@ -185,7 +185,7 @@ MODELS: dict[str, Entry] = {
         compared_as=("bouc-wen-force+viscous",),
     ),
     "saturating-rate": Entry("rate:SaturatingRate", "beside", "force that saturates in the input's rate; needs time"),
-    "offset": Entry("compose:Offset", "beside", "a constant for each record"),
+    "offset": Entry("offset:Offset", "beside", "a constant for each record"),
     "relaxation": Entry(
         "relaxation:Relaxation",
         "after",

@@ -7,8 +7,10 @@ import functools
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.compose import AbstractComposition, Series, Sum
+from hystfit.models.composition import AbstractComposition
 from hystfit.models.entries import MODELS, DataKind
+from hystfit.models.series import Series
+from hystfit.models.sum import Sum
 from hystfit.params.param import leaves_of
 from hystfit.quality.needs import Needs
 from hystfit.registry import class_from_file, file_of, near, refuse_unfinished

@@ -1,0 +1,170 @@
+"""What compositions of models have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis, Derived, PlayWeights
+from hystfit.models.c_code import CPart, template
+from hystfit.models.design import Block
+
+
+def _size(model: AbstractHysteresis) -> int:
+    return jax.eval_shape(model.init, jnp.zeros(())).shape[0]
+
+
+def split_state(state: Array, parts: Sequence[AbstractHysteresis]) -> list[Array]:
+    """States of the parts of a composition, which come first in its state, one after another."""
+    edges = np.cumsum([0, *(_size(part) for part in parts)])
+    return [state[lo:hi] for lo, hi in itertools.pairwise(edges)]
+
+
+def check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> None:
+    """Refuse parts that are not models, or too few of them.
+
+    Args:
+        parts: of a composition.
+        least: number of parts needed.
+        name: of the composition, for the message.
+
+    Raises:
+        ModelError: a part is no model, or there are too few.
+    """
+    if len(parts) < least or not all(isinstance(part, AbstractHysteresis) for part in parts):
+        raise ModelError(f"{name} needs at least {least} models, got {[type(part).__name__ for part in parts]}")
+
+
+class AbstractComposition(AbstractHysteresis):
+    """Methods that `Sum` and `Series` delegate to their parts in the same way."""
+
+    parts: eqx.AbstractVar[tuple[AbstractHysteresis, ...]]
+
+    one_scan: ClassVar[bool] = False
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(repr(part) for part in self.parts)})"
+
+    @property
+    def rate_independent(self) -> bool:
+        """Whether all parts are."""
+        return all(part.rate_independent for part in self.parts)
+
+    @property
+    def allows_thinning(self) -> bool:
+        """Whether all parts do."""
+        return all(part.allows_thinning for part in self.parts)
+
+    @property
+    def has_fast_run(self) -> bool:
+        """Whether some part has one."""
+        return any(part.has_fast_run for part in self.parts)
+
+    @property
+    def linear_in_input(self) -> bool:
+        """Whether all parts are."""
+        return all(part.linear_in_input for part in self.parts)
+
+    @property
+    def causal(self) -> bool:
+        """Whether all parts are."""
+        return all(part.causal for part in self.parts)
+
+    @property
+    def associative(self) -> bool:
+        """Whether all parts are."""
+        return all(part.associative for part in self.parts)
+
+    def prepared(self, record: Record) -> Record:
+        """As all parts need it."""
+        return functools.reduce(lambda prepared, part: part.prepared(prepared), self.parts, record)
+
+    def derived(self) -> tuple[Derived, ...]:
+        """Those of all parts."""
+        of_part = lambda k, value: lambda model: value(model.parts[k])
+        return tuple(d._replace(value=of_part(k, d.value)) for k, part in enumerate(self.parts) for d in part.derived())
+
+    def plays(self) -> tuple[PlayWeights, ...]:
+        """Those of all parts."""
+        return tuple(one for part in self.parts for one in part.plays())
+
+    def plane(self) -> Any:
+        """That of the first part that has one."""
+        return next((plane for part in self.parts if (plane := part.plane()) is not None), None)
+
+    @property
+    def estimator(self) -> str | None:
+        """That of the first part that names one."""
+        return next((part.estimator for part in self.parts if part.estimator is not None), None)
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether some part has one."""
+        return any(part.has_rest for part in self.parts)
+
+    @property
+    def from_saturation(self) -> bool:
+        """Whether some part starts there."""
+        return any(part.from_saturation for part in self.parts)
+
+    def with_rest(self, rest: str) -> AbstractHysteresis:
+        """See the base class."""
+        return type(self)(*(part.with_rest(rest) for part in self.parts))
+
+    def without_creep(self) -> AbstractHysteresis | None:
+        """See the base class."""
+        still = [part.without_creep() for part in self.parts]
+        if all(part is None for part in still):
+            return None
+        return type(self)(*(part if other is None else other for part, other in zip(self.parts, still, strict=True)))
+
+    def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
+        """Those of the first part that has a choice, on the records as they are: no part changes the number of samples or levels."""
+        for k, part in enumerate(self.parts):
+            if found := part.sizes(records):
+                return {
+                    words: type(self)(*self.parts[:k], other, *self.parts[k + 1 :]) for words, other in found.items()
+                }
+        return {}
+
+    def _blocks(self, number: int, blocks: Sequence[Block]) -> list[Block]:
+        """Blocks of one part, numbered among the leaves of the composition."""
+        before = sum(len(jax.tree_util.tree_leaves(part)) for part in self.parts[:number])
+        return [dataclasses.replace(block, leaf=block.leaf + before) for block in blocks]
+
+
+def join_c_parts(
+    parts: Sequence[AbstractHysteresis], doc: str, lines: Callable[[int, int, int], tuple[str, str]], between: int
+) -> CPart:
+    """C code of a composition.
+
+    Args:
+        parts: models.
+        doc: comment.
+        lines: for the number of a part, the place of its state and the states of all: lines of `init` after its own, and of `step`.
+        between: number of signals that the state holds after the states of the parts.
+    """
+    codes = tuple(part.c_part() for part in parts)
+    places = np.cumsum([0, *(code.states for code in codes)]).tolist()
+    init, step = "", ""
+    for k, at in enumerate(places[:-1]):
+        after, now = lines(k, at, places[-1])
+        init += f"    @f@{k}_init(s + {at}, signal);\n{after}"
+        step += now
+    words = functools.reduce(
+        lambda text, word: text.replace(f"@{word[0]}@", word[1]),
+        (("doc", doc), ("init", init), ("step", step)),
+        template("series.c"),
+    )
+    return CPart(words, places[-1] + between, parts=codes)

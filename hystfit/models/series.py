@@ -1,0 +1,224 @@
+"""Models in series: the output of each is the input of the next."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.models.base import (
+    AbstractHysteresis,
+    AbstractStepInverse,
+    OutputResonance,
+    SearchStep,
+    drive,
+    run,
+    simulate,
+)
+from hystfit.models.bracketed import Root
+from hystfit.models.c_code import CPart
+from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
+from hystfit.models.design import DesignMatrix
+
+
+class Series(AbstractComposition):
+    """The output of each model is the input of the next: a lag before, creep or a resonance after a hysteresis.
+
+    Raises:
+        ModelError: a part is no model.
+    """
+
+    parts: tuple[AbstractHysteresis, ...] = eqx.field(converter=tuple)
+
+    def __init__(self, *parts: AbstractHysteresis):
+        check_parts(parts, 2, "Series")
+        self.parts = parts
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """States of the parts, then the signals between them."""
+        states, between, signal = [], [], u0
+        for part in self.parts:
+            states.append(part.init(signal))
+            signal = part.sweep(states[-1], signal, signal[None], jnp.zeros((1,)))[1][0]
+            between.append(signal)
+        return jnp.concatenate([*states, jnp.stack(between[:-1])])
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """One sample through the chain."""
+        states, between, signal = [], [], u1
+        for part, s, old in self._chain(state, u0):
+            s, signal = part.step(s, old, signal, dt)
+            states.append(s)
+            between.append(signal)
+        return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """A scan for each part, over all that the part before it puts out."""
+        return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt, unroll))
+
+    def sweep_at_once(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """That of each part."""
+        return self._fed(state, u0, u, lambda part, *signals: part.sweep_at_once(*signals, dt))
+
+    def _fed(
+        self, state: Array, u0: Array, signal: Array, sweep: Callable[..., tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        states, between = [], []
+        for part, s, old in self._chain(state, u0):
+            s, signal = sweep(part, s, old, signal)
+            states.append(s)
+            between.append(signal[-1])
+        return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
+
+    def _chain(self, state: Array, u0: Array) -> list[tuple[AbstractHysteresis, Array, Array]]:
+        """Every part, its state, and the input that it had last."""
+        edge = state.shape[0] - len(self.parts) + 1
+        return list(zip(self.parts, split_state(state[:edge], self.parts), [u0, *state[edge:]], strict=True))
+
+    def start(self, records: Sequence[Record]) -> Series:
+        """Starting values of each part come from the output of the part before it and the measured output."""
+        started, arriving = [], list(records)
+        for k, part in enumerate(self.parts):
+            started.append(part.start(arriving))
+            if k < len(self.parts) - 1:
+                outputs = [np.asarray(simulate(started[-1], r.u, r.dt)[0]) for r in arriving]
+                arriving = [r.replace(u=y) for r, y in zip(arriving, outputs, strict=True)]
+        return type(self)(*started)
+
+    def _with_rest_sample(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
+        """The input with one more sample before the first, so that each part starts from its own rest, as in `init`."""
+        u, dt = drive(self, u, dt)
+        return np.append(u[0], u), np.append(0.0, dt)
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """Part by part, where some part has a short cut."""
+        if not self.has_fast_run:
+            return super().free_run(u, dt)
+        signal, steps = self._with_rest_sample(u, dt)
+        for part in self.parts:
+            signal = part.free_run(signal, steps)
+        return signal[1:]
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """That of the first part, and of the others where it only filters the input."""
+        others = self.parts[1:] if self.parts[0].linear_in_input else ()
+        return tuple(line for part in (self.parts[0], *others) for line in part.advice(u, dt))
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """Columns of the first part that only linear filters follow, through these filters."""
+        number = len(self.parts) - 1
+        while number and self.parts[number].linear_in_input:
+            number -= 1
+        signal, steps = self._with_rest_sample(u, dt)
+        for part in self.parts[:number]:
+            signal = part.free_run(signal, steps)
+        design = self.parts[number].design_matrix(signal, steps)
+        for part in self.parts[number + 1 :]:
+            design = _filter_design(part, design.rows(), steps)
+        return DesignMatrix(tuple(self._blocks(number, design.blocks)), design.rest, design.index[1:])
+
+    def reach(self) -> tuple[float, float] | None:
+        """That of the first part that has one."""
+        return next((edges for part in self.parts if (edges := part.reach()) is not None), None)
+
+    def output_resonance(self) -> OutputResonance | None:
+        """The resonance of the last part, and the parts before it."""
+        last = self.parts[-1].output_resonance()
+        if last is None:
+            return None
+        before = [*self.parts[:-1], *(() if last.model is None else (last.model,))]
+        return OutputResonance(before[0] if len(before) == 1 else Series(*before), last.omega, last.zeta)
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """Those of the parts, from the last to the first; a search where a part needs limits and has no range."""
+        inner = tuple(part.step_inverse() for part in self.parts)
+        open_ = (-np.inf, np.inf)
+        ranges = [part.reach() if s.needs_limits else open_ for s, part in zip(inner, self.parts, strict=True)]
+        if any(edges is None for edges in ranges[1:]):
+            return SearchStep(self, sign)
+        return SeriesStep(self, inner, jnp.asarray([edges or open_ for edges in ranges]))
+
+    def c_part(self) -> CPart:
+        """Feeds the output of each part into the next."""
+
+        def lines(k: int, at: int, total: int) -> tuple[str, str]:
+            step = f"    y = @f@{k}_step(s + {at}, before, signal, dt, next ? next + {at} : 0);\n"
+            if k == len(self.parts) - 1:
+                return "", step
+            init = f"    signal = @f@{k}_step(s + {at}, signal, signal, 0.0, 0);\n    s[{total + k}] = signal;\n"
+            step += (
+                f"    before = s[{total + k}];\n    signal = y;\n    if (next)\n        next[{total + k}] = signal;\n"
+            )
+            return init, step
+
+        return join_c_parts(self.parts, "Each output is the next one's input.", lines, len(self.parts) - 1)
+
+
+class SeriesStep(AbstractStepInverse):
+    """Inverses of the parts of a `Series`, from the last to the first.
+
+    Attributes:
+        model: the series.
+        inner: an inverse for each part.
+        edges: between which input limits each part but the first is searched, infinite for closed forms.
+    """
+
+    model: Series
+    inner: tuple[AbstractStepInverse, ...]
+    edges: Float[Array, "parts two"]
+
+    @property
+    def needs_limits(self) -> bool:
+        """As its first part."""
+        return self.inner[0].needs_limits
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        count = len(self.inner) - 1
+        states = split_state(state, self.model.parts)
+        before = [u0, *(state[state.shape[0] - count + k] for k in range(count))]
+        rising: Array = jnp.asarray(True)
+        for k in range(count, 0, -1):
+            target, fine = self.inner[k].solve(states[k], before[k], target, dt, *self.edges[k])
+            rising = rising & fine
+        u1, fine = self.inner[0].solve(states[0], u0, target, dt, low, high)
+        return Root(u1, rising & fine)
+
+
+def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
+    """A design matrix, one row a sample, through a filter that is linear in its input."""
+    columns = [block.columns for block in design.blocks]
+    out = np.asarray(_filtered(part, jnp.asarray(np.column_stack([design.rest, *columns])), jnp.asarray(dt)))
+    edges = np.cumsum([1, *(block.shape[1] for block in columns)])
+    blocks = (
+        dataclasses.replace(block, columns=out[:, lo:hi])
+        for block, (lo, hi) in zip(design.blocks, itertools.pairwise(edges), strict=True)
+    )
+    return DesignMatrix(tuple(blocks), out[:, 0], design.index)
+
+
+@eqx.filter_jit
+def _filtered(part: Any, signals: Array, dt: Array) -> Array:
+    """Outputs for each column of signals, shape (T, p); of all but the first less the response of the initial state."""
+    outputs = jax.vmap(lambda signal: run(part, signal, dt)[0], in_axes=1, out_axes=1)(signals)
+    constant = run(part, jnp.zeros_like(dt), dt)[0]
+    return outputs.at[:, 1:].add(-constant[:, None])

@@ -1,0 +1,146 @@
+"""Models of one input whose outputs add up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.models.base import (
+    AbstractHysteresis,
+    AbstractStepInverse,
+    SearchStep,
+    drive,
+    simulate,
+)
+from hystfit.models.bracketed import Root
+from hystfit.models.c_code import CPart
+from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
+from hystfit.models.design import DesignMatrix
+from hystfit.models.offset import Offset
+
+
+class Sum(AbstractComposition):
+    """Outputs of several models of the same input, added: a hysteresis, its creep, a viscous force.
+
+    Raises:
+        ModelError: a part is no model.
+    """
+
+    parts: tuple[AbstractHysteresis, ...] = eqx.field(converter=tuple)
+
+    def __init__(self, *parts: AbstractHysteresis):
+        check_parts(parts, 1, "Sum")
+        self.parts = parts
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """States of the parts, one after another."""
+        return jnp.concatenate([part.init(u0) for part in self.parts])
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """One sample of every part."""
+        steps = [part.step(s, u0, u1, dt) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
+        return jnp.concatenate([s for s, _ in steps]), sum((y for _, y in steps), jnp.zeros_like(u1))
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
+        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt, unroll))
+
+    def sweep_at_once(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """That of each part."""
+        return self._added(state, u, lambda part, s: part.sweep_at_once(s, u0, u, dt))
+
+    def _added(
+        self, state: Array, u: Array, sweep: Callable[[AbstractHysteresis, Array], tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        runs = [sweep(part, s) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
+        return jnp.concatenate([s for s, _ in runs]), sum((y for _, y in runs), jnp.zeros_like(u))
+
+    def start(self, records: Sequence[Record]) -> Sum:
+        """Starting values of each part come from the residuals of the parts before it."""
+        started, remaining = [], list(records)
+        for part in self.parts:
+            started.append(part.start(remaining))
+            outputs = [np.asarray(simulate(started[-1], r.u, r.dt)[0]) for r in remaining]
+            remaining = [r.replace(y=r.y - y) for r, y in zip(remaining, outputs, strict=True)]
+        return type(self)(*started)
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """Part by part, where some part has a short cut."""
+        if not self.has_fast_run:
+            return super().free_run(u, dt)
+        u, dt = drive(self, u, dt)
+        return np.sum([part.free_run(u, dt) for part in self.parts], axis=0)
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """That of all parts."""
+        return tuple(line for part in self.parts for line in part.advice(u, dt))
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """Columns of all parts, one row a sample."""
+        u, dt = drive(self, u, dt)
+        designs = [part.design_matrix(u, dt).rows() for part in self.parts]
+        blocks = [block for k, design in enumerate(designs) for block in self._blocks(k, design.blocks)]
+        return DesignMatrix(tuple(blocks), np.sum([design.rest for design in designs], axis=0), np.arange(u.size))
+
+    def reach(self) -> tuple[float, float] | None:
+        """Where the ranges of all parts overlap."""
+        ranges = [edges for part in self.parts if (edges := part.reach()) is not None]
+        return (max(low for low, _ in ranges), min(high for _, high in ranges)) if ranges else None
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """That of the only part that is not constant; else a search."""
+        moving = [k for k, part in enumerate(self.parts) if not isinstance(part, Offset)]
+        inverses = [self.parts[k].step_inverse(sign) for k in moving]  # refuses parts that have none
+        return SumStep(self, inverses[0], moving[0]) if len(moving) == 1 else SearchStep(self, sign)
+
+    def c_part(self) -> CPart:
+        """Adds the outputs of the parts."""
+        line = "    y += @f@{k}_step(s + {at}, before, signal, dt, next ? next + {at} : 0);\n"
+        return join_c_parts(self.parts, "Outputs add up.", lambda k, at, total: ("", line.format(k=k, at=at)), 0)
+
+
+class SumStep(AbstractStepInverse):
+    """Inverse of one model beside constants.
+
+    Attributes:
+        model: the sum.
+        inner: inverse of the part that is not constant.
+        which: its number.
+    """
+
+    model: Sum
+    inner: AbstractStepInverse
+    which: int = eqx.field(static=True)
+
+    @property
+    def needs_limits(self) -> bool:
+        """As the part."""
+        return self.inner.needs_limits
+
+    @property
+    def sign(self) -> float:
+        """As the part."""
+        return self.inner.sign
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        constants = [part.value for k, part in enumerate(self.model.parts) if k != self.which]
+        inner_state = split_state(state, self.model.parts)[self.which]
+        return self.inner.solve(inner_state, u0, target - sum(constants), dt, low, high)
