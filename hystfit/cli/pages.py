@@ -109,18 +109,15 @@ def compare_page(comparison: Comparison, folder: Path) -> Page:
         ("Report on its fit", "winner/report.html"),
         ("Next", f"hystfit predict {fit} NEW_LOOP\nhystfit invert {fit} REFERENCE"),
     ]
-    text = comparison.text().splitlines()
-    head = [line for line in text if line.startswith(("Error in", "'BIC", "'invert", "Compared"))]
-    remarks = [f"{row.name}: {row.note}" for row in comparison.rows if row.note]
     figures = (
         ("loop", "Winner: measured loop and model"),
         ("residuals-input", "Winner: residuals (measured less model)"),
     )
     shown = [Picture(_of_fit(winner, kind), caption) for kind, caption in figures]
     sections = [
-        ("Ranking", [comparison.table(), *head]),
+        ("Ranking", [comparison.table(), *comparison.explanations()]),
         ("Left-out error of each model", [[Picture(_ranking(comparison), "Error on left-out data and on the samples fitted")]]),
-        ("Remarks", [remarks]),
+        ("Remarks", [comparison.remarks()]),
         ("Pictures", [shown]),
     ]  # fmt: skip
     title = f"{len(comparison.rows)} models compared on {winner.data.name or winner.data[0].name}"

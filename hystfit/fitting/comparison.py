@@ -103,27 +103,31 @@ class Comparison:
         ]
         return Table(columns, rows)
 
-    def text(self) -> str:
-        """The ranking as text."""
+    def explanations(self) -> list[str]:
+        """What the columns of the ranking mean, and why these models were compared."""
         lines = [
             f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
             "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
             "'invert', 'export': whether the model has an inverse and C code.",
         ]
-        lines += [f"Compared because {self.reason}."] if self.reason else []
-        lines += self.table().lines()
-        lines += [f"  - {row.name}: {row.note}" for row in self.rows if row.note]
-        lines.append(f"winner: {self.rows[0].name}{'' if self.purpose == 'prediction' else f' (for {self.purpose})'}")
-        return "\n".join(lines)
+        return [*lines, f"Compared because {self.reason}."] if self.reason else lines
+
+    def remarks(self) -> list[str]:
+        """Why models were left out, or not validated."""
+        return [f"{row.name}: {row.note}" for row in self.rows if row.note]
+
+    def text(self) -> str:
+        """The ranking as text."""
+        purpose = "" if self.purpose == "prediction" else f" (for {self.purpose})"
+        remarks = [f"  - {remark}" for remark in self.remarks()]
+        winner = f"winner: {self.rows[0].name}{purpose}"
+        return "\n".join([*self.explanations(), *self.table().lines(), *remarks, winner])
 
     def __repr__(self) -> str:
         return self.text()
 
     def _repr_html_(self) -> str:
-        explained = f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}."
-        reason = f"Compared because {self.reason}." if self.reason else ""
-        remarks = [f"{row.name}: {row.note}" for row in self.rows if row.note]
-        return fragment(f"winner: {self.rows[0].name}", (explained, reason, self.table(), *remarks))
+        return fragment(f"winner: {self.rows[0].name}", (*self.explanations(), self.table(), *self.remarks()))
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
