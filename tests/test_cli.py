@@ -260,7 +260,7 @@ def test_predict_writes_what_the_model_says(folder, loop, fitted, capsys):
 
 def test_predict_from_an_input_alone_warns_beyond_the_fitted_range(folder, fitted, capsys):
     path = folder / "input.csv"
-    path.write_text("t_s,u_V\n" + "\n".join(f"{k / 80},{60 * np.sin(k / 9) ** 2}" for k in range(60)))
+    path.write_text("t_s,u_V\n" + "\n".join(f"{k / 800},{60 * np.sin(k / 90) ** 2}" for k in range(600)))
     arguments = ["predict", str(fitted), str(path), "--input-only", "--time", "t_s", "--input", "u_V", "--json"]
     assert run(arguments) == 0
     content = strict(capsys.readouterr().out)

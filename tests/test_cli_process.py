@@ -129,7 +129,11 @@ def test_a_fit_without_a_loop_is_not_usable(process, folder):
 def test_report_and_export(process, fitted, tmp_path):
     done = process("report", fitted, "--out", tmp_path / "again")
     assert (done.returncode, done.stderr) == (0, "")
-    assert (fitted / "report.txt").read_text().strip() in done.stdout
+    title, _, rest = (fitted / "report.txt").read_text().strip().partition("\nVerdict\n")
+    assert rest
+    assert title.splitlines()[0] in done.stdout
+    assert rest in done.stdout
+    assert f"hystfit predict {fitted}" in " ".join(done.stdout.split())  # the folder as it was typed
     assert (tmp_path / "again" / "report.html").is_file()
     done = process("export", fitted, "--c", tmp_path / "c", "--name", "stack")
     assert (done.returncode, done.stderr) == (0, "")

@@ -1,11 +1,10 @@
 (function () {
   const dialog = document.querySelector("dialog"), stage = dialog.querySelector("div"), fingers = new Map();
-  const space = "http://www.w3.org/2000/svg";
   let panels = [], span;
 
   // A panel has limits in data coordinates, logarithms where its axis is logarithmic; what is clipped to it moves, and its ticks are drawn anew.
   function panel(svg, facts) {
-    const group = svg.getElementById(facts.id), [left, top, right, bottom] = facts.box;
+    const group = svg.getElementById(facts.id), space = group.namespaceURI, [left, top, right, bottom] = facts.box;
     const one = { ...facts, group, first: facts.limits.map((pair) => [...pair]), moved: [], ticks: document.createElementNS(space, "g") };
     for (const element of group.querySelectorAll(':scope > g:not([id^="matplotlib.axis"]) [clip-path]')) {
       const frame = document.createElementNS(space, "g"), box = element.getBBox(), marks = [...element.querySelectorAll("use")];
@@ -50,7 +49,7 @@
     for (let n = Math.ceil(a / step); n * step <= b; n += 1) {
       const value = n * step, part = (value - low) / (high - low);
       const x = k ? left : left + part * (right - left), y = k ? bottom + part * (top - bottom) : bottom;
-      const mark = document.createElementNS(space, "path"), text = document.createElementNS(space, "text");
+      const space = one.group.namespaceURI, mark = document.createElementNS(space, "path"), text = document.createElementNS(space, "text");
       mark.setAttribute("d", `M ${x} ${y} ${k ? "h -3.5" : "v 3.5"}`);
       text.setAttribute("x", k ? x - 6 : x);
       text.setAttribute("y", k ? y + 3 : y + 13);
