@@ -26,15 +26,16 @@ def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOU
     They are written into --out, or into the folder of the fit.
     """
     from hystfit.results.folders import check_writable
-    from hystfit.results.report import Wording, write
+    from hystfit.results.report import Wording, text_report, write
     from hystfit.results.saved import load_fit
 
     result = load_fit(folder, trust=trust)
     target = output.out or folder
     check_writable(target)
+    wording = Wording(translate=as_options).at(folder)
     with progress("drawing"):
-        write(result, target, wording=Wording(translate=as_options).at(folder))
-    show(str(result) + written(target, ["report.html", "report.txt", "pictures"]), result.to_dict(), output.json)
+        write(result, target, wording=wording)
+    show(text_report(result, wording) + written(target, ["report.html", "report.txt", "pictures"]), result.to_dict(), output.json)
     return 0 if result.usable else 1
 
 
