@@ -35,7 +35,11 @@ def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOU
     wording = Wording(translate=as_options).at(folder)
     with progress("drawing"):
         write(result, target, wording=wording)
-    show(text_report(result, wording) + written(target, ["report.html", "report.txt", "pictures"]), result.to_dict(), output.json)
+    show(
+        text_report(result, wording) + written(target, ["report.html", "report.txt", "pictures"]),
+        result.to_dict(),
+        output.json,
+    )
     return 0 if result.usable else 1
 
 
