@@ -41,8 +41,10 @@ def one_step(case: Case, model: hf.Duhem | None) -> float:
     """RMS equation error of a model on the noisy record [um]."""
     if model is None:
         return float("nan")
-    rls = Rls.of(model, case.record)
-    return float(np.sqrt(np.mean(rls.one_step(rls.regressor.theta(model), rls.regressor.rows(case.record)) ** 2)))
+    regressor = Rls.of(model, case.record).regressor
+    rows = regressor.rows(case.record)
+    errors = (rows.target - rows.phi @ regressor.theta(model)) * float(regressor.target_unit)
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def gradient_correction(

@@ -113,11 +113,14 @@ class GradientCorrection(LinearIdentifier):
         """About 4 p multiplications."""
         number = jnp.minimum(state.count, len(self.weights) - 1)
         weights = self.weights if self.weights.ndim == 1 else self.weights[number]
-        power = phi @ (weights * phi)
-        power = jnp.where(power > 0, power, 1.0)  # of a row that is not used
-        normalized = self.mu / (self.floor + power)
-        gain = normalized if self.step is None else jnp.where(self.step * power < 2.0, self.step, 1.0 / power)
+        gain = self._gain(phi @ (weights * phi))
         return state._replace(theta=state.theta + gain * error * weights * phi, count=state.count + 1)
+
+    def _gain(self, power: Array) -> Array:
+        """Step c for phi^T Lambda phi, which is 0 in a row that is not used."""
+        power = jnp.where(power > 0, power, 1.0)
+        normalized = self.mu / (self.floor + power)
+        return normalized if self.step is None else jnp.where(self.step * power < 2.0, self.step, 1.0 / power)
 
     def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
         """Whether the input determines the estimate, and it is near the batch solution, valid and not biased by noise."""
