@@ -16,14 +16,17 @@ from hystfit.errors import ModelError
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _Judge, _ranked, _Shown
 from hystfit.fitting.comparison import Row
+from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.sizes import choose_size
 from hystfit.fitting.smooth_weights import left_out_score
-from hystfit.fitting.structure import Structure, build, max_plays, search_structure
+from hystfit.fitting.structure import Structure, Terms, build, max_plays, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.workers import Stopped, Workers
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
+from hystfit.params.space import ParameterSpace
 
 T = np.arange(0.0, 6.0, 0.02)
 U = 4 * (0.4 + 0.6 * np.abs(np.sin(np.pi * T / 6))) * np.sin(2 * np.pi * 0.7 * T)
@@ -106,6 +109,25 @@ STRUCTURES = [
     (Structure("play", 3, 3, "first", lag=3.5, creep=True, rate=2), 40, None),
     (Structure("stop", 3, 1, "level", rate=1), 7, None),
 ]
+
+
+HARDENING = [Structure("stop", 1, 5, "level", hardening=3)]
+
+
+@pytest.mark.parametrize("structure", [Structure("play", 3, 3, "first", 2.5, creep=True, rate=2), *HARDENING])
+def test_columns_of_a_structure_are_the_derivatives_of_its_model(structure):
+    """The search has its columns from NumPy, the fit differentiates the compiled model."""
+    rng = np.random.default_rng(5)
+    u = np.cumsum(rng.normal(size=(2, 40)), axis=1) + 1
+    u[:, 10:13] = u[:, 9:10]  # a hold
+    weight = np.where(rng.uniform(size=u.shape) < 0.2, 0.0, rng.uniform(0.5, 2, u.shape))
+    data = hf.Dataset(tuple(hf.Record(u[k], u[k] ** 2, T[:40], weight=weight[k], name=f"r{k}") for k in (0, 1)))
+    model = build(structure, data, 4)
+    space = ParameterSpace.of(model)
+    problem = Problem(model, data, fix=[n for n, info in zip(space.names, space.infos, strict=True) if not info.linear])
+    expected, got = LinearSystem.of(problem, problem.space.vector(problem.model)), Terms(data, 4).system(structure)
+    for name in ("columns", "target", "free", "ridged", "block", "weight"):
+        np.testing.assert_allclose(getattr(got, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize(("structure", "plays", "name"), STRUCTURES)

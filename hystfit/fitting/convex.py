@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -71,13 +71,8 @@ class LinearSystem:
         if (root != 1).any():
             columns = columns * root[:, None]
         ridged = np.array([not problem.space.infos[k].per_record for k in at])
-        block = _block_of(used, batch.u.shape)
+        block = block_of((weight.reshape(batch.u.shape) > 0).sum(axis=1))
         return cls(columns, -misfit.reshape(-1)[used] * root, ~np.isfinite(lower), ridged, block, weight[used])
-
-    def take(self, at: Sequence[int]) -> LinearSystem:
-        """The system with some of its columns only."""
-        k = np.asarray(at, dtype=int)
-        return dataclasses.replace(self, columns=self.columns[:, k], free=self.free[k], ridged=self.ridged[k])
 
     @functools.cached_property
     def origin(self) -> np.ndarray:
@@ -124,24 +119,25 @@ def linear_positions(problem: Problem) -> np.ndarray:
 
 def left_out_blocks(problem: Problem) -> list[np.ndarray]:
     """For each record the block of every sample, shape (T_r,): -1 where it does not count."""
-    batch = problem.objective.batch
-    used = np.asarray(batch.weight).reshape(-1) > 0
-    flat = np.full(used.size, -1)
-    flat[used] = _block_of(used, batch.u.shape)
-    return [row[: len(record)] for row, record in zip(flat.reshape(batch.u.shape), problem.data, strict=True)]
+    used = problem.used
+    number = np.full(used.shape, -1)
+    number[used] = block_of(used.sum(axis=1))
+    return [row[: len(record)] for row, record in zip(number, problem.data, strict=True)]
 
 
-def _block_of(used: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Contiguous blocks: whole records where there are at least three of them, else five parts of each record."""
-    record = np.repeat(np.arange(shape[0]), shape[1])[used]
-    if shape[0] >= 3:
-        return record
-    block = np.zeros(record.size, dtype=int)
-    for k in range(shape[0]):
-        mine = np.flatnonzero(record == k)
-        for number, part in enumerate(np.array_split(mine, _BLOCKS)):
-            block[part] = number
-    return block
+def block_of(counts: np.ndarray) -> np.ndarray:
+    """Blocks of samples that lie one after another: whole records where there are at least three of them, else five parts of each.
+
+    Args:
+        counts: samples of each record that count, shape (R,).
+
+    Returns:
+        Number of the block of each sample that counts, shape (sum of counts,).
+    """
+    if counts.size >= 3:
+        return np.repeat(np.arange(counts.size), counts)
+    split = [np.array_split(np.zeros(count), _BLOCKS) for count in counts]
+    return np.concatenate([np.full(part.size, number) for parts in split for number, part in enumerate(parts)])
 
 
 def solve_normal(matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> np.ndarray:

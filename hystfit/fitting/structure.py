@@ -8,24 +8,26 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
-import jax.numpy as jnp
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
+from hystfit.data.batch import bucket
 from hystfit.data.record import Dataset, Record
-from hystfit.fitting.convex import LinearSystem, fit_ridge
-from hystfit.inference.problem import Problem
+from hystfit.fitting.convex import LinearSystem, block_of, fit_ridge
+from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
-from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest
+from hystfit.models.play_columns import play_columns, rising_columns
+from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest, envelope
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.registry import model_name
 from hystfit.models.series import Series
+from hystfit.models.starting import fitted_input_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
-from hystfit.params.space import ParameterSpace
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
 _DEGREES = (1, 3, 5)
@@ -124,10 +126,11 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
         data: records; only samples that count are fitted or judged.
         plays: number of thresholds; None for the number that blocks left out choose among those that the data can determine.
     """
+    check_fittable(PrandtlIshlinskii.of(1), data)
     most = max_plays(data)
-    bench = _Bench(data, min(_PLAYS, most) if plays is None else plays)
-    options = bench.options()
-    structure, score = min(((s, bench.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
+    terms = Terms(data, min(_PLAYS, most) if plays is None else plays)
+    options = terms.options()
+    structure, score = min(((s, terms.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
     trail: list[str] = []
     while True:
         changes = [
@@ -135,22 +138,22 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
             for field, values in options.items()
             for value in values
             if value != getattr(structure, field)
-            and bench.served(changed := dataclasses.replace(structure, **{field: value}))
+            and terms.served(changed := dataclasses.replace(structure, **{field: value}))
         ]
-        best = min(changes, key=bench.score, default=structure)
-        if bench.score(best) >= _GAIN * score:
+        best = min(changes, key=terms.score, default=structure)
+        if terms.score(best) >= _GAIN * score:
             break
-        trail.append(_step(best.change_from(structure), score, bench.score(best), bench.span))
-        structure, score = best, bench.score(best)
-    tried, chosen = len(bench.scores), bench.plays
+        trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
+        structure, score = best, terms.score(best)
+    tried, chosen = len(terms.scores), terms.plays
     for other in _OTHER_PLAYS if plays is None else ():
-        resized = _Bench(data, other)
-        if other > most or other == bench.plays or not resized.served(structure):
+        resized = Terms(data, other)
+        if other > most or other == terms.plays or not resized.served(structure):
             continue
         tried += 1
         if resized.score(structure) < _GAIN * score:
             trail.append(
-                _step(f"{other} instead of {chosen} {structure.operator}s", score, resized.score(structure), bench.span)
+                _step(f"{other} instead of {chosen} {structure.operator}s", score, resized.score(structure), terms.span)
             )
             chosen, score = other, resized.score(structure)
     return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
@@ -194,7 +197,7 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
         parts.append(LinearCreep(rest=structure.rest))
     parts += [Viscous(), SaturatingRate()][: structure.rate]
     lag = Lag(tau=structure.lag * _interval(data), rest=structure.rest) if structure.lag else None
-    records = list(data) if lag is None else [_through(lag, record) for record in data]
+    records = list(data) if lag is None else [record.replace(u=_output(lag, record)) for record in data]
     # Every part takes its ranges from the records themselves: the weights are solved together.
     started = [part.start(records) for part in parts]
     model = started[0] if len(parts) == 1 else Sum(*started)
@@ -205,19 +208,37 @@ def _interval(data: Dataset) -> float:
     return data.sampling_interval or 0.0
 
 
-def _through(lag: Lag, record: Record) -> Record:
-    return record.replace(u=np.asarray(simulate(lag, jnp.asarray(record.u), jnp.asarray(record.dt))[0]))
+def _output(model: AbstractHysteresis, record: Record) -> np.ndarray:
+    """Output of a model over a record, by one program for records of similar length."""
+    extra = bucket(len(record)) - len(record)
+    u, dt = np.pad(record.u, (0, extra), mode="edge"), np.pad(record.dt, (0, extra))
+    return np.asarray(simulate(model, u, dt)[0])[: len(record)]
 
 
-class _Bench:
+class _Term(NamedTuple):
+    """Weighted columns of one array of weights, shape (n, k), whether these have no lower bound, and whether a ridge acts on them."""
+
+    columns: np.ndarray
+    free: bool
+    ridged: bool = True
+
+
+class Terms:
     """Columns of every term, computed once for each lag and rest, and the scores of the structures tried."""
 
     def __init__(self, data: Dataset, plays: int):
         self.data, self.plays = data, plays
+        self.thresholds = np.asarray(PrandtlIshlinskii.of(plays).r)
         self.timed = _interval(data) > 0 and all(record.t is not None for record in data)
         self.span = float(np.ptp(np.concatenate([record.y[record.used] for record in data]))) or 1.0
-        self.samples = sum(int(record.used.sum()) for record in data)
+        self.used = np.concatenate([record.used for record in data])
+        self.weight = np.concatenate([record.weight for record in data])[self.used]
+        self.samples = self.weight.size
         self.scores: dict[Structure, float] = {}
+        # On the instance: a cache of the class would keep the columns of every search of the process.
+        self._lagged, self._positions = functools.cache(self._lagged_data), functools.cache(self._positions_of)
+        self._elements, self._single = functools.cache(self._element_columns), functools.cache(self._single_valued)
+        self._beside = functools.cache(self._beside_plays)
 
     def served(self, structure: Structure) -> bool:
         """Whether there are two samples for each weight."""
@@ -242,56 +263,74 @@ class _Bench:
 
     def system(self, s: Structure) -> LinearSystem:
         """The linear system of a structure, joined from the columns of its terms."""
-        plays = [self._plays(s.rest, s.lag, s.operator, kind, 0) for kind in _ALL[: s.envelopes]]
-        parts = [play["w"] for play in plays]
-        single = self._single(s.rest, s.lag, s.operator, s.degree)
-        parts += [single["rise" if s.operator == "play" else "b"], single["offset"]]
-        parts += [self._plays(s.rest, s.lag, s.operator, _ALL[0], s.hardening)["hardening"]] if s.hardening else []
-        parts += [
+        terms = [_Term(self._elements(s.rest, s.lag, s.operator, kind), False) for kind in _ALL[: s.envelopes]]
+        terms += [self._single(s.rest, s.lag, s.operator, s.degree), self._offset]
+        if s.hardening:
+            terms.append(self._hardening(s.rest, s.lag, s.operator, s.hardening))
+        terms += [
             self._beside(term, s.rest, s.lag) for term in ["creep"] * s.creep + ["viscous", "saturating"][: s.rate]
         ]
-        join = lambda name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        each = lambda name: np.concatenate([np.full(term.columns.shape[1], getattr(term, name)) for term in terms])
         # With all weights at zero every term is zero: the target is the output itself.
-        return LinearSystem(
-            join("columns"), parts[0].target, join("free"), join("ridged"), parts[0].block, parts[0].weight
+        y = np.concatenate([record.y for record in self.data])
+        columns, target = np.hstack([term.columns for term in terms]), self._weighted(y)
+        return LinearSystem(columns, target, each("free"), each("ridged"), self._block, self.weight)
+
+    def _weighted(self, rows: np.ndarray) -> np.ndarray:
+        """The rows of samples that count, times the roots of their weights."""
+        root = np.sqrt(self.weight)
+        return rows[self.used] * (root if rows.ndim == 1 else root[:, None])
+
+    @functools.cached_property
+    def _block(self) -> np.ndarray:
+        return block_of(np.array([np.count_nonzero(record.used) for record in self.data]))
+
+    @functools.cached_property
+    def _offset(self) -> _Term:
+        """One column of ones a record."""
+        record = np.repeat(np.arange(len(self.data)), [len(record) for record in self.data])
+        return _Term(self._weighted(np.eye(len(self.data))[record]), free=True, ridged=False)
+
+    def _lagged_data(self, rest: Rest, lag: float) -> Dataset:
+        """The records with the input behind the lag."""
+        through = Lag(tau=lag * _interval(self.data), rest=rest)
+        return self.data.map(lambda record: record.replace(u=_output(through, record))) if lag else self.data
+
+    def _positions_of(self, rest: Rest, lag: float) -> list[tuple[np.ndarray, float]]:
+        """Input of each record in parts of the range, and where it rested before."""
+        records = list(self._lagged(rest, lag))
+        place = fitted_input_range(records)
+        low, high = place.center - place.half, place.center + place.half
+        inputs = [(record.u - low) / (high - low) for record in records]
+        return [(x, float(x[0]) if rest == "first" else -low / (high - low)) for x in inputs]
+
+    def _element_columns(self, rest: Rest, lag: float, operator: Operator, kind: Envelope) -> np.ndarray:
+        """Plays or stops of one envelope."""
+        rows = []
+        for x, before in self._positions(rest, lag):
+            e = envelope(kind, x)
+            plays = play_columns(e, self.thresholds, envelope(kind, before))
+            rows.append(e[:, None] - plays if operator == "stop" else plays)
+        return self._weighted(np.concatenate(rows))
+
+    def _hardening(self, rest: Rest, lag: float, operator: Operator, path: int) -> _Term:
+        """Elements of the first envelope that fade with the path run."""
+        ways = [np.cumsum(np.abs(np.diff(x, prepend=before))) for x, before in self._positions(rest, lag)]
+        fading = np.exp(-np.concatenate(ways) / path)[self.used]
+        return _Term(fading[:, None] * self._elements(rest, lag, operator, _ALL[0]), free=True)
+
+    def _single_valued(self, rest: Rest, lag: float, operator: Operator, degree: int) -> _Term:
+        """The single-valued part: polynomials of different degree share no columns."""
+        x = np.concatenate([x for x, _ in self._positions(rest, lag)])
+        columns = rising_columns(degree, x) if operator == "play" else legvander(2.0 * x - 1.0, degree)[:, 1:]
+        return _Term(self._weighted(columns), free=operator == "stop")
+
+    def _beside_plays(self, name: str, rest: Rest, lag: float) -> _Term:
+        """Creep, or a force of the rate: the output for a weight of one."""
+        data = self._lagged(rest, lag)
+        part = {"creep": LinearCreep(rest=rest), "viscous": Viscous(), "saturating": SaturatingRate()}[name]
+        part = part.start(list(data)).replace(
+            **{"creep": {"a[0]": 1.0}, "viscous": {"c": 1.0}, "saturating": {"F": 1.0}}[name]
         )
-
-    @functools.cache  # noqa: B019  (the bench lives as long as one search)
-    def _beside(self, term: str, rest: Rest, lag: float) -> LinearSystem:
-        part: AbstractHysteresis = {
-            "creep": LinearCreep(rest=rest),
-            "viscous": Viscous(),
-            "saturating": SaturatingRate(),
-        }[term]
-        return self._respond(part, rest, lag)[1]
-
-    @functools.cache  # noqa: B019  (the bench lives as long as one search)
-    def _plays(self, rest: Rest, lag: float, operator: Operator, kind: Envelope, fade: int) -> dict[str, LinearSystem]:
-        """Columns of one envelope by the name of their weights: w, and hardening where the weights fade."""
-        return self._groups(
-            PrandtlIshlinskii.of(self.plays, envelopes=(kind,), operator=operator, hardening=fade, rest=rest), rest, lag
-        )
-
-    @functools.cache  # noqa: B019  (the bench lives as long as one search)
-    def _single(self, rest: Rest, lag: float, operator: Operator, degree: int) -> dict[str, LinearSystem]:
-        """Columns of the single-valued part, and the offset; polynomials of different degree share no columns."""
-        return self._groups(PrandtlIshlinskii.of(1, degree, operator=operator, rest=rest), rest, lag)
-
-    def _groups(self, model: PrandtlIshlinskii, rest: Rest, lag: float) -> dict[str, LinearSystem]:
-        problem, system = self._respond(model, rest, lag)
-        groups: dict[str, list[int]] = {}
-        for k, name in enumerate(problem.space.names):
-            groups.setdefault(name.partition("[")[0].partition("@")[0], []).append(k)
-        return {name: system.take(at) for name, at in groups.items()}
-
-    def _respond(self, part: AbstractHysteresis, rest: Rest, lag: float) -> tuple[Problem, LinearSystem]:
-        data = self.data
-        if lag:
-            through = Lag(tau=lag * _interval(data), rest=rest)
-            data = Dataset(tuple(_through(through, record) for record in data))
-        part = part.start(list(data))
-        space = ParameterSpace.of(part)
-        problem = Problem(
-            part, data, fix=[n for n, info in zip(space.names, space.infos, strict=True) if not info.linear]
-        )
-        return problem, LinearSystem.of(problem, problem.space.vector(problem.model))
+        y = np.concatenate([_output(part, record) for record in data])
+        return _Term(self._weighted(y[:, None]), free=name != "creep")

@@ -14,7 +14,15 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
-from hystfit.models.bouc_wen_steps import bound, exact_step, initial_hysteresis, phi, rate_integral, trapezoid
+from hystfit.models.bouc_wen_steps import (
+    bound,
+    exact_step,
+    initial_hysteresis,
+    initial_state,
+    phi,
+    rate_integral,
+    trapezoid,
+)
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
@@ -137,7 +145,7 @@ class BoucWen(AbstractHysteresis):
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
         numbers = {"C": self.c, "MU": self.mu, "TAU": self.tau, "RHO": self.rho, "OFFSET": self.offset}
-        numbers |= {"H0": self.init(jnp.zeros(()))[0], "EXACT": int(self.scheme == "exact")}
+        numbers |= {"H0": initial_state(self)[0], "EXACT": int(self.scheme == "exact")}
         return CPart(template("bouc_wen.c"), 1, numbers)
 
 

@@ -15,7 +15,15 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import coarse, grid_start
-from hystfit.models.bouc_wen_steps import bound, initial_hysteresis, power_of, rate_integral, runge_kutta, semi_implicit
+from hystfit.models.bouc_wen_steps import (
+    bound,
+    initial_hysteresis,
+    initial_state,
+    power_of,
+    rate_integral,
+    runge_kutta,
+    semi_implicit,
+)
 from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import input_range
@@ -149,6 +157,6 @@ class AsymmetricBoucWen(AbstractHysteresis):
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
         names = ("c", "mu", "tau", "rho", "n", "skew", "offset", "center", "half")
-        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": self.init(jnp.zeros(()))[0]}
+        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": initial_state(self)[0]}
         numbers |= {"B": int(self.b.shape[0]) + 2, "EXACT": int(self.scheme == "exact")}
         return CPart(template("bouc_wen_asymmetric.c"), 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(self.b))})

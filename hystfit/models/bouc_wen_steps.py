@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -26,6 +27,12 @@ def initial_hysteresis(part: Array, lowest: Array, highest: Array) -> Array:
     """
     side = jnp.where(part < 0, -lowest, highest)
     return part * jnp.where(jnp.isfinite(side), side, 0.0)
+
+
+@eqx.filter_jit
+def initial_state(model: Any) -> Array:
+    """State of a model at zero input, by one program; its operations one by one would each compile one."""
+    return model.init(jnp.zeros(()))
 
 
 def rate_integral(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -28,13 +28,13 @@ Operator = Literal["play", "stop"]
 Rest = Literal["level", "first"]
 
 
-def envelope(kind: Envelope, x: Array) -> Array:
+def envelope(kind: Envelope, x: Any) -> Any:
     """A rising function of x with 0 -> 0 and 1 -> 1, rising outside [0, 1] as well."""
     if kind == "identity":
         return x
     if kind == "square":
-        return x * jnp.abs(x)
-    return 1.0 - (1.0 - x) * jnp.abs(1.0 - x)
+        return x * abs(x)
+    return 1.0 - (1.0 - x) * abs(1.0 - x)
 
 
 class PrandtlIshlinskii(AbstractHysteresis):

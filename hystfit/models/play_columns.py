@@ -1,0 +1,41 @@
+"""What the linear weights of a Prandtl-Ishlinskii model are multiplied by, in NumPy: a search over its terms compiles no program."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from hystfit.quality.loops import branches
+
+
+def play_columns(
+    e: Float[np.ndarray, " T"], r: Float[np.ndarray, " plays"], rest: float
+) -> Float[np.ndarray, "T plays"]:
+    """Plays of half widths r driven by e: between two turning points a play is max(e - r, last) or min(e + r, last).
+
+    Args:
+        e: input of the plays.
+        r: half widths.
+        rest: input on which they rested before.
+    """
+    out = np.empty((e.size, r.size))
+    out[0] = np.maximum(e[0] - r, np.minimum(e[0] + r, rest))
+    for first, last in branches(e):
+        way = e[first : last + 1, None]
+        if e[last] > e[first]:
+            np.maximum(way - r, out[first].copy(), out=out[first : last + 1])
+        else:
+            np.minimum(way + r, out[first].copy(), out=out[first : last + 1])
+    return out
+
+
+def rising_columns(n: int, x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
+    """`rising_series` of degree n for an increment of 1 in each coefficient alone."""
+    within = np.clip(x, 0.0, 1.0)
+    basis = [math.comb(n, k) * within**k * (1.0 - within) ** (n - k) for k in range(1, n + 1)]
+    columns = np.cumsum(basis[::-1], axis=0)[::-1].T.copy()
+    columns[:, -1] += n * np.maximum(x - 1.0, 0.0)
+    columns[:, 0] += n * np.minimum(x, 0.0)
+    return columns
