@@ -1,6 +1,8 @@
 """The comparison of models: what is tried, what is left out and why, sizes that follow the data, names that make the winner again."""
 
+import gc
 import threading
+import weakref
 from pathlib import Path
 from typing import ClassVar
 
@@ -128,6 +130,15 @@ def test_columns_of_a_structure_are_the_derivatives_of_its_model(structure):
     expected, got = LinearSystem.of(problem, problem.space.vector(problem.model)), Terms(data, 4).system(structure)
     for name in ("columns", "target", "free", "ridged", "block", "weight"):
         np.testing.assert_allclose(getattr(got, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_columns_of_a_search_are_freed_with_it():
+    terms = Terms(hf.Dataset.of(hf.Record(U[:60], U[:60] ** 2, T[:60])), 4)
+    assert terms.score(Structure()) > 0
+    left = weakref.ref(terms)
+    del terms
+    gc.collect()
+    assert left() is None
 
 
 @pytest.mark.parametrize(("structure", "plays", "name"), STRUCTURES)

@@ -35,6 +35,12 @@ _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
 _ALL = get_args(Envelope)
 _PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
 _FEWEST = 3  # plays, however few the samples are
+# Terms beside plays and stops, and the name of their weight.
+_BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
+    "creep": (LinearCreep, "a[0]"),
+    "viscous": (Viscous, "c"),
+    "saturating": (SaturatingRate, "F"),
+}
 _LEVELS = 200  # inputs closer than this part of their range count as one
 
 
@@ -327,10 +333,8 @@ class Terms:
 
     def _beside_plays(self, name: str, rest: Rest, lag: float) -> _Term:
         """Creep, or a force of the rate: the output for a weight of one."""
+        kind, weight = _BESIDE[name]
         data = self._lagged(rest, lag)
-        part = {"creep": LinearCreep(rest=rest), "viscous": Viscous(), "saturating": SaturatingRate()}[name]
-        part = part.start(list(data)).replace(
-            **{"creep": {"a[0]": 1.0}, "viscous": {"c": 1.0}, "saturating": {"F": 1.0}}[name]
-        )
+        part = kind().with_rest(rest).start(list(data)).replace(**{weight: 1.0})
         y = np.concatenate([_output(part, record) for record in data])
         return _Term(self._weighted(y[:, None]), free=name != "creep")

@@ -26,6 +26,7 @@ from hystfit.models.bouc_wen_steps import (
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -136,7 +137,7 @@ class BoucWen(AbstractHysteresis):
         c = max(theta[0], 1e-3 * abs(theta[1]), 1e-12)
         mu = float(np.clip(-theta[1] / c, 0.02, 0.98))
         values = (c, mu, tau, rho, theta[2])
-        return eqx.tree_at(lambda m: (m.c, m.mu, m.tau, m.rho, m.offset), self, tuple(map(jnp.asarray, values)))
+        return eqx.tree_at(lambda m: (m.c, m.mu, m.tau, m.rho, m.offset), self, tuple(map(to_device, values)))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `BoucWenStep`."""

@@ -27,6 +27,7 @@ from hystfit.models.bouc_wen_steps import (
 from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.starting import input_range
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -147,7 +148,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         mu = float(np.clip(-theta[1] / c, 0.02, 0.98))
         values = (c, mu, tau, rho, theta[3:], theta[2], place.center, place.half)
         fields = lambda m: (m.c, m.mu, m.tau, m.rho, m.b, m.offset, m.center, m.half)
-        return eqx.tree_at(fields, self, tuple(map(jnp.asarray, values)))
+        return eqx.tree_at(fields, self, tuple(map(to_device, values)))
 
     def reach(self) -> tuple[float, float]:
         """A quarter of half the range beyond the range of the backbone."""

@@ -21,6 +21,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.starting import fitted_input_range, input_range
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -120,7 +121,7 @@ class LogCreep(AbstractHysteresis):
         place = input_range(records)
         span = abs(place.center) + place.half
         gamma = np.where(np.arange(self.gamma.shape[0]) == 0, 0.01, 0.0)
-        return eqx.tree_at(lambda m: (m.gamma, m.span), self, (jnp.asarray(gamma), jnp.asarray(span)))
+        return eqx.tree_at(lambda m: (m.gamma, m.span), self, (to_device(gamma), to_device(span)))
 
     @property
     def linear_in_input(self) -> bool:
@@ -236,9 +237,9 @@ class LinearCreep(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
         place = fitted_input_range(records)
-        low, high = (jnp.asarray(place.center + side * place.half) for side in (-1.0, 1.0))
+        low, high = (to_device(place.center + side * place.half) for side in (-1.0, 1.0))
         typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
-        tau = jnp.asarray(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
+        tau = to_device(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
         return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
 
     def with_rest(self, rest: str) -> LinearCreep:

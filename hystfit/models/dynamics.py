@@ -18,6 +18,7 @@ from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearS
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.parallel.associative import StateMap
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 
 
@@ -137,7 +138,7 @@ class Lag(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
         typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
-        return eqx.tree_at(lambda m: m.tau, self, jnp.asarray(3.0 * typical))
+        return eqx.tree_at(lambda m: m.tau, self, to_device(3.0 * typical))
 
     def with_rest(self, rest: str) -> Lag:
         """See the base class."""

@@ -20,6 +20,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import legendre_series, rising_series
 from hystfit.models.starting import fitted_input_range, output_range
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -259,15 +260,15 @@ class PrandtlIshlinskii(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
         """Ranges from the samples that count; the weights follow from a linear solve."""
         place, out = fitted_input_range(records), output_range(records)
-        w = jnp.full(self.w.shape, 0.2 * out.half / self.w.size)
-        b = jnp.zeros_like(self.b).at[:1].set(0.8 * out.half)
-        rise = jnp.full(self.rise.shape, 1.6 * out.half / max(self.rise.size, 1))  # equal increments: a straight line
-        offset = out.center - 0.5 * jnp.sum(rise)
+        w = np.full(self.w.shape, 0.2 * out.half / self.w.size)
+        b = np.where(np.arange(self.b.size) == 0, 0.8 * out.half, 0.0)
+        rise = np.full(self.rise.shape, 1.6 * out.half / max(self.rise.size, 1))  # equal increments: a straight line
+        offset = out.center - 0.5 * np.sum(rise)
         low, high = place.center - place.half, place.center + place.half
         return eqx.tree_at(
             lambda m: (m.w, m.b, m.rise, m.offset, m.low, m.high),
             self,
-            (w, b, rise, offset, jnp.asarray(low), jnp.asarray(high)),
+            tuple(map(to_device, (w, b, rise, offset, low, high))),
         )
 
     def settings(self) -> dict[str, int | bool | str]:
