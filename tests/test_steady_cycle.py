@@ -55,7 +55,7 @@ OTHERS = {
         *np.hstack([[r.u[:-1], r.y[:-1]] for r in (steady(0.0, amplitude=a) for a in (0.5, 1.0))])
     ),
     "a curve": lambda: hf.Record(period(0.0), period(0.0) ** 3),
-    "noise": lambda: hf.Record(period(0.0), np.random.default_rng(1).normal(size=N + 1)),
+    "noise": lambda: hf.Record(period(0.0), np.random.default_rng(2).normal(size=N + 1)),
     "an output missing": lambda: hf.Record(period(0.0), np.where(np.arange(N + 1) == 5, np.nan, steady(0.0).y)),
     "rested before": lambda: steady(0.0).resting_on(0.0),
     "driven through itself": lambda: steady(0.0).repeating(),
