@@ -19,6 +19,7 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import POINTS, SlowNoiseFit
+from hystfit.models.shapes import Scalar
 
 _SHARE = 1e-3  # posterior weight of a noise below which it is left out of the average
 Moments = tuple[Array, ...]
@@ -56,12 +57,12 @@ class LeastSquaresInformation(AbstractInformation):
         loop, length: variance of the curves and their length scale in the input; variance 0 without them.
     """
 
-    plain: Float[Array, ""]
-    white: Float[Array, ""]
+    plain: Scalar
+    white: Scalar
     slow: Float[Array, " m"]
     time: Float[Array, " m"]
-    loop: Float[Array, ""]
-    length: Float[Array, ""]
+    loop: Scalar
+    length: Scalar
     curved: bool = eqx.field(static=True)
 
     @classmethod

@@ -15,6 +15,7 @@ from hystfit.inference.blocks import parts
 from hystfit.models.base import run
 from hystfit.models.parallel.kernel import linear_run
 from hystfit.models.parallel.route import Route, on_gpu, route
+from hystfit.models.shapes import Scalar
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 
@@ -37,8 +38,8 @@ class Objective(eqx.Module):
 
     coordinates: Coordinates
     batch: Batch
-    size: Float[Array, ""]
-    bend: Float[Array, ""]
+    size: Scalar
+    bend: Scalar
     loss: Loss = eqx.field(static=True, default="linear")
 
     def predict(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.config import require_x64
 from hystfit.data.record import Record
@@ -26,6 +26,7 @@ from hystfit.models.one_device import check_one_device
 from hystfit.models.parallel.associative import StateMap, sweep_at_once
 from hystfit.models.parallel.kernel import scan
 from hystfit.models.parallel.route import Route, route
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -49,13 +50,11 @@ class AbstractHysteresis(eqx.Module):
         """Whether the output depends only on the order of the inputs, so that no time is needed."""
 
     @abc.abstractmethod
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State of the model at rest on the input u0, with no history."""
 
     @abc.abstractmethod
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Advance the state by one sample, from input u0 to u1 in the time dt: (new state, output at u1).
 
         Args:
@@ -85,14 +84,7 @@ class AbstractHysteresis(eqx.Module):
 
     # -- optional: simulation ----------------------------------------------------------------------------------------------
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
         """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
 
         To override where part of the work does not depend on the state, and need not be in the scan.
@@ -114,18 +106,15 @@ class AbstractHysteresis(eqx.Module):
         state, y = scan(body, state[0] if single else state, (before, u, dt), unroll)
         return (state[None] if single else state), y
 
-    state_map: ClassVar[StateMap | None] = (
-        None  # what `step` does to the state, where it is one of the maps that compose
-    )
+    # What `step` does to the state, where it is one of the maps that compose.
+    state_map: ClassVar[StateMap | None] = None
 
     @property
     def associative(self) -> bool:
         """Whether `sweep_at_once` needs no scan over the samples."""
         return self.state_map is not None
 
-    def sweep_at_once(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """`sweep` by an associative scan where `state_map` is set: for long records on a GPU.
 
         Args:
@@ -379,15 +368,7 @@ class AbstractStepInverse(eqx.Module):
         """A search needs an interval to search in; a closed form needs none."""
 
     @abc.abstractmethod
-    def solve(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        target: Float[Array, ""],
-        dt: Float[Array, ""],
-        low: Float[Array, ""],
-        high: Float[Array, ""],
-    ) -> Root:
+    def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
         """The input, which a closed form may put outside the limits, and whether the output rises on the way to it.
 
         Args:
@@ -405,9 +386,7 @@ class AbstractStepInverse(eqx.Module):
         """-1 where the inverse assumes an output that falls with the input."""
         return 1.0
 
-    def advance(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def advance(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The model's step; to override where the inverse holds tables that make it faster.
 
         Args:
@@ -486,8 +465,8 @@ class PlayWeights(NamedTuple):
 class Resume(NamedTuple):
     """The end of a simulation, from which it can be resumed: state of the model and the last input."""
 
-    state: Float[Array, " state"]
-    u: Float[Array, ""]
+    state: State
+    u: Scalar
 
 
 def simulate(
@@ -497,7 +476,7 @@ def simulate(
     *,
     resume: Resume | None = None,
     unroll: int = 1,
-) -> tuple[Float[Array, " T"], Resume]:
+) -> tuple[Signal, Resume]:
     """Free run of a model over an input.
 
     Args:

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record, median_interval
 from hystfit.errors import ModelError
@@ -18,6 +18,7 @@ from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearS
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.params.param import param
 
 
@@ -34,34 +35,25 @@ class Delay(AbstractHysteresis):
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
 
-    lag: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
+    lag: Scalar = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
     longest: int = eqx.field(static=True, default=8)
 
     def __check_init__(self) -> None:
         if self.longest < 1:
             raise ModelError(f"the longest delay must be at least one sample, got {self.longest}")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the last inputs, newest first, all u0."""
         return jnp.broadcast_to(u0, (self.longest + 1,))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Push the new input, read between two old ones."""
         state = jnp.concatenate([u1[None], state[:-1]])
         lag = jnp.minimum(self.lag, float(self.longest))
         weight = jnp.maximum(0.0, 1.0 - jnp.abs(lag - jnp.arange(self.longest + 1)))
         return state, jnp.sum(weight * state)
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
         """The three shifted inputs around the delay, without a scan: all others have weight 0, and so have their derivatives."""
         count = self.longest + 1
         line = jnp.concatenate([state[:-1][::-1], u])
@@ -98,32 +90,23 @@ class Lag(AbstractHysteresis):
     linear_in_input: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
 
-    tau: Float[Array, ""] = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
-    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
     rest: Literal["level", "first"] = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:
         check_rest(self.rest)
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the outputs of the two lags, at rest on `level` or, where rest = "first", on the first input."""
         return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (2,))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample through both lags."""
         first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
         return jnp.stack([first, second]), second
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
         body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
         state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt, unroll)
@@ -166,28 +149,19 @@ class SecondOrder(AbstractHysteresis):
     state_map: ClassVar[StateMap] = StateMap.AFFINE
     linear_in_input: ClassVar[bool] = True
 
-    omega: Float[Array, ""] = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
-    zeta: Float[Array, ""] = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
+    omega: Scalar = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
+    zeta: Scalar = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: output and its rate, at rest on u0."""
         return jnp.stack([u0, jnp.zeros_like(u0)])
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The deviation from the ramp response decays freely over the sample."""
         position, speed = self._moved((state[0], state[1]), u0, u1, self._factors(dt))
         return jnp.stack([position, speed]), position
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
         """Without exponential, sine and cosine where the sampling is even."""
         before = jnp.concatenate([u0[None], u[:-1]])
         body = lambda state, row, factors: (new := self._moved(state, *row, factors), new[0])

@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from hystfit.models.shapes import Scalar, Signal
+
 _ROUNDING = 4.0  # spread of the time steps of an even clock, in units in the last place of the last time stamp
 
 _BLOCK = 32  # samples whose factors are in memory at a time; padded records are whole numbers of blocks
 
 
-def even_step(dt: Float[Array, " T"]) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+def even_step(dt: Signal) -> tuple[Bool[Array, ""], Scalar]:
     """Whether all time steps but those of 0 are equal up to the rounding of time stamps, and the largest.
 
     Steps of 0 are allowed: records are padded with them.
@@ -29,7 +31,7 @@ def scan_in_time(
     carry: Any,
     samples: Any,
     factors: Callable[[Array], Any],
-    dt: Float[Array, " T"],
+    dt: Signal,
     unroll: int = 1,
 ) -> tuple[Any, Any]:
     """`jax.lax.scan` of a body whose third argument depends on the time step alone.
@@ -75,10 +77,10 @@ def relaxed(
     tau: Float[Array, " modes"],
     gain: Float[Array, "..."] | float,
     weight: Float[Array, "..."] | float,
-    x: Float[Array, " T"],
-    dt: Float[Array, " T"],
+    x: Signal,
+    dt: Signal,
     unroll: int = 1,
-) -> tuple[Float[Array, " modes"], Float[Array, " T"]]:
+) -> tuple[Float[Array, " modes"], Signal]:
     """Relaxations tau dz/dt = gain x - z, exact for steps of x: the last state, and their weighted sum at each sample.
 
     Args:

@@ -16,6 +16,7 @@ from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.ornstein_uhlenbeck import OrnsteinUhlenbeck
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code
 from hystfit.params.param import param
 
@@ -32,10 +33,10 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
     name: ClassVar[str] = "discrepancy"
     has_shapes: ClassVar[bool] = True
     covers: ClassVar[frozenset[Code]] = OrnsteinUhlenbeck.covers | {Code.REPEATING_RESIDUALS}
-    noise_loop: Float[Array, ""] = param(
+    noise_loop: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the error that repeats"
     )
-    noise_length: Float[Array, ""] = param(
+    noise_length: Scalar = param(
         0.3, bounds=(0.08, 3.0), scale=0.3, doc="input range over which that error changes, relative to the whole range"
     )
     points: int = eqx.field(static=True, default=12)

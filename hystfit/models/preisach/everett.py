@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from hystfit.models.shapes import Scalar
+
 AnyArray = Array | np.ndarray  # for functions that serve host and device
 
 
@@ -118,7 +120,7 @@ class Everett(eqx.Module):
         return (1 - p) * near + p * far + jnp.where(i == j, inside, across)
 
     @property
-    def total(self) -> Float[Array, ""]:
+    def total(self) -> Scalar:
         """Mass of all relays."""
         return self.off[-1, 0] + self.sums[-1]
 
@@ -164,10 +166,10 @@ class FirstRise(eqx.Module):
     square: Float[Array, "n n"]
     sums: Float[Array, " m"]
     levels: Float[Array, " m"]
-    center: Float[Array, ""]
+    center: Scalar
 
     @classmethod
-    def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
+    def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar) -> FirstRise:
         """Tables of weights.
 
         Args:
@@ -181,7 +183,7 @@ class FirstRise(eqx.Module):
         return cls(square, jnp.concatenate([jnp.zeros(1, w.dtype), jnp.cumsum(rows)]), levels, center)
 
     @classmethod
-    def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
+    def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar) -> FirstRise:
         """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image.
 
         Args:
@@ -212,19 +214,14 @@ class CellMemory(eqx.Module):
     everett: Everett
     up: FirstRise | None
     down: FirstRise | None
-    rest: Float[Array, ""]
+    rest: Scalar
     levels: Float[Array, " m"]
-    center: Float[Array, ""]
+    center: Scalar
     initial: str = eqx.field(static=True)
 
     @classmethod
     def of(
-        cls,
-        w: Float[Array, " cells"],
-        levels: Float[Array, " m"],
-        center: Float[Array, ""],
-        initial: str,
-        symmetric: bool,
+        cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar, initial: str, symmetric: bool
     ) -> CellMemory:
         """Tables of the masses of cells.
 
