@@ -25,6 +25,7 @@ from hystfit.fitting.verdict import with_left_out
 from hystfit.fitting.workers import Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.reversal_curves import recognize_family
@@ -372,5 +373,4 @@ class _Judge:
 
     @property
     def _span(self) -> float:
-        y = np.concatenate([record.y[record.used] for record in self.data])
-        return float(np.ptp(y)) or 1.0
+        return output_range(self.data).width

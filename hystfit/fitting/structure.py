@@ -23,6 +23,7 @@ from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlins
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.registry import model_name
 from hystfit.models.series import Series
+from hystfit.models.starting import output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
@@ -215,7 +216,7 @@ class _Bench:
     def __init__(self, data: Dataset, plays: int):
         self.data, self.plays = data, plays
         self.timed = _interval(data) > 0 and all(record.t is not None for record in data)
-        self.span = float(np.ptp(np.concatenate([record.y[record.used] for record in data]))) or 1.0
+        self.span = output_range(data).width
         self.samples = sum(int(record.used.sum()) for record in data)
         self.scores: dict[Structure, float] = {}
 

@@ -96,8 +96,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         return falling, rising
 
     def _backbone(self, u: Array) -> Array:
-        coefficients = jnp.concatenate([jnp.zeros(2, self.b.dtype), self.b])
-        return legendre_series(coefficients, (u - self.center) / self.half)
+        return legendre_series(self.b, (u - self.center) / self.half, first=2)
 
     def _moved(self, h: Array, dv: Array, bounds: tuple[Array, Array]) -> Array:
         """h after the input moved by dv."""

@@ -13,7 +13,7 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record, median_interval
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_rest
 from hystfit.models.bracketed import Root
@@ -21,7 +21,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.starting import fitted_input_range, input_range
+from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -220,7 +220,7 @@ class LinearCreep(AbstractHysteresis):
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
         place = fitted_input_range(records)
         low, high = (jnp.asarray(place.center + side * place.half) for side in (-1.0, 1.0))
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
+        typical = sampling_interval(records)
         tau = jnp.asarray(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
         return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
 

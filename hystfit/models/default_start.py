@@ -11,8 +11,7 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.models.starting import scales_of, thinned
-from hystfit.params.coordinates import BOTH
-from hystfit.params.hypercube import latin_hypercube
+from hystfit.params.hypercube import spread_points
 from hystfit.params.space import ParameterSpace
 
 _POINTS = 128
@@ -60,11 +59,7 @@ def _points(space: ParameterSpace, model: Any, moved: np.ndarray) -> np.ndarray:
     own = space.unconstrained(space.vector(model))
     if not moved.size:
         return own[None]
-    unit = latin_hypercube(own.size, _POINTS, 0)
-    inside = 0.05 + 0.9 * unit
-    over_range = np.log(inside) - np.log1p(-inside)
-    both = np.array([kind == BOTH for kind in space.coordinates.kinds])
-    spread = np.where(both, over_range, _SPREAD * (2 * unit - 1))
+    spread = spread_points(space.coordinates, np.zeros(own.size), _POINTS, 0, spread=_SPREAD)
     points = np.tile(own, (_POINTS + 1, 1))
     points[1:, moved] = spread[:, moved]
     return points

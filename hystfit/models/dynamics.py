@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.data.record import Record, median_interval
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep, OutputResonance, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.starting import sampling_interval
 from hystfit.params.param import param
 
 
@@ -119,7 +120,7 @@ class Lag(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
+        typical = sampling_interval(records)
         return eqx.tree_at(lambda m: m.tau, self, jnp.asarray(3.0 * typical))
 
     def with_rest(self, rest: str) -> Lag:
@@ -189,7 +190,7 @@ class SecondOrder(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> SecondOrder:
         """A resonance at a tenth of the sampling rate."""
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.01
+        typical = sampling_interval(records, 0.01)
         return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)
 
     def output_resonance(self) -> OutputResonance:

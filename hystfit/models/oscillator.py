@@ -15,6 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.band_limited import REACH, upsample
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Derived
+from hystfit.models.bouc_wen_steps import any_power, zeroth_power
 from hystfit.models.c_code import CPart, template
 from hystfit.models.dynamics import no_inverse
 from hystfit.models.oscillator_start import oscillator_starts
@@ -125,7 +126,7 @@ class BoucWenOscillator(AbstractHysteresis):
             return jnp.stack([y, v, z, jnp.ones_like(y)]), last(ys), last(zs)
 
         # Without exponential and logarithm where n = 1: they take most of the time of a step.
-        return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(_any_power))
+        return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(any_power))
 
     def _force(self, u: Array) -> Array:
         """Force at the ends and midpoints of all substeps of each interval between samples, shape (T, 2 substeps + 1)."""
@@ -284,29 +285,9 @@ class BoucWenOscillator(AbstractHysteresis):
 _CAUSAL = "use between='linear' or between='hold' (at the shell, oscillator:between=linear)"
 
 
-def _any_power(x: Array, n: Array) -> Array:
-    """x^n for x >= 0, with finite derivatives at zero."""
-    safe = jnp.where(x > 0, x, 1.0)
-    return jnp.where(x > 0, jnp.exp(n * jnp.log(safe)), 0.0)
-
-
-@jax.custom_jvp
 def _first_power(x: Array, n: Array) -> Array:
     """x^n at n = 1; the logarithm is in the derivative by n alone."""
-    return x
-
-
-def _first_power_slope(values: tuple[Array, Array], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
-    x, _ = values
-    by_x, by_n = tangents
-    missing = jax.custom_derivatives.SymbolicZero
-    slope = jnp.zeros_like(x) if isinstance(by_x, missing) else by_x
-    if not isinstance(by_n, missing):
-        slope = slope + jnp.where(x > 0, x * jnp.log(jnp.where(x > 0, x, 1.0)), 0.0) * by_n
-    return x, slope
-
-
-_first_power.defjvp(_first_power_slope, symbolic_zeros=True)
+    return x * zeroth_power(x, n)
 
 
 @eqx.filter_jit

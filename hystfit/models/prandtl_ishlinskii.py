@@ -170,17 +170,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
             rest=rest,
         )
 
-    @classmethod
-    def generalized(cls, plays: int = 20, degree: int = 5, **options: object) -> PrandtlIshlinskii:
-        """`of` with the three envelopes, for asymmetric loops.
-
-        Args:
-            plays: number of plays for each envelope.
-            degree: of the single-valued polynomial.
-            **options: others of `of`.
-        """
-        return cls.of(plays, degree, envelopes=3, **options)
-
     @property
     def needs(self) -> Needs:
         """Plays describe loops that lag, stops loops that lead."""
@@ -200,9 +189,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         return jnp.maximum(target - self.r, jnp.minimum(target + self.r, plays))
 
     def _single(self, x: Array) -> Array:
-        return legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0) + rising_series(
-            self.rise, x
-        )
+        return legendre_series(self.b, 2.0 * x - 1.0, first=1) + rising_series(self.rise, x)
 
     def init(self, u0: Scalar) -> State:
         """State: the plays, moved from rest to u0, and with hardening the path run so far."""

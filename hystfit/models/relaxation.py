@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record, median_interval
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.starting import sampling_interval
 from hystfit.params.param import param
 
 
@@ -59,7 +60,7 @@ class Relaxation(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> Relaxation:
         """Time constants from ten sampling intervals to the length of the records, small equal weights."""
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
+        typical = sampling_interval(records)
         longest = max(float(np.sum(record.dt[1:])) for record in records)
         tau = np.geomspace(10 * typical, max(longest / 5, 100 * typical), self.tau.shape[0] + 2)[1:-1]
         return eqx.tree_at(lambda m: (m.a, m.tau), self, (jnp.full(self.a.shape, 0.02), jnp.asarray(tau)))

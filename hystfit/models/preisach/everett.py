@@ -28,14 +28,16 @@ def cells(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.lru_cache(maxsize=16)
 def mirror(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cells tied by symmetry: (the independent weight of each cell, the cell and its mirror image of each weight, (2, p)).
-
-    The mirror image of cell (i, j) in the line alpha + beta = 0 is (n - 1 - j, n - 1 - i).
-    """
-    i, j = cells(n)
-    image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
-    first, inverse = np.unique(np.minimum(np.arange(i.size), image), return_inverse=True)
+    """Cells tied by symmetry: (the independent weight of each cell, the cell and its mirror image of each weight, (2, p))."""
+    image = _images(n)
+    first, inverse = np.unique(np.minimum(np.arange(image.size), image), return_inverse=True)
     return inverse, np.stack([first, image[first]])
+
+
+def _images(n: int) -> np.ndarray:
+    """Number of the mirror image of every cell in the line alpha + beta = 0: of cell (i, j) it is (n - 1 - j, n - 1 - i)."""
+    i, j = cells(n)
+    return (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
 
 
 def fold(columns: np.ndarray, n: int) -> np.ndarray:
@@ -189,10 +191,7 @@ class FirstRise(eqx.Module):
         Args:
             w, levels, center: as in `of`.
         """
-        n = levels.shape[0] - 1
-        i, j = cells(n)
-        image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
-        return cls.of(w[image], 2 * center - levels[::-1], center)
+        return cls.of(w[_images(levels.shape[0] - 1)], 2 * center - levels[::-1], center)
 
     def __call__(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
         """Mass that a rise to u switches."""

@@ -175,25 +175,6 @@ class Preisach(AbstractPlane):
             depth=depth,
         )
 
-    @classmethod
-    def uniform(
-        cls, n: int = 20, degree: int = 1, initial: Rest = "demagnetized", *, elements: Elements = "cells"
-    ) -> Preisach:
-        """Equally spaced levels and a polynomial reversible part.
-
-        Args:
-            n: cells, or relay levels, along each axis.
-            degree: of the polynomial.
-            initial: state before the record.
-            elements: "cells" or "relays".
-
-        Raises:
-            ModelError: fewer than one cell or degree one.
-        """
-        if degree < 1:
-            raise ModelError(f"at least degree one is needed, got {degree}")
-        return cls.of(n, degree=degree, reversible=False, elements=elements, initial=initial, spacing="uniform")
-
     def start(self, records: Sequence[Record]) -> Preisach:
         """Levels spread over the input by `spacing`; the weights follow from a linear solve.
 

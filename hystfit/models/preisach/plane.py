@@ -86,9 +86,7 @@ class AbstractPlane(AbstractHysteresis):
 
     def single_valued(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
         """The part of the output without memory, the offset included."""
-        y = self.offset + legendre_series(
-            jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), (u - self.center) / self.half
-        )
+        y = self.offset + legendre_series(self.b, (u - self.center) / self.half, first=1)
         if self.slopes.size:
             y = y + ramps(self.levels, self.center, u, self.symmetric, jnp) @ self.slopes
         return y
