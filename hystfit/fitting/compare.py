@@ -17,7 +17,8 @@ from hystfit.data.record import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.fit import choose_method, fit, solve, started_problem
+from hystfit.fitting.fit import fit
+from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned

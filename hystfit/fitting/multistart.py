@@ -25,7 +25,6 @@ def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -
     starts = np.tile(center, (max(count, 1), 1))
     if count <= 1:
         return starts
-    linear = np.array([info.linear for info in problem.space.infos])
     spread = spread_points(problem.space.coordinates, center, count - 1, seed, spread=_SPREAD)
-    starts[1:] = np.where(linear, center, spread)
+    starts[1:] = np.where(problem.space.linear, center, spread)
     return starts

@@ -184,6 +184,10 @@ class Problem:
         low, high = x - lower < tolerance * width, upper - x < tolerance * width
         return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
 
+    def on_bound(self, x: np.ndarray) -> np.ndarray:
+        """Which parameters have reached a bound, shape (p,), bool."""
+        return np.array([side is not None for side in self.at_bound(x)], dtype=bool)
+
     # -- least squares -------------------------------------------------------------------------------------------------
 
     def predict(self, x: Any) -> list[np.ndarray]:

@@ -17,7 +17,6 @@ from jaxtyping import Array
 from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ModelError, ParameterError
-from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
 from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
@@ -27,6 +26,7 @@ from hystfit.models.parallel.associative import StateMap, sweep_at_once
 from hystfit.models.parallel.kernel import scan
 from hystfit.models.parallel.route import Route, route
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -348,89 +348,6 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
 
     zero = [jnp.zeros_like(leaves[k]) for k in at]
     return output(zero), jax.jacfwd(output)(zero) if at else []
-
-
-# -- one-sample inverses -------------------------------------------------------------------------------------------------------
-
-
-class AbstractStepInverse(eqx.Module):
-    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1.
-
-    Attributes:
-        model: what is inverted.
-    """
-
-    model: eqx.AbstractVar[AbstractHysteresis]
-
-    @property
-    @abc.abstractmethod
-    def needs_limits(self) -> bool:
-        """A search needs an interval to search in; a closed form needs none."""
-
-    @abc.abstractmethod
-    def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
-        """The input, which a closed form may put outside the limits, and whether the output rises on the way to it.
-
-        Args:
-            state: of the model after the last sample.
-            u0: input of the last sample.
-            target: wanted output.
-            dt: time since the last sample [s].
-            low, high: limits of the input.
-        """
-
-    # Optional, as those of a model:
-
-    @property
-    def sign(self) -> float:
-        """-1 where the inverse assumes an output that falls with the input."""
-        return 1.0
-
-    def advance(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The model's step; to override where the inverse holds tables that make it faster.
-
-        Args:
-            state: before the sample, shape (states,).
-            u0: input of the previous sample [u].
-            u1: input of this sample [u].
-            dt: time between the two [s]; 0 where there is no time.
-        """
-        return self.model.step(state, u0, u1, dt)
-
-
-class SearchStep(AbstractStepInverse):
-    """Bracketed search on the model's own step: for every model whose output rises, or falls, with its input.
-
-    Attributes:
-        model: any model.
-        falls: -1 where the output falls with the input, else 1.
-    """
-
-    model: AbstractHysteresis
-    falls: float = eqx.field(static=True, default=1.0)
-    needs_limits: bool = eqx.field(static=True, default=True)
-
-    @property
-    def sign(self) -> float:
-        """See the base class."""
-        return self.falls
-
-    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
-        miss = lambda u1: self.falls * (self.model.step(state, u0, u1, dt)[1] - target)
-        return solve_rising(miss, jnp.clip(u0, low, high), low, high)
-
-
-class LinearStep(AbstractStepInverse):
-    """Inverse of a model whose output is affine in the new input (`Lag`, `Relaxation`): a derivative gives its gain."""
-
-    model: AbstractHysteresis
-    needs_limits: bool = eqx.field(static=True, default=False)
-
-    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
-        value, gain = jax.jvp(lambda u: self.model.step(state, u0, u, dt)[1], (u0,), (jnp.ones_like(u0),))
-        return Root(u0 + (target - value) / jnp.where(gain > 0, gain, jnp.inf), gain > 0)
 
 
 # -- simulation ------------------------------------------------------------------------------------------------------------------

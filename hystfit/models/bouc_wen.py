@@ -13,12 +13,13 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import bound, exact_step, initial_hysteresis, phi, rate_integral, trapezoid
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 

@@ -15,13 +15,14 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_rest
+from hystfit.models.base import AbstractHysteresis, check_rest
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 

@@ -35,7 +35,7 @@ def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
     short = thinned(chosen, 200) if model.allows_thinning else chosen
     space = ParameterSpace.of(model, scales=scales_of(Dataset(tuple(records))))
     free = {space.leaves[number].index for number, _, _ in space.sources}
-    moved = np.flatnonzero([not info.linear for info in space.infos])
+    moved = np.flatnonzero(~space.linear)
     solve = lambda z: _solved(space.tree(z), short, free)
     found = [(z, point) for z in _points(space, model, moved) if np.isfinite((point := solve(z)).cost)]
     found.sort(key=lambda item: item[1].cost)

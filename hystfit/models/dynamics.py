@@ -14,12 +14,13 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep, OutputResonance, check_rest
+from hystfit.models.base import AbstractHysteresis, OutputResonance, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
+from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
 
 

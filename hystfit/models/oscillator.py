@@ -14,12 +14,13 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.band_limited import REACH, upsample
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Derived
+from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
 from hystfit.models.c_code import CPart, template
 from hystfit.models.dynamics import no_inverse
 from hystfit.models.oscillator_start import oscillator_starts
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.outcome import Code
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs

@@ -14,13 +14,14 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, PlayWeights, SearchStep
+from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import legendre_series, rising_series
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import fitted_input_range, output_range
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractStepInverse, SearchStep, drive
+from hystfit.models.base import drive
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
@@ -28,6 +28,7 @@ from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
 from hystfit.models.shapes import Scalar
 from hystfit.models.starting import input_range, output_range
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves
