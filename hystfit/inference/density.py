@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.newton import FORWARD, forward
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.objective import Objective
+from hystfit.inference.objective import Objective, by_record
 from hystfit.inference.priors import AbstractPrior
 from hystfit.models.parallel.kernel import scan
 from hystfit.models.shapes import Scalar
@@ -121,10 +121,7 @@ class Density(eqx.Module):
                 return scan(lambda c, at: sample(c, (*at, setting.gap)), begin, rows)[0][1]
             return scan(sample, begin, (*rows, setting.gap[k]))[0][1]
 
-        if batch.u.shape[0] == 1:
-            return record(0)
-        parts = jax.lax.map(record, jnp.arange(batch.u.shape[0]))
-        return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), parts)
+        return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), by_record(record, batch.u.shape[0]))
 
     # -- gradient ------------------------------------------------------------------------------------------------------
 

@@ -84,7 +84,7 @@ class AbstractHysteresis(eqx.Module):
 
     # -- optional: simulation ----------------------------------------------------------------------------------------------
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
 
         To override where part of the work does not depend on the state, and need not be in the scan.
@@ -94,7 +94,6 @@ class AbstractHysteresis(eqx.Module):
             u0: input before the first sample.
             u: input, shape (T,).
             dt: time since the sample before, shape (T,) [s].
-            unroll: of the scan.
         """
         single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
 
@@ -103,7 +102,7 @@ class AbstractHysteresis(eqx.Module):
             return (state[0] if single else state), y
 
         before = jnp.concatenate([u0[None], u[:-1]])
-        state, y = scan(body, state[0] if single else state, (before, u, dt), unroll)
+        state, y = scan(body, state[0] if single else state, (before, u, dt))
         return (state[None] if single else state), y
 
     # What `step` does to the state, where it is one of the maps that compose.
@@ -392,7 +391,6 @@ def simulate(
     dt: ArrayLike | Sequence[float] | None = None,
     *,
     resume: Resume | None = None,
-    unroll: int = 1,
 ) -> tuple[Signal, Resume]:
     """Free run of a model over an input.
 
@@ -402,7 +400,6 @@ def simulate(
         dt: time over which each input acted before its sample was read, shape (T,), or one number for all: the time
             since the sample before. A rate-independent model needs none.
         resume: what an earlier run returned, to continue it; None starts from `model.init(u[0])`.
-        unroll: of the scan; 1 under differentiation, 4 to 8 for a fast plain run of a small model.
 
     Returns:
         Output, shape (T,), and where the run stopped. Running two halves in turn equals one run.
@@ -419,7 +416,7 @@ def simulate(
     u, dt = _checked_drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
     try:
-        return _compiled(model)(model, u, dt, resume, unroll)
+        return _compiled(model)(model, u, dt, resume)
     except (TypeError, ValueError):
         check_one_device(model)
         raise
@@ -466,9 +463,7 @@ def _floating(values: Any) -> Any:
     return np.asarray(values, dtype=np.float64)
 
 
-def run(
-    model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None, unroll: int = 1
-) -> tuple[Array, Resume]:
+def run(model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None) -> tuple[Array, Resume]:
     """`simulate` without checks or jit, for use inside other traced code.
 
     Args:
@@ -476,18 +471,17 @@ def run(
         u: input, shape (T,).
         dt: time since the sample before, shape (T,) [s].
         resume: see `simulate`.
-        unroll: of the scan.
     """
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
     if route(u.shape[0], associative=model.associative) is Route.ASSOCIATIVE:
         state, y = model.sweep_at_once(resume.state, resume.u, u, dt)
     else:
-        state, y = model.sweep(resume.state, resume.u, u, dt, unroll)
+        state, y = model.sweep(resume.state, resume.u, u, dt)
     return y, Resume(state, u[-1])
 
 
-_run_arrays = jax.jit(run, static_argnums=4)
+_run_arrays = jax.jit(run)
 _run_any = eqx.filter_jit(run)
 
 

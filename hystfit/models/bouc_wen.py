@@ -91,10 +91,10 @@ class BoucWen(AbstractHysteresis):
         """The exact step has exponentials that need no state."""
         return self.scheme != "exact"
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The exponentials of all exact steps first, then one scan."""
         if self.scheme != "exact":
-            return super().sweep(state, u0, u, dt, unroll)
+            return super().sweep(state, u0, u, dt)
         dv = jnp.diff(u, prepend=u0)
         m, up, down = self.mu * self.c, self.tau * (1 + self.rho), self.tau * (1 - self.rho)
         s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
@@ -104,7 +104,7 @@ class BoucWen(AbstractHysteresis):
             h = s * exact_step(s * h, x, m, up, down, (phis[0], phis[1]))
             return h, h
 
-        last, h = jax.lax.scan(once, state[0], (s, x, phi(up, x), phi(down, x)), unroll=unroll)
+        last, h = jax.lax.scan(once, state[0], (s, x, phi(up, x), phi(down, x)))
         return last[None], self.offset + self.c * u - h
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:

@@ -82,11 +82,11 @@ class AsymmetricBoucWen(AbstractHysteresis):
         h = self._moved(state[0], u1 - u0, self._bounds())
         return h[None], self.offset + self.c * u1 + self._backbone(u1) - h
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """h alone is in the scan."""
         bounds = self._bounds()
         once = lambda h, dv: (new := self._moved(h, dv, bounds), new)
-        last, h = jax.lax.scan(once, state[0], jnp.diff(u, prepend=u0), unroll=unroll)
+        last, h = jax.lax.scan(once, state[0], jnp.diff(u, prepend=u0))
         return last[None], self.offset + self.c * u + self._backbone(u) - h
 
     def _bounds(self) -> tuple[Array, Array]:

@@ -102,10 +102,10 @@ class LogCreep(AbstractHysteresis):
         state = state - jnp.expm1(-dt / self.tau) * (gamma * self.weights * u1 - state)
         return state, (1 - gamma * self.base) * u1 + jnp.sum(state)
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The relaxations alone are in the scan."""
         gamma = self._rate(u)
-        state, total = relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt, unroll)
+        state, total = relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt)
         return state, (1 - gamma * self.base) * u + total
 
     def start(self, records: Sequence[Record]) -> LogCreep:
@@ -212,10 +212,10 @@ class LinearCreep(AbstractHysteresis):
         state = state - jnp.expm1(-dt / self.tau) * (x - state)
         return state, jnp.sum(self.a * state)
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The relaxations alone are in the scan."""
         x = (u - self.low) / (self.high - self.low)
-        return relaxed(state, self.tau, 1.0, self.a, x, dt, unroll)
+        return relaxed(state, self.tau, 1.0, self.a, x, dt)
 
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""

@@ -55,7 +55,7 @@ class Delay(AbstractHysteresis):
         weight = jnp.maximum(0.0, 1.0 - jnp.abs(lag - jnp.arange(self.longest + 1)))
         return state, jnp.sum(weight * state)
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The three shifted inputs around the delay, without a scan: all others have weight 0, and so have their derivatives."""
         count = self.longest + 1
         line = jnp.concatenate([state[:-1][::-1], u])
@@ -108,10 +108,10 @@ class Lag(AbstractHysteresis):
         first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
         return jnp.stack([first, second]), second
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
         body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
-        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt, unroll)
+        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, Array]:
@@ -163,11 +163,11 @@ class SecondOrder(AbstractHysteresis):
         position, speed = self._moved((state[0], state[1]), u0, u1, self._factors(dt))
         return jnp.stack([position, speed]), position
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without exponential, sine and cosine where the sampling is even."""
         before = jnp.concatenate([u0[None], u[:-1]])
         body = lambda state, row, factors: (new := self._moved(state, *row, factors), new[0])
-        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt, unroll)
+        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, ...]:

@@ -32,7 +32,6 @@ def scan_in_time(
     samples: Any,
     factors: Callable[[Array], Any],
     dt: Signal,
-    unroll: int = 1,
 ) -> tuple[Any, Any]:
     """`jax.lax.scan` of a body whose third argument depends on the time step alone.
 
@@ -42,7 +41,6 @@ def scan_in_time(
         samples: arrays of leading length T.
         factors: of a time step.
         dt: time since the sample before, shape (T,) [s].
-        unroll: of the scan.
     """
     even, longest = even_step(jax.lax.stop_gradient(dt))
 
@@ -54,11 +52,11 @@ def scan_in_time(
             chosen = jax.tree_util.tree_map(lambda a, b: jnp.where(moves, a, b), moving, resting)
             return body(carry, sample, chosen)
 
-        return jax.lax.scan(once, carry, (samples, dt > 0.0), unroll=unroll)
+        return jax.lax.scan(once, carry, (samples, dt > 0.0))
 
     def varying() -> tuple[Any, Any]:
         once = lambda carry, row: body(carry, *row)
-        rows = lambda carry, part: jax.lax.scan(once, carry, (part[0], jax.vmap(factors)(part[1])), unroll=unroll)
+        rows = lambda carry, part: jax.lax.scan(once, carry, (part[0], jax.vmap(factors)(part[1])))
         blocks = dt.shape[0] // _BLOCK
         cut = lambda v: (v[: blocks * _BLOCK].reshape(blocks, _BLOCK, *v.shape[1:]), v[blocks * _BLOCK :])
         whole, rest = (jax.tree_util.tree_map(lambda v, k=k: cut(v)[k], (samples, dt)) for k in (0, 1))
@@ -79,7 +77,6 @@ def relaxed(
     weight: Float[Array, "..."] | float,
     x: Signal,
     dt: Signal,
-    unroll: int = 1,
 ) -> tuple[Float[Array, " modes"], Signal]:
     """Relaxations tau dz/dt = gain x - z, exact for steps of x: the last state, and their weighted sum at each sample.
 
@@ -90,11 +87,10 @@ def relaxed(
         weight: of each relaxation in the sum, or one for all.
         x: input.
         dt: time since the sample before [s].
-        unroll: of the scan.
     """
 
     def body(state: Array, x: Array, part: Array) -> tuple[Array, Array]:
         state = state + part * (gain * x - state)
         return state, jnp.sum(weight * state)
 
-    return scan_in_time(body, state, x, lambda dt: -jnp.expm1(-dt / tau), dt, unroll)
+    return scan_in_time(body, state, x, lambda dt: -jnp.expm1(-dt / tau), dt)

@@ -102,12 +102,12 @@ class BoucWenOscillator(AbstractHysteresis):
         state, y = self.sweep(state, u0, u1[None], dt[None])
         return state, y[0]
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The force at all Runge-Kutta stages first, then one scan over the substeps with the state as three numbers."""
-        state, y, _ = self._trajectory(state, u0, u, dt, unroll)
+        state, y, _ = self._trajectory(state, u0, u, dt)
         return state, self.offset + y
 
-    def _trajectory(self, state: Array, u0: Array, u: Array, dt: Array, unroll: int) -> tuple[Array, Array, Array]:
+    def _trajectory(self, state: Array, u0: Array, u: Array, dt: Array) -> tuple[Array, Array, Array]:
         """State after the last sample, displacement and z at each."""
         force = self._force(jnp.concatenate([u0[None], u]))
         # The time before the first sample does not count: the mass rests until then.
@@ -122,7 +122,7 @@ class BoucWenOscillator(AbstractHysteresis):
         def scanned(power: Callable[[Array, Array], Array]) -> tuple[Array, ...]:
             once = lambda carry, sample: (new := self._runge_kutta(power, carry, *sample), (new[0], new[2]))
             flat = tuple(part.reshape(-1) for part in substeps)
-            (y, v, z), (ys, zs) = jax.lax.scan(once, (state[0], state[1], state[2]), flat, unroll=unroll)
+            (y, v, z), (ys, zs) = jax.lax.scan(once, (state[0], state[1], state[2]), flat)
             last = lambda values: values[self.substeps - 1 :: self.substeps]
             return jnp.stack([y, v, z, jnp.ones_like(y)]), last(ys), last(zs)
 
@@ -294,7 +294,7 @@ def _first_power(x: Array, n: Array) -> Array:
 @eqx.filter_jit
 def _hysteretic_force(model: BoucWenOscillator, u: Array, dt: Array) -> Array:
     """z at each sample."""
-    return model._trajectory(model.init(u[0]), u[0], u, dt, 1)[2]
+    return model._trajectory(model.init(u[0]), u[0], u, dt)[2]
 
 
 def _upper_share(u: np.ndarray) -> float:

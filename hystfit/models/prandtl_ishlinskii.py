@@ -210,10 +210,10 @@ class PrandtlIshlinskii(AbstractHysteresis):
         path = state[-1] + jnp.abs(x - self._position(u0))
         return jnp.append(plays.reshape(-1), path), y + jnp.exp(-path / self.s0) * fading
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """With hardening, plays and path alone are in the scan."""
         if not self.hardening.size:
-            return super().sweep(state, u0, u, dt, unroll)
+            return super().sweep(state, u0, u, dt)
 
         def once(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
             (plays, path), (u1, way) = carry, row
@@ -223,7 +223,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         x = self._position(u)
         ways = jnp.abs(jnp.diff(x, prepend=self._position(u0)))
         begin = state[: self.w.size].reshape(self.w.shape), state[-1]
-        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways), unroll=unroll)
+        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways))
         y = self.offset + total + self._single(x) + jnp.exp(-path / self.s0) * fading
         return jnp.append(plays.reshape(-1), last), y
 

@@ -54,9 +54,9 @@ class Relaxation(AbstractHysteresis):
         state = state - jnp.expm1(-dt / self.tau) * (u1 - state)
         return state, u1 - jnp.sum(self.a * (u1 - state))
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The followers alone are in the scan."""
-        state, total = relaxed(state, self.tau, 1.0, self.a, u, dt, unroll)
+        state, total = relaxed(state, self.tau, 1.0, self.a, u, dt)
         return state, (1.0 - jnp.sum(self.a)) * u + total
 
     def start(self, records: Sequence[Record]) -> Relaxation:

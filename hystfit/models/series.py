@@ -54,9 +54,9 @@ class Series(AbstractComposition):
             between.append(signal)
         return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """A scan for each part, over all that the part before it puts out."""
-        return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt, unroll))
+        return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt))
 
     def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """That of each part."""

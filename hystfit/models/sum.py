@@ -43,9 +43,9 @@ class Sum(AbstractComposition):
         steps = [part.step(s, u0, u1, dt) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
         return jnp.concatenate([s for s, _ in steps]), sum((y for _, y in steps), jnp.zeros_like(u1))
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal, unroll: int = 1) -> tuple[State, Signal]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
-        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt, unroll))
+        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt))
 
     def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """That of each part."""

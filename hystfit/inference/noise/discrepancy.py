@@ -43,9 +43,7 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
 
     def columns(self, setting: Setting) -> Float[Array, "R T k"]:
         """Shapes of the inducing points on either branch."""
-        shapes = self.noise_loop * inducing_shapes(setting.place, self.noise_length, self.points)
-        up = setting.rising[..., None]
-        return jnp.concatenate([jnp.where(up, shapes, 0.0), jnp.where(up, 0.0, shapes)], axis=-1)
+        return on_branches(self.noise_loop * inducing_shapes(setting.place, self.noise_length, self.points), setting)
 
     @classmethod
     def start(cls, scales: ResidualScales) -> LoopDiscrepancy:
@@ -91,6 +89,12 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
         rest = jnp.sqrt(jnp.maximum(self.noise_loop**2 - jnp.sum(ahead**2, axis=-1), 0.0))
         curve = ahead @ weights + rest * jax.random.normal(second, rest.shape)
         return curve + OrnsteinUhlenbeck.draw(self, new, third)
+
+
+def on_branches(shapes: Float[Array, "R T k"], setting: Setting) -> Float[Array, "R T k2"]:
+    """Columns that are the shapes on rising branches, then on falling ones, and zero elsewhere."""
+    up = setting.rising[..., None]
+    return jnp.concatenate([jnp.where(up, shapes, 0.0), jnp.where(up, 0.0, shapes)], axis=-1)
 
 
 def inducing_shapes(place: Any, length: Any, points: int, on: ModuleType = jnp) -> Any:
