@@ -225,9 +225,8 @@ def _touched(open_axes: np.ndarray, spreads: np.ndarray, two_sided: np.ndarray) 
     limited = np.array([two_sided[_main(axis)].all() for axis in open_axes.T], bool)
     limited[spreads.size :] = False
     moved = np.abs(open_axes[:, limited]) * np.sqrt(spreads[limited[: spreads.size]])
-    touched = (np.abs(open_axes[:, ~limited]) > _TOUCHED).any(axis=1)
-    touched |= (moved > _MOVED).any(axis=1)
-    return touched
+    largest = lambda components: components.max(axis=1, initial=0.0)
+    return (largest(np.abs(open_axes[:, ~limited])) > _TOUCHED) | (largest(moved) > _MOVED)
 
 
 def _near_bounds(
