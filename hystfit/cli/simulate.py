@@ -278,14 +278,7 @@ def _value(name: str, text: str) -> Any:
 
 
 def _respond(
-    what: str,
-    t: Any,
-    u: Any,
-    values: dict[str, float | None],
-    noise: float | None,
-    seed: int,
-    signal: str,
-    trust: bool,
+    what: str, t: Any, u: Any, values: dict[str, float | None], noise: float | None, seed: int, signal: str, trust: bool
 ) -> Record:
     """The record of one actuator of the stage, of a model, or of a fit."""
     import numpy as np

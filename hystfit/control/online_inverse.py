@@ -97,11 +97,7 @@ class InverseStep(AbstractRunningInverse):
 
     @classmethod
     def of(
-        cls,
-        model: AbstractHysteresis | FitResult,
-        *,
-        limits: Limits | None = None,
-        tolerance: float | None = None,
+        cls, model: AbstractHysteresis | FitResult, *, limits: Limits | None = None, tolerance: float | None = None
     ) -> InverseStep:
         """An inverse of a model, or of a fit.
 

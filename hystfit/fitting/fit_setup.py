@@ -135,11 +135,7 @@ def choose_method(problem: Problem) -> str:
 
 
 def solve(
-    problem: Problem,
-    method: str | AbstractEstimator,
-    starts: int,
-    seed: int,
-    points: Sequence[AbstractHysteresis] = (),
+    problem: Problem, method: str | AbstractEstimator, starts: int, seed: int, points: Sequence[AbstractHysteresis] = ()
 ) -> Estimate:
     """Run one estimator from several models, or from the values of one and a hypercube about them.
 

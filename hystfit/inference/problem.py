@@ -126,10 +126,7 @@ class Problem:
         return self._changed(objective=eqx.tree_at(lambda o: o.batch, self.objective, batch))
 
     def with_noise(
-        self,
-        noise: AbstractNoise,
-        priors: Mapping[str, AbstractPrior] | None = None,
-        x: np.ndarray | None = None,
+        self, noise: AbstractNoise, priors: Mapping[str, AbstractPrior] | None = None, x: np.ndarray | None = None
     ) -> Problem:
         """The same problem with a likelihood.
 

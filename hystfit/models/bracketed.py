@@ -38,12 +38,7 @@ class _Search(NamedTuple):
     done: Array
 
 
-def solve_rising(
-    function: Callable[[Scalar], Scalar],
-    start: Scalar,
-    low: Scalar,
-    high: Scalar,
-) -> Root:
+def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar) -> Root:
     """Root of a rising function by Newton steps from `start`, held in a bracket and halved where they fail.
 
     The side of `start` on which the root lies is searched alone: the first trial is a small step into it, because a hysteresis has another

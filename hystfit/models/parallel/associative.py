@@ -27,14 +27,7 @@ class StateMap(enum.Enum):
     AFFINE = "affine"  # an affine map of all numbers
 
 
-def sweep_at_once(
-    step: Step,
-    kind: StateMap,
-    state: State,
-    u0: Scalar,
-    u: Signal,
-    dt: Signal,
-) -> tuple[State, Signal]:
+def sweep_at_once(step: Step, kind: StateMap, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
     """State after the last sample and outputs, as those of a scan of the step.
 
     Args:
