@@ -12,7 +12,7 @@ import scipy.optimize
 
 import hystfit as hf
 from hystfit.batch.bucketed import Task, solve_together
-from hystfit.fitting.fit import set_up_fit, starting_vectors
+from hystfit.fitting.fit_setup import set_up_fit, starting_vectors
 
 RECORDS, SAMPLES, REPEATS = 100, 10_000, 3
 

@@ -72,7 +72,7 @@ def by_grid(sizes: tuple[int, ...], samples: int, repeats: int) -> dict[str, Cur
     """Milliseconds of a Preisach simulation by its distinct states, the compilation of the input included."""
     u, curve = signal(samples), {}
     for n in sizes:
-        model = hf.Preisach.uniform(n)
+        model = hf.Preisach.of(n, degree=1, reversible=False, spacing="uniform")
         curve[str(n)] = 1e3 * alternate({"run": lambda model=model: model.free_run(u)}, repeats)["run"]
     return {f"cells, {samples} samples": curve}
 

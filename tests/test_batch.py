@@ -126,7 +126,7 @@ def test_records_of_one_bucket_share_a_compiled_program(records, monkeypatch):
 
 
 def _task(record: hf.Record) -> bucketed.Task:
-    from hystfit.fitting.fit import set_up_fit, starting_vectors
+    from hystfit.fitting.fit_setup import set_up_fit, starting_vectors
 
     posed = set_up_fit(hf.BoucWen(), hf.Dataset((record,)))
     return bucketed.Task.of(posed.problem, starting_vectors(posed.problem, 2, 0, posed.points))

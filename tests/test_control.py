@@ -85,7 +85,7 @@ def test_margins_against_closed_forms() -> None:
 
 
 def test_root_locus_starts_at_the_poles_and_ends_at_the_zeros() -> None:
-    loop = TransferFunction.from_poles([-3.0], [-1.0, -5.0], 1.0)
+    loop = TransferFunction((5 / 3, 5.0), (1.0, 6.0, 5.0))  # zero at -3, poles at -1 and -5
     few, many = root_locus(loop, [1e-9, 1e9])
     np.testing.assert_allclose(np.sort(few.real), [-5, -1], atol=1e-6)
     assert np.abs(many + 3).min() < 1e-3

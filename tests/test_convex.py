@@ -86,7 +86,7 @@ def test_left_out_blocks_ask_for_more_ridge_when_there_is_more_noise():
     for noise in (1e-5, 1.0):
         y = clean + np.random.default_rng(1).normal(0, noise, clean.size)
         problem = hf.Problem(
-            hf.PrandtlIshlinskii.generalized(20).start([hf.Record(u=U, y=y, t=T)]), hf.Record(u=U, y=y, t=T)
+            hf.PrandtlIshlinskii.of(20, 5, envelopes=3).start([hf.Record(u=U, y=y, t=T)]), hf.Record(u=U, y=y, t=T)
         )
         strengths.append(fit_ridge(LinearSystem.of(problem, problem.space.vector(problem.model))).strength)
     assert strengths[0] < strengths[1]
@@ -115,7 +115,7 @@ def test_bounds_it_does_not_serve_are_refused():
 @pytest.mark.slow
 def test_search_finds_lag_creep_and_asymmetry():
     """A device with a lag of 30 ms, creep and an asymmetric loop; the search has to ask for these and for no force of the rate."""
-    plays = hf.PrandtlIshlinskii.generalized(10, 1)
+    plays = hf.PrandtlIshlinskii.of(10, 1, envelopes=3)
     device = hf.Series(hf.Lag(tau=0.03), hf.Sum(plays, hf.LinearCreep(a=[0.15])))
     device = device.start([hf.Record(u=U, y=U, t=T)])
     device = eqx.tree_at(

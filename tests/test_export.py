@@ -38,7 +38,7 @@ CELLS = weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negativ
 CREEP = hf.LinearCreep(a=(0.02,), tau=(0.01, 0.1, 1.0), low=-1.0, high=1.0, level=-0.5)
 PLAYS = hf.Series(
     hf.Lag(tau=0.006, rest="first"),
-    hf.Sum(hf.PrandtlIshlinskii.generalized(5, 3), CREEP, hf.Viscous(c=1e-3), hf.SaturatingRate(F=0.02, v0=4.0)),
+    hf.Sum(hf.PrandtlIshlinskii.of(5, 3, envelopes=3), CREEP, hf.Viscous(c=1e-3), hf.SaturatingRate(F=0.02, v0=4.0)),
 )
 CASES = {
     "lag_preisach": (hf.Series(hf.Lag(tau=0.004, rest="first"), CELLS), -1.0, 1.0),
@@ -54,7 +54,7 @@ CASES = {
     "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
     "plays": (hf.PrandtlIshlinskii.of(6), -0.2, 1.2),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
-    "envelopes": (hf.PrandtlIshlinskii.generalized(4, 3), -0.2, 1.2),
+    "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),
     "lag_plays_creep_rate": (PLAYS, 0.0, 1.0),
     "preisach_demagnetized": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform"), center=0.23), -1.0, 1.0),
@@ -209,7 +209,7 @@ def test_names_and_models_without_c_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="Unwritten has no C code"):
         export_c(Unwritten(), tmp_path)
     with pytest.raises(ModelError, match="cells"):
-        export_c(hf.Preisach.uniform(4, elements="relays"), tmp_path)
+        export_c(hf.Preisach.of(4, elements="relays"), tmp_path)
     assert not any(itertools.chain(tmp_path.iterdir()))
 
 

@@ -45,7 +45,7 @@ CASES = {
     "bouc-wen creep of displacement": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175, 0.005), span=12.0)), -20, 120, None),
     "plays": (PLAYS, -0.2, 1.2, None),
     "stops": (hf.PrandtlIshlinskii.of(8, operator="stop"), 0, 1, None),
-    "envelopes": (hf.PrandtlIshlinskii.generalized(4, 3), -0.2, 1.2, None),
+    "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2, None),
     "duhem": (hf.Duhem(alpha=3.0, f=(0.0, 1.0, 0.1, 0.02), g=(0.6, 0.0, 0.0)), -1, 1, None),
     "lag before": (hf.Series(hf.Lag(tau=0.01, rest="first"), PLAYS), 0, 1, None),
     "relaxation after": (hf.Series(PLAYS, Relaxation()), 0, 1, None),
@@ -215,7 +215,7 @@ def test_signed_masses_get_a_status_where_their_table_is_not_monotone() -> None:
     lowered = table.X.copy()
     lowered[-1] -= 14.0  # to the top of the range the output falls
     table = EverettTable(levels, lowered)
-    assert "not monotone" in table.faults()[0]
+    assert table.turned().max() > 0.1
     model = hf.Preisach(w=table.masses(), levels=levels, initial="negative")
     u = np.concatenate([np.linspace(0, 1, 40), np.linspace(1, 0.2, 40)])
     found = invert(model, np.asarray(hf.simulate(model, u)[0]), limits=(0.0, 1.0))

@@ -37,8 +37,8 @@ from hystfit.models import (
     registry,
     simulate,
 )
-from hystfit.models.base import AbstractStepInverse
 from hystfit.models.bracketed import Root
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.testing import check_model
 

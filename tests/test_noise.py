@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.data.batch import Batch
 from hystfit.errors import ParameterError
-from hystfit.fitting.fit import solve
+from hystfit.fitting.fit_setup import solve
 from hystfit.fitting.noise_refinement import refine
 from hystfit.inference.noise import (
     NOISES,

@@ -101,7 +101,7 @@ class TestWeights:
         u = np.concatenate([np.linspace(-1, 0, 50), np.linspace(0, -1, 50)])
         fit = fit_preisach(Record(u, output(model, u)), model)
         i, _ = np.tril_indices(12)
-        np.testing.assert_array_equal(fit.untouched, i >= 6)  # cells above u = 0
+        np.testing.assert_array_equal(fit.reach < 1e-9, i >= 6)  # cells above u = 0
         assert "never switched" in " ".join(fit.notes)
 
     @pytest.mark.parametrize("level", [0.0, 1e6])
@@ -332,30 +332,26 @@ class TestEverettTable:
         u = through(HIGHER_ORDER)
         np.testing.assert_allclose(found.output(u), table.output(u), atol=0.02 * np.ptp(table.output(u)))
 
-    def test_admissible_tables_are_projections(self):
+    def test_monotone_tables_are_projections(self):
         rng = np.random.default_rng(3)
         table = self.table()
         noisy = EverettTable(self.levels, table.X + rng.normal(0, 1.0, table.X.shape))
         lower = np.tril_indices(12)
-        monotone, moved = noisy.admissible("monotone")
+        monotone, moved = noisy.monotone()
         assert np.diff(monotone.X, axis=0)[lower].min() >= -1e-9
         assert np.diff(monotone.X, axis=1)[1:][lower].max() <= 1e-9
-        positive, further = noisy.admissible("positive")
-        assert positive.masses().min() > -1e-9
-        assert 0 < moved.rms < further.rms  # positive masses imply monotone, not the other way round
-        # Nothing admissible is nearer than the projection: not the truth either.
-        for found in (monotone, positive):
-            assert np.sum((found.X - noisy.X) ** 2) <= np.sum((table.X - noisy.X)[np.tril_indices(13, -1)] ** 2)
-        _, still = positive.admissible("positive")
-        assert still.largest < 1e-6
+        # Nothing monotone is nearer than the projection: not the truth either.
+        assert np.sum((monotone.X - noisy.X) ** 2) <= np.sum((table.X - noisy.X)[np.tril_indices(13, -1)] ** 2)
+        assert moved.rms > 0
+        assert monotone.monotone()[1].largest < 1e-6
 
-    def test_faults_name_what_no_preisach_model_has(self):
-        assert self.table().faults() == ()
+    def test_steps_the_wrong_way_are_measured(self):
+        assert self.table().turned().max() <= 1e-9
         X = np.array([[0, 0, 0], [1.0, 0, 0], [0.5, 0.2, 0]])
-        falls, negative = EverettTable(np.arange(3.0), X).faults()
-        assert "not monotone at 1 of 6 steps (by up to 0.5" in falls
-        assert "1 of 3 cells have negative mass" in negative
-        assert EverettTable(np.arange(3.0), X).admissible("monotone")[0].faults()[1:] == ()
+        turned = EverettTable(np.arange(3.0), X).turned()
+        assert turned.size == 6
+        assert turned[turned > 0].tolist() == [0.5]  # from X[1, 0] to X[2, 0]
+        assert EverettTable(np.arange(3.0), X).monotone()[0].turned().max() <= 1e-9
         with pytest.raises(DataError, match="1 of its values are not"):
             EverettTable(np.arange(3.0), np.where(X == 0.2, np.nan, X))
         with pytest.raises(DataError, match="3 levels has shape"):

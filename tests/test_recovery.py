@@ -37,7 +37,7 @@ def plays():
 
 
 def relays():
-    model = started(hf.Preisach.uniform(3), RANDOM)
+    model = started(hf.Preisach.of(3, degree=1, reversible=False, spacing="uniform"), RANDOM)
     return eqx.tree_at(lambda m: (m.w, m.offset), model, (jnp.linspace(0.1, 0.4, model.w.size), jnp.asarray(0.2)))
 
 

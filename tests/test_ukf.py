@@ -395,7 +395,9 @@ def test_creep_in_stages_on_the_bundled_records():
     [
         Duhem(),
         PrandtlIshlinskii.of(6),
-        pytest.param(Preisach.uniform(4, elements="relays"), marks=pytest.mark.slow),
+        pytest.param(
+            Preisach.of(4, degree=1, reversible=False, elements="relays", spacing="uniform"), marks=pytest.mark.slow
+        ),
         Sum(bouc_wen(), Viscous()),
         Series(bouc_wen(), SecondOrder(omega=300.0, zeta=0.1)),
     ],

@@ -24,7 +24,7 @@ import equinox as eqx
 from typing import ClassVar
 
 from hystfit.models import AbstractHysteresis
-from hystfit.models.base import AbstractStepInverse
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.params.param import param

@@ -12,8 +12,7 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out/one_loop")
 record = hf.read(FILE)
 print(hf.check(record).text())
 
-middle = record.t.mean()
-result = hf.fit("bouc-wen", record.window(None, middle), test=record.window(middle), starts=1)
+result = hf.fit("bouc-wen", record.window(None, 6.0), test=record.window(6.0), starts=1)
 print(result)
 
 OUT.mkdir(parents=True, exist_ok=True)

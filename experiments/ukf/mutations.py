@@ -121,7 +121,7 @@ def _without_lead() -> None:
 
 def _rigid() -> None:
     SecondOrder.step = lambda self, state, u0, u1, dt: (state, u1)
-    SecondOrder.sweep = lambda self, state, u0, u, dt, unroll=1: (state, u)
+    SecondOrder.sweep = lambda self, state, u0, u, dt: (state, u)
 
 
 def _creep_is_gone() -> None:

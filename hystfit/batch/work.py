@@ -16,7 +16,8 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.fitting.entry import fit
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.fit import FitSetup, changed_settings, check_settings, judge, set_up_fit, solve, starting_vectors
+from hystfit.fitting.fit import changed_settings, judge
+from hystfit.fitting.fit_setup import FitSetup, check_settings, set_up_fit, solve, starting_vectors
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status

@@ -57,8 +57,8 @@ def run(arguments: Sequence[str]) -> int:
         return _refuse(str(error))
     except HystfitError as error:
         return _refuse(as_options(str(error)))
-    except KeyboardInterrupt:
-        print("hystfit: interrupted; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(f"hystfit: interrupted; {str(error) or 'nothing was written'}", file=sys.stderr)
         return INTERRUPTED
     except MemoryError:
         return _refuse("not enough memory: fit a window, or a record with fewer samples")

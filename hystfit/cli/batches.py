@@ -6,13 +6,12 @@ import dataclasses
 import os
 import re
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
+from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress
@@ -86,23 +85,17 @@ def batch(
     options |= {"starts": starts, "seed": seed, "fix": named_values(fix or []), "free": free or []}
     run = None if output.out is None else output.out / _RUN
     processes = workers or (1 if found < _FEW else os.cpu_count() or 1)
-    try:
-        with progress(f"fitting {model}") as update, interrupts_alone():
-            fits = fit_many(
-                model,
-                list(loops),
-                folder=run,
-                workers=processes,
-                scheduler=scheduler,
-                reading=dataclasses.asdict(reading),
-                progress=update,
-                **options,
-            )
-    except KeyboardInterrupt:
-        if run is None:
-            raise
-        print(f"hystfit: interrupted; the same command resumes from {run}", file=sys.stderr)
-        return INTERRUPTED
+    with progress(f"fitting {model}") as update, resumable(run):
+        fits = fit_many(
+            model,
+            list(loops),
+            folder=run,
+            workers=processes,
+            scheduler=scheduler,
+            reading=dataclasses.asdict(reading),
+            progress=update,
+            **options,
+        )
 
     def save(folder: Path) -> None:
         from hystfit.batch.overview import overview

@@ -12,7 +12,6 @@ from hystfit.cli.options import DEFAULT_READING, Loop, Reading, changed_reading,
 from hystfit.cli.records import load
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import progress
-from hystfit.errors import ParameterError
 from hystfit.reading import datasets
 
 if TYPE_CHECKING:
@@ -44,9 +43,7 @@ def explore(
     from hystfit.explorer.session import Session
     from hystfit.explorer.widget import Explorer, single
 
-    values = named_values(at or [])
-    if missing := [name for name, value in values.items() if value is None]:
-        raise ParameterError(f"--at {missing[0]} needs a value: --at {missing[0]}=1")
+    values = named_values(at or [], "--at")
     with progress("reading"):
         record = single(load([loop], reading))
         page = Explorer(

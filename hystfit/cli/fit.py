@@ -81,7 +81,7 @@ def fit(
         raise ParameterError(f"--{next(iter(settings))} is a setting of a sequential method: add --method rls, say")
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
-        "start": named_values(at) if at else start, **settings,
+        "start": named_values(at, "--at") if at else start, **settings,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):

@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 INTERRUPTED = 130  # exit status by the convention of shells
@@ -49,6 +50,18 @@ def interrupts_alone() -> Iterator[None]:
         if _interrupted:
             raise KeyboardInterrupt from error
         raise
+
+
+@contextmanager
+def resumable(folder: Path | None) -> Iterator[None]:
+    """As `interrupts_alone`; the interrupt says from which folder, if any, the same command resumes."""
+    try:
+        with interrupts_alone():
+            yield
+    except KeyboardInterrupt as error:
+        if folder is None:
+            raise
+        raise KeyboardInterrupt(f"the same command resumes from {folder}") from error
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

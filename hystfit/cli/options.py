@@ -243,17 +243,23 @@ def input_limits(text: str | None) -> tuple[float, float] | None:
     return low, high
 
 
-def named_values(pairs: list[str]) -> dict[str, float | None]:
+def named_values(pairs: list[str], needed_by: str = "") -> dict[str, float | None]:
     """Parameters and their values from NAME=VALUE; a NAME alone has the value None.
 
+    Args:
+        pairs: as typed.
+        needed_by: option that needs a value with each name; "" where a name alone has a meaning.
+
     Raises:
-        ParameterError: a value is not a number, or a name occurs twice.
+        ParameterError: a value is not a number or is missing, or a name occurs twice.
     """
     values: dict[str, float | None] = {}
     for pair in pairs:
         name, mark, value = (part.strip() for part in pair.partition("="))
         if not name or name in values:
             raise ParameterError(f"expected NAME or NAME=VALUE, each name once; got {pair!r}")
+        if needed_by and not mark:
+            raise ParameterError(f"{needed_by} {name} needs a value: {needed_by} {name}=1")
         try:
             values[name] = float(value) if mark else None
         except ValueError:

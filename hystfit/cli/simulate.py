@@ -77,11 +77,11 @@ def simulate(
     from hystfit.results.provenance import provenance
 
     t, u, curve, used = _drive(signal, shape, what, seed)
-    values = named_values(set or [])
+    values = named_values(set or [], "--set")
     extra: dict[str, Any] = {} if axes == 1 else {"axes": 3, "drive": drive or "in-turn"}
     truth = None
     if population is not None:
-        sizes = named_values([part for item in spread or [] for part in item.split(",")])
+        sizes = named_values([part for item in spread or [] for part in item.split(",")], "--spread")
         extra |= {"population": population, "spread": sizes}
         devices = _population(population, sizes, values, noise, seed, axes)
         data, columns = _together(devices, t, u, axes, drive or "in-turn", noise, seed)
@@ -169,8 +169,6 @@ def _population(
         seed: of the scatter.
         axes: 1 for actuators, 3 for stages.
     """
-    if missing := [name for name, size in spread.items() if size is None]:
-        raise ParameterError(f"--spread {missing[0]} needs a value: --spread {missing[0]}=0.03")
     device = _actuator(values, noise) if axes == 1 else _stage(values)
     return device.population(count, spread=spread, seed=seed)
 
@@ -208,14 +206,14 @@ def _together(
 def _actuator(values: dict[str, float | None], noise: float | None) -> Actuator:
     from hystfit.stage import Actuator, Sensor, piezo
 
-    model = _changed(piezo(), values) if values else piezo()
+    model = piezo().replace(**values)
     return Actuator(model) if noise is None else Actuator(model, sensor=Sensor(noise=noise))
 
 
 def _stage(values: dict[str, float | None]) -> Stage:
     from hystfit.stage import Stage, piezo
 
-    return Stage.of(_changed(piezo(), values) if values else None)
+    return Stage.of(piezo().replace(**values) if values else None)
 
 
 def _voltages(t: np.ndarray, u: np.ndarray, drive: str) -> tuple[np.ndarray, np.ndarray]:
@@ -280,14 +278,7 @@ def _value(name: str, text: str) -> Any:
 
 
 def _respond(
-    what: str,
-    t: Any,
-    u: Any,
-    values: dict[str, float | None],
-    noise: float | None,
-    seed: int,
-    signal: str,
-    trust: bool,
+    what: str, t: Any, u: Any, values: dict[str, float | None], noise: float | None, seed: int, signal: str, trust: bool
 ) -> Record:
     """The record of one actuator of the stage, of a model, or of a fit."""
     import numpy as np
@@ -304,8 +295,7 @@ def _respond(
         model, units = result.model, {f"{k}_unit": v for k, v in result.data.units.items()}
     else:
         model = make_model(what)
-    if values:
-        model = _changed(model, values)
+    model = model.replace(**values)
     blank = Record(u=u, y=np.zeros_like(u), t=t, name=name, source="simulated", **units)
     y = model.free_run(u, blank.dt)
     if not np.isfinite(y).all():
@@ -313,12 +303,3 @@ def _respond(
     for line in model.advice(u, blank.dt):
         blank = blank.noted(Code.MODEL_ADVICE, line, Severity.WARNING)
     return blank.replace(y=y + (noise or 0.0) * np.random.default_rng(seed).standard_normal(y.size))
-
-
-def _changed(model: Any, values: dict[str, float | None]) -> Any:
-    from hystfit.params.space import ParameterSpace
-
-    missing = [name for name, value in values.items() if value is None]
-    if missing:
-        raise ParameterError(f"--set {missing[0]} needs a value: --set {missing[0]}=1")
-    return ParameterSpace.of(model, fix=values).template

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hystfit.cli.interrupts import INTERRUPTED, interrupts_alone
+from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
 from hystfit.cli.write import finish, named, progress, save_figure, write_csv
@@ -67,16 +66,10 @@ def sample(
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
     run = None if output.out is None else output.out / "run"
     priors = parse_priors(prior or [])
-    try:
-        with progress("sampling") as update, interrupts_alone():
-            posterior = draw(
-                result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
-            )
-    except KeyboardInterrupt:
-        if run is None:
-            raise
-        print(f"hystfit: interrupted; the same command resumes from {run}", file=sys.stderr)
-        return INTERRUPTED
+    with progress("sampling") as update, resumable(run):
+        posterior = draw(
+            result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
+        )
 
     def save(folder: Path) -> None:
         posterior.save(folder)
@@ -189,7 +182,8 @@ def calibrate(
     from hystfit.uncertainty.calibration import calibrate as study
 
     result = open_fit(fitdir, output, trust)
-    with progress("calibrating") as update:
+    run = None if output.out is None else output.out / "run"
+    with progress("calibrating") as update, resumable(run):
         calibration = study(
             result.model,
             result.data,
@@ -200,7 +194,7 @@ def calibrate(
             spread=spread,
             **result.problem.free_and_fixed,  # type: ignore[arg-type]
             seed=seed,
-            folder=None if output.out is None else output.out / "run",
+            folder=run,
             workers=workers,
             scheduler=scheduler,
             progress=update,

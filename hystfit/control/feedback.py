@@ -16,6 +16,7 @@ from scipy.signal import tf2ss
 from hystfit.config import require_x64
 from hystfit.control.transfer import Margins, TransferFunction, damping, margins, second_order
 from hystfit.errors import ParameterError
+from hystfit.models.shapes import Scalar
 
 
 def pd_lead_lag(gain: float, *, derivative: float, filter: float, zero: float, pole: float) -> TransferFunction:
@@ -204,7 +205,7 @@ class Controller(AbstractController):
     A: Float[Array, "n n"]
     B: Float[Array, " n"]
     C: Float[Array, " n"]
-    D: Float[Array, ""]
+    D: Scalar
     L: Float[Array, " n"]
 
     @classmethod
@@ -238,11 +239,11 @@ class Controller(AbstractController):
         """At rest."""
         return jnp.zeros_like(self.B)
 
-    def ask(self, state: Float[Array, " n"], error: Float[Array, ""]) -> Float[Array, ""]:
+    def ask(self, state: Float[Array, " n"], error: Scalar) -> Scalar:
         """Output of the controller for an error."""
         return self.C @ state + self.D * error
 
-    def step(self, state: Float[Array, " n"], error: Float[Array, ""], taken: Any = 0.0) -> Float[Array, " n"]:
+    def step(self, state: Float[Array, " n"], error: Scalar, taken: Any = 0.0) -> Float[Array, " n"]:
         """Next state of the controller; `taken` is the applied less the computed output, nonzero at the limits.
 
         Args:

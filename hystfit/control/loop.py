@@ -16,6 +16,7 @@ from hystfit.control.feedback import AbstractController
 from hystfit.control.online_inverse import AbstractRunningInverse, Limits
 from hystfit.errors import DataError, ParameterError
 from hystfit.models.base import Resume
+from hystfit.models.shapes import Scalar
 
 
 class Loop(eqx.Module):
@@ -39,10 +40,10 @@ class Loop(eqx.Module):
     plant: Any
     controller: AbstractController | None
     inverse: AbstractRunningInverse | None
-    low: Float[Array, ""]
-    high: Float[Array, ""]
+    low: Scalar
+    high: Scalar
     resolution: Float[Array, "..."]
-    dt: Float[Array, ""]
+    dt: Scalar
     delay: int = eqx.field(static=True, default=0)
     applied: bool = eqx.field(static=True, default=False)
     finer: int = eqx.field(static=True, default=1)

@@ -10,11 +10,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from hystfit.config import require_x64
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Resume
+from hystfit.models.base import AbstractHysteresis, Resume
+from hystfit.models.shapes import Scalar, Signal
+from hystfit.models.step_inverse import AbstractStepInverse
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -39,8 +41,8 @@ class Status(enum.IntEnum):
 class Answer(NamedTuple):
     """One sample of an inverse: input, the model's output for it, and its `Status` as a number."""
 
-    u: Float[Array, ""]
-    y: Float[Array, ""]
+    u: Scalar
+    y: Scalar
     status: Int[Array, ""]
 
 
@@ -88,18 +90,14 @@ class InverseStep(AbstractRunningInverse):
 
     model: AbstractHysteresis
     solver: AbstractStepInverse
-    low: Float[Array, ""]
-    high: Float[Array, ""]
-    tolerance: Float[Array, ""]
+    low: Scalar
+    high: Scalar
+    tolerance: Scalar
     given: bool = eqx.field(static=True)
 
     @classmethod
     def of(
-        cls,
-        model: AbstractHysteresis | FitResult,
-        *,
-        limits: Limits | None = None,
-        tolerance: float | None = None,
+        cls, model: AbstractHysteresis | FitResult, *, limits: Limits | None = None, tolerance: float | None = None
     ) -> InverseStep:
         """An inverse of a model, or of a fit.
 
@@ -167,7 +165,7 @@ class InverseStep(AbstractRunningInverse):
         dt = jnp.asarray(dt, dtype=memory.u.dtype)
         return Resume(self.solver.advance(memory.state, memory.u, u, dt)[0], u)
 
-    def run(self, memory: Resume, targets: Float[Array, " T"], dt: Float[Array, " T"]) -> tuple[Resume, Answer]:
+    def run(self, memory: Resume, targets: Signal, dt: Signal) -> tuple[Resume, Answer]:
         """All samples of a reference in one scan.
 
         Args:

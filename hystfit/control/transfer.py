@@ -34,19 +34,6 @@ class TransferFunction:
         object.__setattr__(self, "num", num or (0.0,))
         object.__setattr__(self, "den", den)
 
-    @classmethod
-    def from_poles(cls, zeros: Any, poles: Any, gain: float) -> TransferFunction:
-        """From zeros and poles [rad/s] (complex ones in pairs) and the gain at s = 0; at s -> infinity where either lies at 0.
-
-        Args:
-            zeros: [rad/s].
-            poles: [rad/s].
-            gain: see above.
-        """
-        num, den = np.real(np.poly(zeros)), np.real(np.poly(poles))
-        scale = den[-1] / num[-1] if num[-1] and den[-1] else 1.0
-        return cls(tuple(gain * scale * np.atleast_1d(num)), tuple(np.atleast_1d(den)))
-
     def __mul__(self, other: TransferFunction | float) -> TransferFunction:
         if not isinstance(other, TransferFunction):
             return TransferFunction(tuple(float(other) * np.asarray(self.num)), self.den)

@@ -55,7 +55,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
 
 
 def _bounds_reached(problem: Problem, x: np.ndarray) -> list[Note]:
-    linear = [info.linear for info in problem.space.infos]
+    linear = problem.space.linear
     reached = list(zip(problem.space.names, problem.at_bound(x), linear, strict=True))
     notes = [
         warn(
@@ -78,7 +78,7 @@ def _undetermined(problem: Problem, errors: Uncertainty) -> list[Note]:
     if inactive:
         shown = ", ".join(inactive[:_MANY]) + (f" and {len(inactive) - _MANY} more" if len(inactive) > _MANY else "")
         notes.append(warn(Code.NO_INFLUENCE, f"no influence on these data: {shown}"))
-    if len(errors.directions) > 3 and sum(info.linear for info in problem.space.infos) > _MANY:
+    if len(errors.directions) > 3 and problem.space.linear.sum() > _MANY:
         text = (
             f"the data do not determine {len(errors.directions)} combinations of the weights (rank {errors.rank} of {len(names)}); "
             "predictions within the fitted range do not need them"

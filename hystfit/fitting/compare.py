@@ -17,7 +17,8 @@ from hystfit.data.record import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.fit import choose_method, fit, solve, started_problem
+from hystfit.fitting.fit import fit
+from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
@@ -25,6 +26,7 @@ from hystfit.fitting.verdict import with_left_out
 from hystfit.fitting.workers import Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.reversal_curves import recognize_family
@@ -372,5 +374,4 @@ class _Judge:
 
     @property
     def _span(self) -> float:
-        y = np.concatenate([record.y[record.used] for record in self.data])
-        return float(np.ptp(y)) or 1.0
+        return output_range(self.data).width

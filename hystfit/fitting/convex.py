@@ -114,7 +114,7 @@ class LinearSystem:
 
 def linear_positions(problem: Problem) -> np.ndarray:
     """Positions in x of the parameters in which the output is linear."""
-    return np.flatnonzero([info.linear for info in problem.space.infos])
+    return np.flatnonzero(problem.space.linear)
 
 
 def left_out_blocks(problem: Problem) -> list[np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,54 +76,37 @@ def uncertainty(
         correlated: allow for autocorrelated residuals.
         root: square root R of the information R'R about x under a noise model, shape (p, p), which is then used instead.
     """
-    space, x = problem.space, estimate.x
+    x, y, ridge = estimate.x, problem.scales.y, _ridge(estimate)
     residual, jacobian = problem.linearize_misfit(x)
     used = problem.used.reshape(-1)
-    relative = relative_size(problem.space, x)
-    sides = np.array([{None: 0.0, "lower": 1.0, "upper": -1.0}[side] for side in problem.at_bound(x)])
-    at_bound = sides != 0
     # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
     rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
-    natural = np.minimum(relative, np.asarray(space.coordinates.scale))
-    gain = np.linalg.norm(_centered(rows, space.offsets)[0] * natural, axis=0)
-    inactive = (gain <= 1e-9 * max(gain.max(initial=0.0), 1e-300)) & ~at_bound
-    live = ~at_bound & ~inactive
-    y = problem.scales.y
-    few = int(live.sum()) <= FEW
+    at_bound, acts = problem.on_bound(x), _acting(problem, x, rows)
+    live, relative = acts & ~at_bound, relative_size(problem.space, x)
     columns = lambda: (chosen(jacobian, used) * relative)[:, live]
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if few else None)
-    time = analysis.correlation_time if correlated or root is not None else 1.0
-    freedom = max(int(used.sum()) - int(live.sum()), 1)
-    plain = float(np.sum(residual**2)) / freedom
-    variance, ratio, unit = plain * time, float(np.sqrt(time)), 1.0
-    pushed = at_bound & (gain > 1e-9 * gain.max(initial=0.0))
-    on, square, sought = live | pushed, rows, root is not None
-    slow = analysis.of_errors if correlated and not sought else None
-    if slow is not None:
-        part = least_squares_root(slow, jacobian[used][:, on] * y, overwrite=True)
+    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if live.sum() <= FEW else None)
+    plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
+    refined = root is not None
+    if correlated and not refined and analysis.of_errors is not None:
+        part = least_squares_root(analysis.of_errors, jacobian[used][:, acts] * y, overwrite=True)
         root = np.zeros((len(part), x.size))
-        root[:, on] = part
-    if root is not None:
+        root[:, acts] = part
+    time = analysis.correlation_time if correlated or refined else 1.0
+    if root is None:
+        ratio, information = float(np.sqrt(time)), _Information(rows, plain * time, ridge)
+    else:
         ratio = _ratio(root[:, live] * relative[live], columns(), plain)
-        square, variance, unit = root, 1.0, 1 / plain
-    ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
-    below, above = _rooms(problem, x)
-    room = np.where(pushed, 0.0, np.where([info.linear for info in space.infos], np.minimum(below, above), np.inf))
+        information = _Information(root, 1.0, ridge / plain)
     inside = None
-    if live.any() and plain > 0 and 0 < np.isfinite(room[on]).sum() <= FEW:
+    if live.any() and plain > 0:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(pushed, 0.0 if sought else (residual @ jacobian + ridge * x) / plain, 0.0)
-        information = (square[:, on], variance, unit * ridge[on])
-        bounds = (room[on], np.where(below < above, 1.0, -1.0)[on])
-        inside = np.zeros((x.size, x.size))
-        inside[np.ix_(on, on)] = _inside(
-            rows[:, on], ridge[on], plain, information, slope[on], bounds, space.offsets[on]
-        )
-    inner = _determined(problem, x, square, variance, live, None if estimate.penalty is None else unit * ridge, inside)
-    inner["joint"][at_bound], inner["joint"][:, at_bound] = 0.0, 0.0
+        slope = np.where(at_bound, 0.0 if refined else residual @ jacobian + ridge * x, 0.0)
+        inside = _near_bounds(problem, estimate, rows, information, slope, plain, acts)
+    determined = _determined(problem, x, information, live, inside)
+    determined["joint"][at_bound], determined["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(
-        **inner,
-        inactive=inactive,
+        **determined,
+        inactive=~acts & ~at_bound,
         correlation_time=time,
         ratio=ratio,
         sigma=float(np.sqrt(plain)) * y,
@@ -131,117 +114,160 @@ def uncertainty(
     )
 
 
-def _determined(
-    problem: Problem,
-    x: np.ndarray,
-    J: np.ndarray,
-    variance: float,
-    live: np.ndarray,
-    ridge: np.ndarray | None,
-    inside: np.ndarray | None,
-) -> dict[str, Any]:
-    """Covariance, and which parameters and directions the data determine, from an SVD.
+class _Information(NamedTuple):
+    """Information about the parameters: R'R / variance, and that of a regularization.
 
-    The rank is that of the Jacobian centered and scaled to columns of unit length: neither the unit of a parameter nor the place of
-    zero in input and output may decide what the data determine.
+    Attributes:
+        root: R, shape (n, p).
+        variance: of its rows.
+        ridge: added to R'R, diagonal, shape (p,).
+    """
+
+    root: np.ndarray
+    variance: float
+    ridge: np.ndarray
+
+
+def _ridge(estimate: Estimate) -> np.ndarray:
+    return np.zeros(estimate.x.size) if estimate.penalty is None else estimate.penalty
+
+
+def _acting(problem: Problem, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Parameters with an influence on the data, shape (p,), bool."""
+    natural = np.minimum(relative_size(problem.space, x), np.asarray(problem.space.coordinates.scale))
+    gain = np.linalg.norm(_centered(rows, problem.space.offsets)[0] * natural, axis=0)
+    return gain > 1e-9 * max(gain.max(initial=0.0), 1e-300)
+
+
+def _determined(
+    problem: Problem, x: np.ndarray, information: _Information, live: np.ndarray, inside: np.ndarray | None
+) -> dict[str, Any]:
+    """Covariance, and which parameters and directions the data determine.
 
     Args:
         problem: what was fitted.
         x: where it ended, physical, shape (p,).
-        J: Jacobian, or the square root of the information, shape (n, p).
-        variance: of its rows.
+        information: about the parameters.
         live: parameters on no bound and with influence, shape (p,), bool.
-        ridge: what regularization adds to the normal matrix of x, diagonal, shape (p,).
         inside: the covariance where bounds are near, shape (p, p); None where none is.
     """
-    covariance, determined = np.full((x.size, x.size), np.nan), live.copy()
-    if not live.any():
-        return {
-            "covariance": covariance, "joint": covariance.copy(), "determined": determined, "directions": (), "reaching": (), "rank": 0,
-            "condition": None,
-        }  # fmt: skip
-    names = [name for name, on in zip(problem.space.names, live, strict=True) if on]
-    relative = relative_size(problem.space, x)[live]
-    rows = J[:, live] if ridge is None else np.vstack([J[:, live], np.diag(np.sqrt(ridge[live]))])
-    rows, back = _centered(
-        rows if rows.shape[0] <= rows.shape[1] else np.linalg.qr(rows, mode="r"), problem.space.offsets[live]
-    )
-    size = np.linalg.norm(rows, axis=0)
-    size[size == 0] = 1.0
-    values, vectors = _spectrum(rows / size)
-    kept = values > _RANK * values[0]
-    root = np.sqrt(variance) * vectors[:, kept] / values[kept] / size[:, None]
-    spreads, axes = np.linalg.eigh(root @ root.T / relative[:, None] / relative)
-    free = vectors[:, ~kept] / (size * relative)[:, None]
-    wide = spreads > _OPEN**2
+    space, at = problem.space, np.flatnonzero(live)
+    covariance, determined = np.full((x.size, x.size), np.nan), np.zeros(x.size, bool)
+    joint = covariance.copy()
+    if not at.size:
+        nothing = {"directions": (), "reaching": (), "rank": 0, "condition": None}
+        return {"covariance": covariance, "joint": joint, "determined": determined, **nothing}
+    values, root, back = _spectrum(information, live, space.offsets[live])
+    kept, relative = values > _RANK * values[0], relative_size(space, x)[live]
+    spreads, axes = np.linalg.eigh(root[:, kept] @ root[:, kept].T / relative[:, None] / relative)
+    wide, free = spreads > _OPEN**2, root[:, ~kept] / relative[:, None]
     open_axes = np.hstack([axes[:, wide], free / np.linalg.norm(free, axis=0)])
-    full = back @ root
-    full = full @ full.T if inside is None else inside[np.ix_(live, live)]
-    joint, at = np.full_like(covariance, np.nan), np.flatnonzero(live)
-    joint[np.ix_(at, at)] = full
-    if not kept.all():  # with large variances in the directions that the data do not determine
-        root = back @ (np.sqrt(variance) * vectors / np.maximum(values, _RANK * values[0]) / size[:, None])
-        joint[np.ix_(at, at)] = root @ root.T
-    two_sided = (np.asarray(problem.space.coordinates.kinds) == BOTH)[live]
-    limited = np.array([two_sided[_main(axis)].all() for axis in open_axes.T], bool)
-    moved = np.abs(open_axes[:, : wide.sum()]) * np.sqrt(spreads[wide])
-    limited[wide.sum() :] = False
-    touched = (np.abs(open_axes[:, ~limited]) > _TOUCHED).any(axis=1)
-    touched |= (moved[:, limited[: wide.sum()]] > _MOVED).any(axis=1)
-    near = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
-    touched |= near
-    nonlinear = ~(np.array([info.linear for info in problem.space.infos], bool) | problem.space.offsets)
-    known = np.zeros(x.size, bool)
-    known[at] = ~touched
-    if 2 * np.count_nonzero(nonlinear & known) < nonlinear.sum():
-        touched |= nonlinear[
-            live
-        ]  # other values of the many that are not known may change these as well, far from the estimate
-    full[touched], full[:, touched] = np.nan, np.nan
-    covariance[np.ix_(at, at)] = full
-    determined[at[touched]] = False
+    full, every = back @ root[:, kept], back @ root
+    full = full @ full.T if inside is None else inside[np.ix_(at, at)]
+    joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
+    touched = _touched(open_axes, spreads[wide], (np.asarray(space.coordinates.kinds) == BOTH)[live])
+    reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
+    touched |= reaching
+    nonlinear = ~space.linear[live]
+    if 2 * np.count_nonzero(nonlinear & ~touched) < np.count_nonzero(~space.linear):
+        touched |= (
+            nonlinear  # other values of the many that are not known may change these as well, far from the estimate
+        )
+    covariance[np.ix_(at, at)] = np.where(touched | touched[:, None], np.nan, full)
+    determined[at] = ~touched
+    names = [space.names[k] for k in at]
     return {
         "covariance": covariance,
         "joint": joint,
         "determined": determined,
         "directions": tuple(describe(axis, names) for axis in open_axes.T),
-        "reaching": tuple(names[k] for k in np.flatnonzero(near)),
+        "reaching": tuple(names[k] for k in np.flatnonzero(reaching)),
         "rank": len(names) - open_axes.shape[1],
         "condition": float(values[0] / values[-1]) if kept.all() else None,
     }
 
 
-def _inside(
-    rows: np.ndarray,
-    ridge: np.ndarray,
-    plain: float,
-    information: tuple[np.ndarray, float, np.ndarray],
-    slope: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-    offsets: np.ndarray,
-) -> np.ndarray:
-    """Second moments about an estimate near bounds (`active_bounds`), shape (p, p).
+def _spectrum(
+    information: _Information, live: np.ndarray, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """SVD of the root of the information about live parameters, centered and with columns of unit length.
+
+    Neither the unit of a parameter nor the place of zero in input and output may decide what the data determine.
+
+    Returns:
+        Singular values, falling, (k,); directions with their standard deviations as lengths, (k, k), where those of tiny values are
+        large but finite; and the matrix that takes them to parameters, (k, k).
+    """
+    rows = information.root[:, live]
+    if information.ridge.any():
+        rows = np.vstack([rows, np.diag(np.sqrt(information.ridge[live]))])
+    if rows.shape[0] > rows.shape[1]:
+        rows = np.linalg.qr(rows, mode="r")
+    rows, back = _centered(rows, offsets)
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1.0
+    _, values, vectors = np.linalg.svd(rows / size, full_matrices=True)
+    values = np.pad(values, (0, len(vectors) - values.size))
+    root = np.sqrt(information.variance) * vectors.T / np.maximum(values, _RANK * values[0]) / size[:, None]
+    return values, root, back
+
+
+def _touched(open_axes: np.ndarray, spreads: np.ndarray, two_sided: np.ndarray) -> np.ndarray:
+    """Parameters with a large component in an undetermined direction, shape (k,), bool.
+
+    A direction among parameters with two bounds is limited by these: there the standard error that it adds decides.
 
     Args:
-        rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
-        ridge: of the same, shape (p,).
-        plain: variance of its residuals.
-        information: square root of the information (m, p), the variance of its rows, and its ridge (p,).
-        slope: of the cost over `plain` at the estimate, shape (p,).
-        bounds: distance to the bound, and its side, see `about_estimate`.
-        offsets: see `_centered`.
+        open_axes: the directions in relative coordinates, as columns, (k, m).
+        spreads: variances along the first of them, shape (n,); those along the others are not known.
+        two_sided: parameters with two bounds, shape (k,), bool.
     """
-    centered, back = _centered(rows, offsets)
+    limited = np.array([two_sided[_main(axis)].all() for axis in open_axes.T], bool)
+    limited[spreads.size :] = False
+    moved = np.abs(open_axes[:, limited]) * np.sqrt(spreads[limited[: spreads.size]])
+    largest = lambda components: components.max(axis=1, initial=0.0)
+    return (largest(np.abs(open_axes[:, ~limited])) > _TOUCHED) | (largest(moved) > _MOVED)
+
+
+def _near_bounds(
+    problem: Problem,
+    estimate: Estimate,
+    rows: np.ndarray,
+    information: _Information,
+    slope: np.ndarray,
+    plain: float,
+    acts: np.ndarray,
+) -> np.ndarray | None:
+    """Second moments about an estimate near bounds (`active_bounds`), shape (p, p); None where no bound is near, or too many are.
+
+    Args:
+        problem: what was fitted.
+        estimate: where it ended.
+        rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
+        information: about the parameters.
+        slope: of the cost at the estimate, shape (p,).
+        plain: variance of the residuals.
+        acts: parameters with influence, shape (p,), bool.
+    """
+    space, x = problem.space, estimate.x
+    below, above = _rooms(problem, x)
+    room = np.where(space.linear, np.minimum(below, above), np.inf)
+    room = np.where(problem.on_bound(x), 0.0, room)[acts]
+    if not 0 < np.isfinite(room).sum() <= FEW:
+        return None
+    centered, back = _centered(rows[:, acts], space.offsets[acts])
     size = np.linalg.norm(centered, axis=0)
     back = back / size
-    normal = (centered / size).T @ (centered / size) / plain + np.diag(ridge / size**2) / plain
-    root, variance, prior = information
-    root = root @ back
-    known = (root.T @ root + np.diag(prior / size**2)) / variance
+    normal = ((centered / size).T @ (centered / size) + np.diag(_ridge(estimate)[acts] / size**2)) / plain
+    root = information.root[:, acts] @ back
+    known = (root.T @ root + np.diag(information.ridge[acts] / size**2)) / information.variance
     # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
-    away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (slope / size)
-    moments = back @ about_estimate(known, known @ away, bounds[0] * size, bounds[1]) @ back.T
-    return 0.5 * (moments + moments.T)  # a saved fit keeps one half
+    away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (slope[acts] / plain / size)
+    sides = np.where(below < above, 1.0, -1.0)[acts]
+    moments = back @ about_estimate(known, known @ away, room * size, sides) @ back.T
+    inside = np.zeros((x.size, x.size))
+    inside[np.ix_(acts, acts)] = 0.5 * (moments + moments.T)  # a saved fit keeps one half
+    return inside
 
 
 def _centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -277,7 +303,7 @@ def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
     ratios = np.full(x.size, np.sqrt(residuals.correlation_time))
     if residuals.of_errors is None:
         return ratios
-    live = np.array([side is None for side in problem.at_bound(x)])
+    live = ~problem.on_bound(x)
     used = problem.used.reshape(-1)
     jacobian = problem.with_loss("linear").linearize_misfit(x)[1]
     J = jacobian[used][:, live] * relative_size(problem.space, x)[live]
@@ -300,15 +326,9 @@ def _log_ratios(root: np.ndarray, J: np.ndarray, variance: float) -> np.ndarray:
         return 0.5 * np.log(errors[0] / (errors[1] * variance))
 
 
-def _spectrum(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values (falling) and right singular vectors as columns."""
-    _, values, rows = np.linalg.svd(J, full_matrices=True)
-    return np.pad(values, (0, rows.shape[0] - values.size)), rows.T
-
-
 def _room(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Distance of each parameter to its nearest bound; infinite without one, and for linear weights, which may well be zero."""
-    return np.where([info.linear for info in problem.space.infos], np.inf, np.minimum(*_rooms(problem, x)))
+    return np.where(problem.space.linear, np.inf, np.minimum(*_rooms(problem, x)))
 
 
 def _rooms(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,8 +12,9 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Purpose
 from hystfit.fitting.estimate import AbstractEstimator
-from hystfit.fitting.fit import Start, changed_settings, with_test
+from hystfit.fitting.fit import changed_settings, with_test
 from hystfit.fitting.fit import fit as fit_model
+from hystfit.fitting.fit_setup import Start
 from hystfit.fitting.registry import is_sequential
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss

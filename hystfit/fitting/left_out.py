@@ -91,5 +91,5 @@ def bic(result: FitResult) -> float:
     noise, n = fit_slow_noise(contrasts).noise, residuals.residual.size
     deviance = contrasts.at((noise.white / noise.slow) ** 2, noise.time)[0] + n * (1 + np.log(2 * np.pi))
     deviance -= float(np.sum(np.log(residuals.samples.weight)))
-    count = sum(side is None for side in problem.at_bound(x)) + 3
+    count = np.count_nonzero(~problem.on_bound(x)) + 3
     return float(deviance + count * np.log(n))

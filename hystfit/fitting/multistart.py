@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hystfit.inference.problem import Problem
-from hystfit.params.coordinates import BOTH
-from hystfit.params.hypercube import latin_hypercube
+from hystfit.params.hypercube import spread_points
 
 _SPREAD = 1.5  # in z: a factor of about 4 either way for a positive parameter
 
@@ -26,11 +25,6 @@ def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -
     starts = np.tile(center, (max(count, 1), 1))
     if count <= 1:
         return starts
-    unit = latin_hypercube(center.size, count - 1, seed)
-    both = np.array([kind == BOTH for kind in problem.space.coordinates.kinds])
-    linear = np.array([info.linear for info in problem.space.infos])
-    inside = 0.05 + 0.9 * unit
-    over_range = np.log(inside) - np.log1p(-inside)
-    around = center + _SPREAD * (2 * unit - 1)
-    starts[1:] = np.where(linear, center, np.where(both, over_range, around))
+    spread = spread_points(problem.space.coordinates, center, count - 1, seed, spread=_SPREAD)
+    starts[1:] = np.where(problem.space.linear, center, spread)
     return starts

@@ -81,8 +81,8 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     Raises:
         ParameterError: an unknown noise model.
     """
-    on_bound = np.array([side is not None for side in problem.at_bound(x)])
-    weights = on_bound & np.array([info.linear for info in problem.space.infos], bool)
+    on_bound = problem.on_bound(x)
+    weights = on_bound & problem.space.linear
     released = on_bound & ~weights
     if not released.any():
         return refine_moving(problem, x, noise, ~on_bound)
@@ -91,7 +91,7 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     edge = _INSIDE * np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
     inside = np.where(released, np.clip(x, lower + edge, upper - edge), x)
     refined = refine_moving(problem, inside, noise, ~weights)
-    returned = np.array([side is not None for side in problem.at_bound(refined.x)]) & released
+    returned = problem.on_bound(refined.x) & released
     if not returned.any():
         return refined
     return refine_moving(problem, np.where(returned, x, refined.x), noise, ~(returned | weights))

@@ -19,9 +19,8 @@ _ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall
 _BLUR = 0.01  # rounding error of an output over _ROUNDING
 _LEAST, _MOST = 1e-12, 1e10  # damping
 _LONGEST = 4.0  # step in z of parameters with bounds, infinity norm
-_NOTHING = (
-    1e-8  # rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays
-)
+# Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays.
+_NOTHING = 1e-8
 _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, below which it is rounding errors
 
 

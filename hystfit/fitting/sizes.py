@@ -14,6 +14,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.smooth import SMOOTHNESS
 from hystfit.models.registry import model_name
+from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
 
 _COARSE = SMOOTHNESS[::2]
@@ -62,8 +63,7 @@ def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[st
             break
         best = other
     words = next(iter(best.sizes(list(data))))
-    span = float(np.ptp(np.concatenate([record.y[record.used] for record in data]))) or 1.0
-    error = 100 * score(best) / span
+    error = 100 * score(best) / output_range(data).width
     text = f"{words}: the smallest error on left-out data ({error:.2g} % of the range) of {len(scores)} choices"
     return Sized(best, (Note(Code.CHOICE, text),))
 

@@ -25,7 +25,7 @@ from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlins
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.registry import model_name
 from hystfit.models.series import Series
-from hystfit.models.starting import fitted_input_range
+from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
 
@@ -236,7 +236,7 @@ class Terms:
         self.data, self.plays = data, plays
         self.thresholds = np.asarray(PrandtlIshlinskii.of(plays).r)
         self.timed = _interval(data) > 0 and all(record.t is not None for record in data)
-        self.span = float(np.ptp(np.concatenate([record.y[record.used] for record in data]))) or 1.0
+        self.span = output_range(data).width
         self.used = np.concatenate([record.used for record in data])
         self.weight = np.concatenate([record.weight for record in data])[self.used]
         self.samples = self.weight.size

@@ -40,7 +40,7 @@ class TableReading(AbstractEstimator):
             f"the values of the table on {table.levels.size} levels are read off the curves, not fitted by least squares"
         ]
         if (table.turned() > 1e-9).any():
-            table, moved = table.admissible("monotone")
+            table, moved = table.monotone()
             notes.append(
                 f"{moved.nodes} values moved by up to {moved.largest:.2g} % of the largest, so that the table is monotone"
             )

@@ -16,6 +16,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify.identification import Identification, free_runs, run_metrics
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.shapes import Scalar
 from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
@@ -71,9 +72,9 @@ class Info(NamedTuple):
     """
 
     theta: Float[Array, " p"]
-    error: Float[Array, ""]
+    error: Scalar
     used: Bool[Array, ""]
-    variance: Float[Array, ""] | None = None
+    variance: Scalar | None = None
 
 
 class Run(NamedTuple):

@@ -30,6 +30,7 @@ from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sampl
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.duhem import Duhem
 from hystfit.models.polynomial import legendre_to_powers, powers_to_legendre
+from hystfit.models.shapes import Scalar
 from hystfit.models.starting import first_output, input_range, output_range
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
@@ -69,11 +70,11 @@ class DuhemRegressor(eqx.Module):
         basis: "legendre", scaled; or "powers" of the input, with all columns and theta in the data's units, as in the paper.
     """
 
-    center: Float[Array, ""]
-    half: Float[Array, ""]
-    shift: Float[Array, ""]
-    size: Float[Array, ""]
-    step: Float[Array, ""]
+    center: Scalar
+    half: Scalar
+    shift: Scalar
+    size: Scalar
+    step: Scalar
     m: int = eqx.field(static=True)
     n: int = eqx.field(static=True)
     scheme: str = eqx.field(static=True, default="midpoint")
@@ -143,7 +144,7 @@ class DuhemRegressor(eqx.Module):
         return jnp.stack(columns, axis=-1), (y1 - y0) / self.target_unit
 
     @property
-    def target_unit(self) -> Float[Array, ""]:
+    def target_unit(self) -> Scalar:
         """Output of one unit of the target [y]."""
         return jnp.ones_like(self.size) if self.basis == "powers" else self.size * self.step / self.half
 
@@ -264,7 +265,7 @@ class LinearIdentifier(AbstractIdentifier):
     theta0: eqx.AbstractVar[Float[Array, " p"]]
 
     @abc.abstractmethod
-    def correct(self, state: Any, phi: Float[Array, " p"], error: Float[Array, ""]) -> Any:
+    def correct(self, state: Any, phi: Float[Array, " p"], error: Scalar) -> Any:
         """The state after a row of the regression: its regressors, and its response less that of the parameters so far."""
 
     @abc.abstractmethod

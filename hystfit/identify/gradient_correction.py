@@ -22,6 +22,7 @@ from hystfit.identify.base import Run
 from hystfit.identify.bias import noise_bias
 from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, regression_of
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.param import as_array
@@ -61,9 +62,9 @@ class GradientCorrection(LinearIdentifier):
     regressor: DuhemRegressor
     theta0: Float[Array, " p"]
     weights: Float[Array, "*K p"]
-    mu: Float[Array, ""] = eqx.field(default=1.0, converter=as_array)
-    floor: Float[Array, ""] = eqx.field(default=1.0, converter=as_array)
-    step: Float[Array, ""] | None = eqx.field(default=None, converter=as_array)
+    mu: Scalar = eqx.field(default=1.0, converter=as_array)
+    floor: Scalar = eqx.field(default=1.0, converter=as_array)
+    step: Scalar | None = eqx.field(default=None, converter=as_array)
 
     @classmethod
     def of(

@@ -17,7 +17,7 @@ from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import accuracy_note, exceeded_limits
-from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
 from hystfit.results.metrics import Metrics
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
@@ -99,13 +99,7 @@ class Identification:
                 for name, value in zip(self.names, self.history[-1], strict=True)
                 if np.isfinite(value)
             )
-        free = zip(self.space.names, self.x, self.space.infos, [False] * self.x.size, strict=True)
-        rows = []
-        for name, value, info, fixed in (*free, *((*row, True) for row in self.space.fixed())):
-            lower, upper = (float(bound) if np.isfinite(bound) else None for bound in info.bounds)
-            unit = self.space.scales.label(info.unit)
-            rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc))
-        return tuple(rows)
+        return parameter_estimates(self.space, self.x)
 
     def predict(self) -> list[np.ndarray]:
         """Output of the final models driven by the input only, one array (T_r,) a record; empty without a valid model."""

@@ -16,6 +16,7 @@ from hystfit.identify.base import Run
 from hystfit.identify.bias import noise_bias
 from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, regression_of
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.shapes import Scalar
 from hystfit.outcome import Note, Status
 from hystfit.params.param import as_array
 
@@ -56,8 +57,8 @@ class Rls(LinearIdentifier):
 
     regressor: DuhemRegressor
     theta0: Float[Array, " p"]
-    forgetting: Float[Array, ""] = eqx.field(default=1.0, converter=as_array)
-    prior: Float[Array, ""] = eqx.field(default=1e8, converter=as_array)
+    forgetting: Scalar = eqx.field(default=1.0, converter=as_array)
+    prior: Scalar = eqx.field(default=1e8, converter=as_array)
     form: str = eqx.field(static=True, default="square-root")
 
     @classmethod

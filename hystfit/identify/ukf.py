@@ -19,6 +19,7 @@ from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sampl
 from hystfit.identify.sigma_points import Unscented, triangular
 from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.shapes import Scalar
 from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.params.coordinates import Coordinates
@@ -40,7 +41,7 @@ class UkfState(NamedTuple):
 
     mean: Float[Array, " n"]
     root: Float[Array, "n n"]
-    u: Float[Array, ""]
+    u: Scalar
     tally: Float[Array, "6"]
 
 
@@ -75,12 +76,12 @@ class Ukf(AbstractIdentifier):
     z0: Float[Array, " p"]
     prior: Float[Array, "n n"]
     walk: Float[Array, " n"]
-    noise: Float[Array, ""]
+    noise: Scalar
     resting: Bool[Array, " n"]
-    still: Float[Array, ""]
-    memory: Float[Array, ""]
-    caution: Float[Array, ""]
-    settling: Float[Array, ""]
+    still: Scalar
+    memory: Scalar
+    caution: Scalar
+    settling: Scalar
     free: tuple[str, ...] = eqx.field(static=True)
     scheme: Unscented = eqx.field(static=True)
 
@@ -201,7 +202,7 @@ class Ukf(AbstractIdentifier):
         mean = jnp.concatenate([jnp.zeros(self.states, self.z0.dtype), self.z0])
         return UkfState(mean, self.prior, jnp.zeros((), self.z0.dtype), jnp.array([-1.0, 0, 0, 0, 0, 1.0]))
 
-    def restart(self, state: UkfState, u: Float[Array, ""]) -> UkfState:
+    def restart(self, state: UkfState, u: Scalar) -> UkfState:
         """Start of a record: the states are at rest on u with their prior; parameters and their covariance are kept."""
         tally = state.tally.at[0].add(1.0)
         s, root = self.states, self.prior

@@ -63,7 +63,7 @@ class BoundedNewton:
     @functools.cached_property
     def linear(self) -> np.ndarray:
         """Which parameters move in units of their scale, shape (p,), bool."""
-        return np.array([info.linear for info in self.problem.space.infos], dtype=bool)
+        return self.problem.space.linear
 
     @functools.cached_property
     def _kind(self) -> np.ndarray:

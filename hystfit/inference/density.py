@@ -13,9 +13,10 @@ from jaxtyping import Array, Float
 from hystfit.inference.newton import FORWARD, forward
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.objective import Objective
+from hystfit.inference.objective import Objective, by_record
 from hystfit.inference.priors import AbstractPrior
 from hystfit.models.parallel.kernel import scan
+from hystfit.models.shapes import Scalar
 from hystfit.params.coordinates import Coordinates
 
 
@@ -43,14 +44,14 @@ class Density(eqx.Module):
         """x from z."""
         return jnp.concatenate([self.objective.coordinates.physical(z[: self.p]), self.noise.physical(z[self.p :])])
 
-    def log_prior(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+    def log_prior(self, z: Float[Array, " d"]) -> Scalar:
         """Log prior density over z."""
         x = self.physical(z)
         total = sum((prior.log_density(x[k]) for k, prior in enumerate(self.priors)), jnp.zeros(()))
         model, noise = self.objective.coordinates, self.noise
         return total + model.log_jacobian(z[: self.p]) + noise.log_jacobian(z[self.p :])
 
-    def log_likelihood(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+    def log_likelihood(self, z: Float[Array, " d"]) -> Scalar:
         """Log density of the data that count."""
         r = self.objective.residual(self.objective.coordinates.physical(z[: self.p]))
         return self._of_residual(self.noise.tree(z[self.p :]), r)
@@ -59,7 +60,7 @@ class Density(eqx.Module):
         # Constant residuals, such as those of broken simulations, would be very likely under a repeating error.
         return jnp.where(self.objective.broken(r), -jnp.inf, noise.log_density(self.setting, r))
 
-    def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
+    def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Scalar:
         """Log posterior over z, up to a constant; minus infinity where it is not finite.
 
         Args:
@@ -71,7 +72,7 @@ class Density(eqx.Module):
 
     # -- without trajectories ------------------------------------------------------------------------------------------
 
-    def log_likelihood_lean(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+    def log_likelihood_lean(self, z: Float[Array, " d"]) -> Scalar:
         """`log_likelihood` in one scan that keeps no trajectory: several times the throughput under vmap over many z."""
         if self.keeps_trajectories:
             return self.log_likelihood(z)
@@ -96,7 +97,7 @@ class Density(eqx.Module):
         """Whether the scan over the samples can include the noise."""
         return self.objective.coordinates.assemble(jnp.zeros(self.p)).one_scan
 
-    def squares(self, x: Float[Array, " p"]) -> Float[Array, ""]:
+    def squares(self, x: Float[Array, " p"]) -> Scalar:
         """Weighted sum of squared residuals at physical x [y^2]; no trajectory is kept."""
         return self._accumulate(x, jnp.zeros(()), lambda total, r, weight, gap: total + weight * r**2)
 
@@ -120,14 +121,11 @@ class Density(eqx.Module):
                 return scan(lambda c, at: sample(c, (*at, setting.gap)), begin, rows)[0][1]
             return scan(sample, begin, (*rows, setting.gap[k]))[0][1]
 
-        if batch.u.shape[0] == 1:
-            return record(0)
-        parts = jax.lax.map(record, jnp.arange(batch.u.shape[0]))
-        return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), parts)
+        return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), by_record(record, batch.u.shape[0]))
 
     # -- gradient ------------------------------------------------------------------------------------------------------
 
-    def slope(self, z: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
+    def slope(self, z: Float[Array, " d"]) -> tuple[Scalar, Float[Array, " d"]]:
         """`log_density` and its gradient: a forward pass through the model, a backward one through the noise."""
         # One pass that only sums is faster for few parameters; the derivatives by many would fill the loop.
         short = self._scans and self.p <= FORWARD and self.noise.tree(z[self.p :]).by_squares

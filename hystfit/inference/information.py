@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import AbstractNoise
-from hystfit.inference.noise.discrepancy import inducing_shapes
+from hystfit.inference.noise.discrepancy import inducing_shapes, on_branches
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import POINTS, SlowNoiseFit
+from hystfit.models.shapes import Scalar
 
 _SHARE = 1e-3  # posterior weight of a noise below which it is left out of the average
 Moments = tuple[Array, ...]
@@ -56,12 +57,12 @@ class LeastSquaresInformation(AbstractInformation):
         loop, length: variance of the curves and their length scale in the input; variance 0 without them.
     """
 
-    plain: Float[Array, ""]
-    white: Float[Array, ""]
+    plain: Scalar
+    white: Scalar
     slow: Float[Array, " m"]
     time: Float[Array, " m"]
-    loop: Float[Array, ""]
-    length: Float[Array, ""]
+    loop: Scalar
+    length: Scalar
     curved: bool = eqx.field(static=True)
 
     @classmethod
@@ -150,6 +151,4 @@ class LikelihoodInformation(AbstractInformation):
 
 def _curves(setting: Setting, length: Any) -> Float[Array, "R T k"]:
     """Columns that span smooth curves over the input, on either branch; beyond the fitted range they stay as at its end."""
-    shapes = inducing_shapes(jnp.clip(setting.place, 0.0, 1.0), length, POINTS)
-    up = setting.rising[..., None]
-    return jnp.concatenate([jnp.where(up, shapes, 0.0), jnp.where(up, 0.0, shapes)], axis=-1)
+    return on_branches(inducing_shapes(jnp.clip(setting.place, 0.0, 1.0), length, POINTS), setting)

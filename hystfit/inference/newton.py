@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hystfit.models.shapes import Scalar
+
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 _LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
@@ -31,7 +33,7 @@ class Optimum(NamedTuple):
     """
 
     z: Float[Array, " d"]
-    value: Float[Array, ""]
+    value: Scalar
     hessian: Float[Array, "d d"]
     converged: Array
 
@@ -52,7 +54,7 @@ def second_order(
     z: Float[Array, " d"],
     axes: Float[Array, "d d"],
     width: Float[Array, " d"],
-) -> tuple[Float[Array, ""], Float[Array, "2 d"], Float[Array, "d d"]]:
+) -> tuple[Scalar, Float[Array, "2 d"], Float[Array, "d d"]]:
     """Value; gradient, at z and averaged over the points about it; and the Hessian by central differences of the gradient.
 
     Second derivatives through a scan cost far more on a CPU. One loop over all points, so that the function is compiled once.
@@ -139,7 +141,7 @@ def descend(
     moving: Any,
     steps: int = 30,
     tolerance: float = 1e-9,
-) -> tuple[Float[Array, " p"], Float[Array, ""], Array]:
+) -> tuple[Float[Array, " p"], Scalar, Array]:
     """Levenberg-Marquardt on half a sum of squares: (z, cost, converged).
 
     It works on normal equations and can hold coordinates. optimistix on the whitened rows reaches the same point in 6 times the time

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from hystfit.inference.blocks import parts
 from hystfit.models.base import run
 from hystfit.models.parallel.kernel import linear_run
 from hystfit.models.parallel.route import Route, on_gpu, route
+from hystfit.models.shapes import Scalar
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 
@@ -37,8 +39,8 @@ class Objective(eqx.Module):
 
     coordinates: Coordinates
     batch: Batch
-    size: Float[Array, ""]
-    bend: Float[Array, ""]
+    size: Scalar
+    bend: Scalar
     loss: Loss = eqx.field(static=True, default="linear")
 
     def predict(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
@@ -47,9 +49,7 @@ class Objective(eqx.Module):
         def one(record: Any) -> Array:
             return run(self.coordinates.assemble(x, record), self.batch.u[record], self.batch.dt[record])[0]
 
-        if self.batch.u.shape[0] == 1:
-            return one(0)[None]
-        return jax.lax.map(one, jnp.arange(self.batch.u.shape[0]))
+        return by_record(one, self.batch.u.shape[0])
 
     def residual(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
         """Prediction less measurement, output units: 0 where a sample does not count, `BROKEN` half ranges where not finite."""
@@ -109,10 +109,7 @@ class Objective(eqx.Module):
             step = lambda values, state, *row: model(values).step(state, *row)
             return linear_run(step, (values, state, *along), (jnp.concatenate([u[:1], u[:-1]]), u, dt))
 
-        if self.batch.u.shape[0] == 1:
-            y, J = (part[None] for part in one(0))
-        else:
-            y, J = jax.lax.map(one, jnp.arange(self.batch.u.shape[0]))
+        y, J = by_record(one, self.batch.u.shape[0])
         r, on = y - self.batch.y, self.batch.weight > 0
         finite = on & jnp.isfinite(r)
         r = jnp.where(finite, r, jnp.where(on, BROKEN * self.size, 0.0))
@@ -130,6 +127,13 @@ class Objective(eqx.Module):
     def broken(self, r: Float[Array, "R T"]) -> Array:
         """Whether some residual is that of a simulation that is not finite, or as large."""
         return jnp.any(jnp.abs(r) >= BROKEN * self.size)
+
+
+def by_record(function: Callable[[Any], Any], count: int) -> Any:
+    """A function of each record's number, one after another; a single record needs no loop."""
+    if count == 1:
+        return jax.tree_util.tree_map(lambda value: value[None], function(0))
+    return jax.lax.map(function, jnp.arange(count))
 
 
 def bend(r: Array, at: Array, loss: Loss) -> Array:

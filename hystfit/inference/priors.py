@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import ParameterError
+from hystfit.models.shapes import Scalar
 from hystfit.params.coordinates import BOTH, LOWER, REAL
 from hystfit.params.space import ParameterSpace
 
@@ -42,7 +43,7 @@ class AbstractPrior(eqx.Module):
         ]
 
     @abc.abstractmethod
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Scalar) -> Scalar:
         """Log density at x; minus infinity outside the support."""
 
     @abc.abstractmethod
@@ -56,7 +57,7 @@ class Normal(AbstractPrior):
     mean: Array = eqx.field(converter=_number)
     sd: Array = eqx.field(converter=_number)
 
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
         return -0.5 * ((x - self.mean) / self.sd) ** 2 - jnp.log(self.sd) - _LOG_ROOT
 
@@ -76,7 +77,7 @@ class LogNormal(AbstractPrior):
     edge: Array = eqx.field(converter=_number, default=0.0)
     side: float = eqx.field(static=True, default=1.0)
 
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
         above = self.side * (x - self.edge)
         safe = jnp.where(above > 0, above, 1.0)
@@ -99,7 +100,7 @@ class HalfNormal(AbstractPrior):
     edge: Array = eqx.field(converter=_number, default=0.0)
     side: float = eqx.field(static=True, default=1.0)
 
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
         t = self.side * (x - self.edge) / self.sd
         return jnp.where(t >= 0, -0.5 * t**2 + jnp.log(2.0) - jnp.log(self.sd) - _LOG_ROOT, -jnp.inf)
@@ -118,7 +119,7 @@ class Uniform(AbstractPrior):
     lower: Array = eqx.field(converter=_number)
     upper: Array = eqx.field(converter=_number)
 
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
         inside = (x >= self.lower) & (x <= self.upper)
         return jnp.where(inside, -jnp.log(self.upper - self.lower), -jnp.inf)
@@ -142,7 +143,7 @@ class LogitNormal(AbstractPrior):
     def _logit(self, x: Array) -> Array:
         return jnp.log(x - self.lower) - jnp.log(self.upper - x)
 
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
         inside = (x > self.lower) & (x < self.upper)
         safe = jnp.where(inside, x, self.median)

@@ -126,10 +126,7 @@ class Problem:
         return self._changed(objective=eqx.tree_at(lambda o: o.batch, self.objective, batch))
 
     def with_noise(
-        self,
-        noise: AbstractNoise,
-        priors: Mapping[str, AbstractPrior] | None = None,
-        x: np.ndarray | None = None,
+        self, noise: AbstractNoise, priors: Mapping[str, AbstractPrior] | None = None, x: np.ndarray | None = None
     ) -> Problem:
         """The same problem with a likelihood.
 
@@ -183,6 +180,10 @@ class Problem:
         width = np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
         low, high = x - lower < tolerance * width, upper - x < tolerance * width
         return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
+
+    def on_bound(self, x: np.ndarray) -> np.ndarray:
+        """Which parameters have reached a bound, shape (p,), bool."""
+        return np.array([side is not None for side in self.at_bound(x)], dtype=bool)
 
     # -- least squares -------------------------------------------------------------------------------------------------
 

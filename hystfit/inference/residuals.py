@@ -146,7 +146,7 @@ class ResidualAnalysis:
 def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
     """Analysis of the residuals at physical x, shape (p,)."""
     residual, jacobian = problem.with_loss("linear").linearize_misfit(x)
-    live = np.array([side is None for side in problem.at_bound(x)])
+    live = ~problem.on_bound(x)
     few = live.any() and int(live.sum()) <= FEW
     columns = lambda: jacobian[problem.used.reshape(-1)][:, live] * relative_size(problem.space, x)[live]
     return ResidualAnalysis.of(problem.setting, residual * problem.scales.y, columns if few else None)

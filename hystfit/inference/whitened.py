@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import Objective
+from hystfit.models.shapes import Scalar
 
 
 class Whitened(eqx.Module):
@@ -25,25 +26,25 @@ class Whitened(eqx.Module):
     noise: AbstractNoise
     setting: Setting
 
-    def cost(self, x: Float[Array, " p"]) -> Float[Array, ""]:
+    def cost(self, x: Float[Array, " p"]) -> Scalar:
         """Half the squared whitened residual at physical x."""
         return self._project(self.objective.residual(x)[..., None])[0]
 
-    def normal(self, x: Float[Array, " p"]) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
+    def normal(self, x: Float[Array, " p"]) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
         """Cost, gradient and information matrix with respect to physical x."""
         return self.normal_of(*self.objective.linearize(x))
 
     def normal_of(
         self, r: Float[Array, "R T"], J: Float[Array, "R T p"]
-    ) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
+    ) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
         """`normal` from residuals and their derivatives."""
         return self._project(jnp.concatenate([r[..., None], J], axis=-1))
 
-    def cost_at(self, z: Float[Array, " p"]) -> Float[Array, ""]:
+    def cost_at(self, z: Float[Array, " p"]) -> Scalar:
         """`cost` at unconstrained z."""
         return self.cost(self.objective.coordinates.physical(z))
 
-    def normal_at(self, z: Float[Array, " p"]) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
+    def normal_at(self, z: Float[Array, " p"]) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
         """`normal` with respect to unconstrained z."""
         slope = self.objective.coordinates.slope(z)
         value, gradient, matrix = self.normal(self.objective.coordinates.physical(z))

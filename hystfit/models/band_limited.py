@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.models.shapes import Signal
+
 REACH = 24  # samples on each side of an interval that its values depend on
 _BETA = 8.0  # shape of the Kaiser window
 _BLOCK = 16  # intervals in one row of the product below; three blocks hold the 48 samples around an interval
@@ -32,7 +34,7 @@ def _block_weights(parts: int) -> np.ndarray:
     return matrix.reshape(4 * _BLOCK, -1)
 
 
-def upsample(x: Float[Array, " T"], parts: int) -> Float[Array, "T-1 {parts}+1"]:
+def upsample(x: Signal, parts: int) -> Float[Array, "T-1 {parts}+1"]:
     """Values at 0, 1 / parts, ..., 1 of each interval between samples; beyond its ends the signal is constant.
 
     Args:

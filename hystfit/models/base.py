@@ -12,13 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
-from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
 from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
@@ -27,6 +26,8 @@ from hystfit.models.one_device import check_one_device
 from hystfit.models.parallel.associative import StateMap, sweep_at_once
 from hystfit.models.parallel.kernel import scan
 from hystfit.models.parallel.route import Route, route
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -50,13 +51,11 @@ class AbstractHysteresis(eqx.Module):
         """Whether the output depends only on the order of the inputs, so that no time is needed."""
 
     @abc.abstractmethod
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State of the model at rest on the input u0, with no history."""
 
     @abc.abstractmethod
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Advance the state by one sample, from input u0 to u1 in the time dt: (new state, output at u1).
 
         Args:
@@ -86,14 +85,7 @@ class AbstractHysteresis(eqx.Module):
 
     # -- optional: simulation ----------------------------------------------------------------------------------------------
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
 
         To override where part of the work does not depend on the state, and need not be in the scan.
@@ -103,7 +95,6 @@ class AbstractHysteresis(eqx.Module):
             u0: input before the first sample.
             u: input, shape (T,).
             dt: time since the sample before, shape (T,) [s].
-            unroll: of the scan.
         """
         single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
 
@@ -112,21 +103,18 @@ class AbstractHysteresis(eqx.Module):
             return (state[0] if single else state), y
 
         before = jnp.concatenate([u0[None], u[:-1]])
-        state, y = scan(body, state[0] if single else state, (before, u, dt), unroll)
+        state, y = scan(body, state[0] if single else state, (before, u, dt))
         return (state[None] if single else state), y
 
-    state_map: ClassVar[StateMap | None] = (
-        None  # what `step` does to the state, where it is one of the maps that compose
-    )
+    # What `step` does to the state, where it is one of the maps that compose.
+    state_map: ClassVar[StateMap | None] = None
 
     @property
     def associative(self) -> bool:
         """Whether `sweep_at_once` needs no scan over the samples."""
         return self.state_map is not None
 
-    def sweep_at_once(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """`sweep` by an associative scan where `state_map` is set: for long records on a GPU.
 
         Args:
@@ -365,99 +353,6 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
     return output(zero), jax.jacfwd(output)(zero) if at else []
 
 
-# -- one-sample inverses -------------------------------------------------------------------------------------------------------
-
-
-class AbstractStepInverse(eqx.Module):
-    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1.
-
-    Attributes:
-        model: what is inverted.
-    """
-
-    model: eqx.AbstractVar[AbstractHysteresis]
-
-    @property
-    @abc.abstractmethod
-    def needs_limits(self) -> bool:
-        """A search needs an interval to search in; a closed form needs none."""
-
-    @abc.abstractmethod
-    def solve(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        target: Float[Array, ""],
-        dt: Float[Array, ""],
-        low: Float[Array, ""],
-        high: Float[Array, ""],
-    ) -> Root:
-        """The input, which a closed form may put outside the limits, and whether the output rises on the way to it.
-
-        Args:
-            state: of the model after the last sample.
-            u0: input of the last sample.
-            target: wanted output.
-            dt: time since the last sample [s].
-            low, high: limits of the input.
-        """
-
-    # Optional, as those of a model:
-
-    @property
-    def sign(self) -> float:
-        """-1 where the inverse assumes an output that falls with the input."""
-        return 1.0
-
-    def advance(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
-        """The model's step; to override where the inverse holds tables that make it faster.
-
-        Args:
-            state: before the sample, shape (states,).
-            u0: input of the previous sample [u].
-            u1: input of this sample [u].
-            dt: time between the two [s]; 0 where there is no time.
-        """
-        return self.model.step(state, u0, u1, dt)
-
-
-class SearchStep(AbstractStepInverse):
-    """Bracketed search on the model's own step: for every model whose output rises, or falls, with its input.
-
-    Attributes:
-        model: any model.
-        falls: -1 where the output falls with the input, else 1.
-    """
-
-    model: AbstractHysteresis
-    falls: float = eqx.field(static=True, default=1.0)
-    needs_limits: bool = eqx.field(static=True, default=True)
-
-    @property
-    def sign(self) -> float:
-        """See the base class."""
-        return self.falls
-
-    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
-        miss = lambda u1: self.falls * (self.model.step(state, u0, u1, dt)[1] - target)
-        return solve_rising(miss, jnp.clip(u0, low, high), low, high)
-
-
-class LinearStep(AbstractStepInverse):
-    """Inverse of a model whose output is affine in the new input (`Lag`, `Relaxation`): a derivative gives its gain."""
-
-    model: AbstractHysteresis
-    needs_limits: bool = eqx.field(static=True, default=False)
-
-    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
-        value, gain = jax.jvp(lambda u: self.model.step(state, u0, u, dt)[1], (u0,), (jnp.ones_like(u0),))
-        return Root(u0 + (target - value) / jnp.where(gain > 0, gain, jnp.inf), gain > 0)
-
-
 # -- simulation ------------------------------------------------------------------------------------------------------------------
 
 
@@ -490,8 +385,8 @@ class PlayWeights(NamedTuple):
 class Resume(NamedTuple):
     """The end of a simulation, from which it can be resumed: state of the model and the last input."""
 
-    state: Float[Array, " state"]
-    u: Float[Array, ""]
+    state: State
+    u: Scalar
 
 
 def simulate(
@@ -500,8 +395,7 @@ def simulate(
     dt: ArrayLike | Sequence[float] | None = None,
     *,
     resume: Resume | None = None,
-    unroll: int = 1,
-) -> tuple[Float[Array, " T"], Resume]:
+) -> tuple[Signal, Resume]:
     """Free run of a model over an input.
 
     Args:
@@ -510,7 +404,6 @@ def simulate(
         dt: time over which each input acted before its sample was read, shape (T,), or one number for all: the time
             since the sample before. A rate-independent model needs none.
         resume: what an earlier run returned, to continue it; None starts from `model.init(u[0])`.
-        unroll: of the scan; 1 under differentiation, 4 to 8 for a fast plain run of a small model.
 
     Returns:
         Output, shape (T,), and where the run stopped. Running two halves in turn equals one run.
@@ -527,7 +420,7 @@ def simulate(
     u, dt = _checked_drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
     try:
-        return _compiled(model)(model, u, dt, resume, unroll)
+        return _compiled(model)(model, u, dt, resume)
     except (TypeError, ValueError):
         check_one_device(model)
         raise
@@ -574,9 +467,7 @@ def _floating(values: Any) -> Any:
     return np.asarray(values, dtype=np.float64)
 
 
-def run(
-    model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None, unroll: int = 1
-) -> tuple[Array, Resume]:
+def run(model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None) -> tuple[Array, Resume]:
     """`simulate` without checks or jit, for use inside other traced code.
 
     Args:
@@ -584,18 +475,17 @@ def run(
         u: input, shape (T,).
         dt: time since the sample before, shape (T,) [s].
         resume: see `simulate`.
-        unroll: of the scan.
     """
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
     if route(u.shape[0], associative=model.associative) is Route.ASSOCIATIVE:
         state, y = model.sweep_at_once(resume.state, resume.u, u, dt)
     else:
-        state, y = model.sweep(resume.state, resume.u, u, dt, unroll)
+        state, y = model.sweep(resume.state, resume.u, u, dt)
     return y, Resume(state, u[-1])
 
 
-_run_arrays = jax.jit(run, static_argnums=4)
+_run_arrays = jax.jit(run)
 _run_any = eqx.filter_jit(run)
 
 

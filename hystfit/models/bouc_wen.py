@@ -9,11 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
     bound,
     exact_step,
@@ -25,7 +25,9 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -54,22 +56,18 @@ class BoucWen(AbstractHysteresis):
         too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
     )
 
-    c: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Float[Array, ""] = param(
-        0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal"
-    )
-    tau: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
-    rho: Float[Array, ""] = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
-    h0: Float[Array, ""] = param(
+    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal")
+    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
+    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
+    h0: Scalar = param(
         0.0,
         bounds=(-1.0, 1.0),
         per_record=True,
         fixed=True,
         doc="hysteretic state at the first sample, part of its bound",
     )
-    offset: Float[Array, ""] = param(
-        0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True
-    )
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
     scheme: Literal["semi-implicit", "exact"] = eqx.field(static=True, default="semi-implicit")
 
     def __check_init__(self) -> None:
@@ -77,18 +75,16 @@ class BoucWen(AbstractHysteresis):
             raise ModelError(f"scheme must be semi-implicit or exact, got {self.scheme!r}")
 
     @property
-    def delta(self) -> Float[Array, ""]:
+    def delta(self) -> Scalar:
         """The literature's delta [1/u]."""
         return self.rho * self.tau
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: h, shape (1,)."""
         highest = bound(self.mu * self.c, self.tau * (1 + self.rho))
         return initial_hysteresis(self.h0, -highest, highest)[None] + 0.0 * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample; with q = s h and x = |dv| the law is dq/dx = mu c - kappa |q| sgn q on each side of zero."""
         dv = u1 - u0
         m, up, down = self.mu * self.c, self.tau * (1 + self.rho), self.tau * (1 - self.rho)
@@ -104,17 +100,10 @@ class BoucWen(AbstractHysteresis):
         """The exact step has exponentials that need no state."""
         return self.scheme != "exact"
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The exponentials of all exact steps first, then one scan."""
         if self.scheme != "exact":
-            return super().sweep(state, u0, u, dt, unroll)
+            return super().sweep(state, u0, u, dt)
         dv = jnp.diff(u, prepend=u0)
         m, up, down = self.mu * self.c, self.tau * (1 + self.rho), self.tau * (1 - self.rho)
         s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
@@ -124,7 +113,7 @@ class BoucWen(AbstractHysteresis):
             h = s * exact_step(s * h, x, m, up, down, (phis[0], phis[1]))
             return h, h
 
-        last, h = jax.lax.scan(once, state[0], (s, x, phi(up, x), phi(down, x)), unroll=unroll)
+        last, h = jax.lax.scan(once, state[0], (s, x, phi(up, x), phi(down, x)))
         return last[None], self.offset + self.c * u - h
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
@@ -55,59 +56,46 @@ class AsymmetricBoucWen(AbstractHysteresis):
         too_few="the shape parameters are nearly redundant",
     )
 
-    c: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Float[Array, ""] = param(
-        0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal"
-    )
-    tau: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
-    rho: Float[Array, ""] = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
-    n: Float[Array, ""] = param(1.0, bounds=(0.5, 12.0), doc="sharpness of the knee")
-    skew: Float[Array, ""] = param(0.0, bounds=(-0.95, 0.95), doc="asymmetry of the saturation")
+    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal")
+    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
+    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
+    n: Scalar = param(1.0, bounds=(0.5, 12.0), doc="sharpness of the knee")
+    skew: Scalar = param(0.0, bounds=(-0.95, 0.95), doc="asymmetry of the saturation")
     b: Float[Array, " k"] = param(
         (0.0, 0.0), unit="y", doc="Legendre coefficients 2, 3, ... of the backbone", linear=True
     )
-    h0: Float[Array, ""] = param(
+    h0: Scalar = param(
         0.0,
         bounds=(-1.0, 1.0),
         per_record=True,
         fixed=True,
         doc="hysteretic state at the first sample, part of its bound",
     )
-    offset: Float[Array, ""] = param(
-        0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True
-    )
-    center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="middle of the input range")
-    half: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
+    center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range")
+    half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
     scheme: Literal["semi-implicit", "exact"] = eqx.field(static=True, default="semi-implicit")
 
     def __check_init__(self) -> None:
         if self.scheme not in ("semi-implicit", "exact"):
             raise ModelError(f"scheme must be semi-implicit or exact, got {self.scheme!r}")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: h, shape (1,)."""
         falling, rising = self._bounds()
         return initial_hysteresis(self.h0, -falling, rising)[None] + 0.0 * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample."""
         h = self._moved(state[0], u1 - u0, self._bounds())
         return h[None], self.offset + self.c * u1 + self._backbone(u1) - h
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """h alone is in the scan."""
         bounds = self._bounds()
         once = lambda h, dv: (new := self._moved(h, dv, bounds), new)
-        last, h = jax.lax.scan(once, state[0], jnp.diff(u, prepend=u0), unroll=unroll)
+        last, h = jax.lax.scan(once, state[0], jnp.diff(u, prepend=u0))
         return last[None], self.offset + self.c * u + self._backbone(u) - h
 
     def _bounds(self) -> tuple[Array, Array]:
@@ -117,8 +105,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         return falling, rising
 
     def _backbone(self, u: Array) -> Array:
-        coefficients = jnp.concatenate([jnp.zeros(2, self.b.dtype), self.b])
-        return legendre_series(coefficients, (u - self.center) / self.half)
+        return legendre_series(self.b, (u - self.center) / self.half, first=2)
 
     def _moved(self, h: Array, dv: Array, bounds: tuple[Array, Array]) -> Array:
         """h after the input moved by dv."""

@@ -9,13 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import power_of, rate_integral, semi_implicit
 from hystfit.models.c_code import CPart, template
+from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -43,28 +44,24 @@ class BoucWenForce(AbstractHysteresis):
         too_few="the shape of the unloading branch and the sharpness of the knee trade off",
     )
 
-    kappa_x: Float[Array, ""] = param(1.0, unit="y/u", linear=True, doc="slope after yielding")
-    kappa_w: Float[Array, ""] = param(1.0, unit="y", linear=True, doc="force at yielding")
-    rho: Float[Array, ""] = param(5.0, bounds=(0.0, np.inf), unit="1/u", scale=5.0, doc="1 / yield displacement")
-    sigma: Float[Array, ""] = param(0.8, bounds=(0.5, 5.0), doc="shape of the unloading branch")
-    n: Float[Array, ""] = param(1.5, bounds=(1.0, 20.0), doc="sharpness of the knee")
-    w0: Float[Array, ""] = param(0.0, bounds=(-1.0, 1.0), per_record=True, fixed=True, doc="w at the first sample")
-    offset: Float[Array, ""] = param(
-        0.0, unit="y", per_record=True, linear=True, doc="force at zero input without hysteresis"
-    )
+    kappa_x: Scalar = param(1.0, unit="y/u", linear=True, doc="slope after yielding")
+    kappa_w: Scalar = param(1.0, unit="y", linear=True, doc="force at yielding")
+    rho: Scalar = param(5.0, bounds=(0.0, np.inf), unit="1/u", scale=5.0, doc="1 / yield displacement")
+    sigma: Scalar = param(0.8, bounds=(0.5, 5.0), doc="shape of the unloading branch")
+    n: Scalar = param(1.5, bounds=(1.0, 20.0), doc="sharpness of the knee")
+    w0: Scalar = param(0.0, bounds=(-1.0, 1.0), per_record=True, fixed=True, doc="w at the first sample")
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="force at zero input without hysteresis")
     substeps: int = eqx.field(static=True, default=_SUBSTEPS)
 
     def __check_init__(self) -> None:
         if self.substeps < 1:
             raise ModelError(f"at least one substep a sample is needed, got {self.substeps}")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: w, shape (1,)."""
         return self.w0[None] + 0.0 * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample of the branch that the input is on."""
         s = jnp.where(u1 < u0, -1.0, 1.0)
         x, one = jnp.abs(u1 - u0) / self.substeps, jnp.ones_like(u1)

@@ -138,16 +138,17 @@ def exact_step(q: Array, x: Array, m: Array, up: Array, down: Array, phis: tuple
 
 def power_of(base: Array, exponent: Array) -> Array:
     """base ** exponent with finite derivatives at base = 0, and without exponential and logarithm where the exponent is 0."""
-    return jax.lax.cond(exponent == 0.0, _zeroth_power, _any_power, base, exponent)
+    return jax.lax.cond(exponent == 0.0, zeroth_power, any_power, base, exponent)
 
 
-def _any_power(base: Array, exponent: Array) -> Array:
+def any_power(base: Array, exponent: Array) -> Array:
+    """base ** exponent for base >= 0, with finite derivatives at zero."""
     safe = jnp.where(base > 0, base, 1.0)
     return jnp.where(base > 0, jnp.exp(exponent * jnp.log(safe)), jnp.where(exponent > 0, 0.0, 1.0))
 
 
 @jax.custom_jvp
-def _zeroth_power(base: Array, exponent: Array) -> Array:
+def zeroth_power(base: Array, exponent: Array) -> Array:
     """base ** 0; the logarithm is in the derivative by the exponent alone."""
     return jnp.ones_like(base)
 
@@ -160,7 +161,7 @@ def _zeroth_power_slope(values: tuple[Array, Array], tangents: tuple[Any, Any]) 
     return jnp.ones_like(base), jnp.where(base > 0, jnp.log(jnp.where(base > 0, base, 1.0)), 0.0) * by_exponent
 
 
-_zeroth_power.defjvp(_zeroth_power_slope, symbolic_zeros=True)
+zeroth_power.defjvp(_zeroth_power_slope, symbolic_zeros=True)
 
 
 def runge_kutta(slope: Callable[[Array], Array], q: Array, x: Array, substeps: int, highest: Array) -> Array:

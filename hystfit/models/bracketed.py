@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
+
+from hystfit.models.shapes import Scalar
 
 _MOST = 100
 
@@ -20,7 +22,7 @@ class Root(NamedTuple):
         rising: no slope met on the way fell.
     """
 
-    x: Float[Array, ""]
+    x: Scalar
     rising: Bool[Array, ""]
 
 
@@ -36,12 +38,7 @@ class _Search(NamedTuple):
     done: Array
 
 
-def solve_rising(
-    function: Callable[[Float[Array, ""]], Float[Array, ""]],
-    start: Float[Array, ""],
-    low: Float[Array, ""],
-    high: Float[Array, ""],
-) -> Root:
+def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar) -> Root:
     """Root of a rising function by Newton steps from `start`, held in a bracket and halved where they fail.
 
     The side of `start` on which the root lies is searched alone: the first trial is a small step into it, because a hysteresis has another

@@ -46,6 +46,18 @@ def check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> N
         raise ModelError(f"{name} needs at least {least} models, got {[type(part).__name__ for part in parts]}")
 
 
+def _of_all(name: str) -> property:
+    return property(
+        lambda self: all(getattr(part, name) for part in self.parts), doc="Whether it is true of all parts."
+    )
+
+
+def _of_any(name: str) -> property:
+    return property(
+        lambda self: any(getattr(part, name) for part in self.parts), doc="Whether it is true of some part."
+    )
+
+
 class AbstractComposition(AbstractHysteresis):
     """Methods that `Sum` and `Series` delegate to their parts in the same way."""
 
@@ -56,35 +68,14 @@ class AbstractComposition(AbstractHysteresis):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(repr(part) for part in self.parts)})"
 
-    @property
-    def rate_independent(self) -> bool:
-        """Whether all parts are."""
-        return all(part.rate_independent for part in self.parts)
-
-    @property
-    def allows_thinning(self) -> bool:
-        """Whether all parts do."""
-        return all(part.allows_thinning for part in self.parts)
-
-    @property
-    def has_fast_run(self) -> bool:
-        """Whether some part has one."""
-        return any(part.has_fast_run for part in self.parts)
-
-    @property
-    def linear_in_input(self) -> bool:
-        """Whether all parts are."""
-        return all(part.linear_in_input for part in self.parts)
-
-    @property
-    def causal(self) -> bool:
-        """Whether all parts are."""
-        return all(part.causal for part in self.parts)
-
-    @property
-    def associative(self) -> bool:
-        """Whether all parts are."""
-        return all(part.associative for part in self.parts)
+    rate_independent = _of_all("rate_independent")
+    allows_thinning = _of_all("allows_thinning")
+    linear_in_input = _of_all("linear_in_input")
+    causal = _of_all("causal")
+    associative = _of_all("associative")
+    has_fast_run = _of_any("has_fast_run")
+    has_rest = _of_any("has_rest")
+    from_saturation = _of_any("from_saturation")
 
     def prepared(self, record: Record) -> Record:
         """As all parts need it."""
@@ -107,16 +98,6 @@ class AbstractComposition(AbstractHysteresis):
     def estimator(self) -> str | None:
         """That of the first part that names one."""
         return next((part.estimator for part in self.parts if part.estimator is not None), None)
-
-    @property
-    def has_rest(self) -> bool:
-        """Whether some part has one."""
-        return any(part.has_rest for part in self.parts)
-
-    @property
-    def from_saturation(self) -> bool:
-        """Whether some part starts there."""
-        return any(part.from_saturation for part in self.parts)
 
     def with_rest(self, rest: str) -> AbstractHysteresis:
         """See the base class."""

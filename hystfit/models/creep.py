@@ -13,14 +13,16 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record, median_interval
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, check_rest
+from hystfit.models.base import AbstractHysteresis, check_rest
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
-from hystfit.models.starting import fitted_input_range, input_range
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -47,7 +49,7 @@ class LogCreep(AbstractHysteresis):
     gamma: Float[Array, " k"] = param(
         (0.01,), bounds=(-0.5, 0.5), scale=0.02, vector=True, doc="creep per decade of time, polynomial in x / span"
     )
-    span: Float[Array, ""] = param(
+    span: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", fixed=True, doc="displacement that the polynomial is in parts of"
     )
     tau: Float[Array, " modes"] = param(
@@ -56,7 +58,7 @@ class LogCreep(AbstractHysteresis):
     weights: Float[Array, " modes"] = param(
         _WEIGHTS, bounds=(0.0, np.inf), fixed=True, doc="decades that each relaxation stands for"
     )
-    base: Float[Array, ""] = param(_BASE, fixed=True, doc="decades that have passed before the first relaxation")
+    base: Scalar = param(_BASE, fixed=True, doc="decades that have passed before the first relaxation")
 
     def __check_init__(self) -> None:
         if hasattr(self.tau, "shape") and hasattr(self.weights, "shape") and self.tau.shape != self.weights.shape:
@@ -91,29 +93,20 @@ class LogCreep(AbstractHysteresis):
             total = total * relative + self.gamma[k]
         return total
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the relaxations, in equilibrium at u0."""
         return self._rate(u0) * self.weights * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Relax towards the new displacement for the time dt, exactly."""
         gamma = self._rate(u1)
         state = state - jnp.expm1(-dt / self.tau) * (gamma * self.weights * u1 - state)
         return state, (1 - gamma * self.base) * u1 + jnp.sum(state)
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The relaxations alone are in the scan."""
         gamma = self._rate(u)
-        state, total = relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt, unroll)
+        state, total = relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt)
         return state, (1 - gamma * self.base) * u + total
 
     def start(self, records: Sequence[Record]) -> LogCreep:
@@ -199,9 +192,9 @@ class LinearCreep(AbstractHysteresis):
         fixed=True,
         doc="time constants of the relaxations",
     )
-    low: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input where x = 0")
-    high: Float[Array, ""] = param(1.0, unit="u", fixed=True, doc="input where x = 1")
-    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
+    high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
     rest: Literal["level", "first"] = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:
@@ -209,36 +202,27 @@ class LinearCreep(AbstractHysteresis):
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape not in ((1,), self.tau.shape):
             raise ModelError(f"one weight for all or one a time constant {self.tau.shape}: got {self.a.shape}")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the relaxations, at rest."""
         rest = u0 if self.rest == "first" else self.level + 0.0 * u0
         return jnp.broadcast_to((rest - self.low) / (self.high - self.low), self.tau.shape)
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Relax towards the new input for the time dt, exactly."""
         x = (u1 - self.low) / (self.high - self.low)
         state = state - jnp.expm1(-dt / self.tau) * (x - state)
         return state, jnp.sum(self.a * state)
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The relaxations alone are in the scan."""
         x = (u - self.low) / (self.high - self.low)
-        return relaxed(state, self.tau, 1.0, self.a, x, dt, unroll)
+        return relaxed(state, self.tau, 1.0, self.a, x, dt)
 
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
         place = fitted_input_range(records)
         low, high = (to_device(place.center + side * place.half) for side in (-1.0, 1.0))
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
+        typical = sampling_interval(records)
         tau = to_device(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
         return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from hystfit.data.record import Dataset, Record
 from hystfit.models.starting import scales_of, thinned
-from hystfit.params.coordinates import BOTH
-from hystfit.params.hypercube import latin_hypercube
+from hystfit.params.hypercube import spread_points
 from hystfit.params.space import ParameterSpace
 
 _POINTS = 128
@@ -36,7 +35,7 @@ def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
     short = thinned(chosen, 200) if model.allows_thinning else chosen
     space = ParameterSpace.of(model, scales=scales_of(Dataset(tuple(records))))
     free = {space.leaves[number].index for number, _, _ in space.sources}
-    moved = np.flatnonzero([not info.linear for info in space.infos])
+    moved = np.flatnonzero(~space.linear)
     solve = lambda z: _solved(space.tree(z), short, free)
     found = [(z, point) for z in _points(space, model, moved) if np.isfinite((point := solve(z)).cost)]
     found.sort(key=lambda item: item[1].cost)
@@ -60,11 +59,7 @@ def _points(space: ParameterSpace, model: Any, moved: np.ndarray) -> np.ndarray:
     own = space.unconstrained(space.vector(model))
     if not moved.size:
         return own[None]
-    unit = latin_hypercube(own.size, _POINTS, 0)
-    inside = 0.05 + 0.9 * unit
-    over_range = np.log(inside) - np.log1p(-inside)
-    both = np.array([kind == BOTH for kind in space.coordinates.kinds])
-    spread = np.where(both, over_range, _SPREAD * (2 * unit - 1))
+    spread = spread_points(space.coordinates, np.zeros(own.size), _POINTS, 0, spread=_SPREAD)
     points = np.tile(own, (_POINTS + 1, 1))
     points[1:, moved] = spread[:, moved]
     return points

@@ -17,6 +17,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
+from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -49,7 +50,7 @@ class Duhem(AbstractHysteresis):
         amplitudes=2, too_few="f and g are seen along one pair of branches, and trade off within it"
     )
 
-    alpha: Float[Array, ""] = param(
+    alpha: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="1/u", scale=2.0, doc="rate of approach to f; 1/alpha is forgotten"
     )
     f: Float[Array, " m"] = param(
@@ -58,11 +59,9 @@ class Duhem(AbstractHysteresis):
     g: Float[Array, " n"] = param(
         (0.5, 0.0, 0.0), unit="y/u", doc="slope at reversal, Legendre coefficients", linear=True
     )
-    w0: Float[Array, ""] = param(0.0, unit="y", per_record=True, doc="output at the first sample", linear=True)
-    center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="middle of the input range of f and g")
-    half: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range of f and g"
-    )
+    w0: Scalar = param(0.0, unit="y", per_record=True, doc="output at the first sample", linear=True)
+    center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range of f and g")
+    half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range of f and g")
     scheme: Scheme = eqx.field(static=True, default="midpoint")
 
     def __check_init__(self) -> None:
@@ -119,7 +118,7 @@ class Duhem(AbstractHysteresis):
         place = float(self.center), float(self.half)
         return legendre_to_powers(np.asarray(self.f), *place), legendre_to_powers(np.asarray(self.g), *place)
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the output w, shape (1,)."""
         return self.w0[None] + 0.0 * u0
 
@@ -128,9 +127,7 @@ class Duhem(AbstractHysteresis):
         x = (v - self.center) / self.half
         return legendre_series(self.f, x), legendre_series(self.g, x)
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample of the branch that the input is on."""
         w = state[0]
         if self.scheme == "exact":

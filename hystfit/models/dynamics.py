@@ -10,14 +10,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from hystfit.data.record import Record, median_interval
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep, OutputResonance, check_rest
+from hystfit.models.base import AbstractHysteresis, OutputResonance, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.starting import sampling_interval
+from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 
@@ -35,34 +38,25 @@ class Delay(AbstractHysteresis):
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
 
-    lag: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
+    lag: Scalar = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
     longest: int = eqx.field(static=True, default=8)
 
     def __check_init__(self) -> None:
         if self.longest < 1:
             raise ModelError(f"the longest delay must be at least one sample, got {self.longest}")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the last inputs, newest first, all u0."""
         return jnp.broadcast_to(u0, (self.longest + 1,))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Push the new input, read between two old ones."""
         state = jnp.concatenate([u1[None], state[:-1]])
         lag = jnp.minimum(self.lag, float(self.longest))
         weight = jnp.maximum(0.0, 1.0 - jnp.abs(lag - jnp.arange(self.longest + 1)))
         return state, jnp.sum(weight * state)
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The three shifted inputs around the delay, without a scan: all others have weight 0, and so have their derivatives."""
         count = self.longest + 1
         line = jnp.concatenate([state[:-1][::-1], u])
@@ -99,35 +93,26 @@ class Lag(AbstractHysteresis):
     linear_in_input: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
 
-    tau: Float[Array, ""] = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
-    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
     rest: Literal["level", "first"] = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:
         check_rest(self.rest)
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the outputs of the two lags, at rest on `level` or, where rest = "first", on the first input."""
         return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (2,))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample through both lags."""
         first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
         return jnp.stack([first, second]), second
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
         body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
-        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt, unroll)
+        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, Array]:
@@ -137,7 +122,7 @@ class Lag(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
+        typical = sampling_interval(records)
         return eqx.tree_at(lambda m: m.tau, self, to_device(3.0 * typical))
 
     def with_rest(self, rest: str) -> Lag:
@@ -167,32 +152,23 @@ class SecondOrder(AbstractHysteresis):
     state_map: ClassVar[StateMap] = StateMap.AFFINE
     linear_in_input: ClassVar[bool] = True
 
-    omega: Float[Array, ""] = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
-    zeta: Float[Array, ""] = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
+    omega: Scalar = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
+    zeta: Scalar = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: output and its rate, at rest on u0."""
         return jnp.stack([u0, jnp.zeros_like(u0)])
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The deviation from the ramp response decays freely over the sample."""
         position, speed = self._moved((state[0], state[1]), u0, u1, self._factors(dt))
         return jnp.stack([position, speed]), position
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without exponential, sine and cosine where the sampling is even."""
         before = jnp.concatenate([u0[None], u[:-1]])
         body = lambda state, row, factors: (new := self._moved(state, *row, factors), new[0])
-        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt, unroll)
+        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, ...]:
@@ -216,7 +192,7 @@ class SecondOrder(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> SecondOrder:
         """A resonance at a tenth of the sampling rate."""
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.01
+        typical = sampling_interval(records, 0.01)
         return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)
 
     def output_resonance(self) -> OutputResonance:

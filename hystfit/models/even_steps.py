@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from hystfit.models.shapes import Scalar, Signal
+
 _ROUNDING = 4.0  # spread of the time steps of an even clock, in units in the last place of the last time stamp
 
 _BLOCK = 32  # samples whose factors are in memory at a time; padded records are whole numbers of blocks
 
 
-def even_step(dt: Float[Array, " T"]) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+def even_step(dt: Signal) -> tuple[Bool[Array, ""], Scalar]:
     """Whether all time steps but those of 0 are equal up to the rounding of time stamps, and the largest.
 
     Steps of 0 are allowed: records are padded with them.
@@ -29,8 +31,7 @@ def scan_in_time(
     carry: Any,
     samples: Any,
     factors: Callable[[Array], Any],
-    dt: Float[Array, " T"],
-    unroll: int = 1,
+    dt: Signal,
 ) -> tuple[Any, Any]:
     """`jax.lax.scan` of a body whose third argument depends on the time step alone.
 
@@ -40,7 +41,6 @@ def scan_in_time(
         samples: arrays of leading length T.
         factors: of a time step.
         dt: time since the sample before, shape (T,) [s].
-        unroll: of the scan.
     """
     even, longest = even_step(jax.lax.stop_gradient(dt))
 
@@ -52,11 +52,11 @@ def scan_in_time(
             chosen = jax.tree_util.tree_map(lambda a, b: jnp.where(moves, a, b), moving, resting)
             return body(carry, sample, chosen)
 
-        return jax.lax.scan(once, carry, (samples, dt > 0.0), unroll=unroll)
+        return jax.lax.scan(once, carry, (samples, dt > 0.0))
 
     def varying() -> tuple[Any, Any]:
         once = lambda carry, row: body(carry, *row)
-        rows = lambda carry, part: jax.lax.scan(once, carry, (part[0], jax.vmap(factors)(part[1])), unroll=unroll)
+        rows = lambda carry, part: jax.lax.scan(once, carry, (part[0], jax.vmap(factors)(part[1])))
         blocks = dt.shape[0] // _BLOCK
         cut = lambda v: (v[: blocks * _BLOCK].reshape(blocks, _BLOCK, *v.shape[1:]), v[blocks * _BLOCK :])
         whole, rest = (jax.tree_util.tree_map(lambda v, k=k: cut(v)[k], (samples, dt)) for k in (0, 1))
@@ -75,10 +75,9 @@ def relaxed(
     tau: Float[Array, " modes"],
     gain: Float[Array, "..."] | float,
     weight: Float[Array, "..."] | float,
-    x: Float[Array, " T"],
-    dt: Float[Array, " T"],
-    unroll: int = 1,
-) -> tuple[Float[Array, " modes"], Float[Array, " T"]]:
+    x: Signal,
+    dt: Signal,
+) -> tuple[Float[Array, " modes"], Signal]:
     """Relaxations tau dz/dt = gain x - z, exact for steps of x: the last state, and their weighted sum at each sample.
 
     Args:
@@ -88,11 +87,10 @@ def relaxed(
         weight: of each relaxation in the sum, or one for all.
         x: input.
         dt: time since the sample before [s].
-        unroll: of the scan.
     """
 
     def body(state: Array, x: Array, part: Array) -> tuple[Array, Array]:
         state = state + part * (gain * x - state)
         return state, jnp.sum(weight * state)
 
-    return scan_in_time(body, state, x, lambda dt: -jnp.expm1(-dt / tau), dt, unroll)
+    return scan_in_time(body, state, x, lambda dt: -jnp.expm1(-dt / tau), dt)

@@ -7,14 +7,12 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import (
-    AbstractHysteresis,
-)
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 
 
@@ -24,15 +22,13 @@ class Offset(AbstractHysteresis):
     rate_independent: ClassVar[bool] = True
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
-    value: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")
+    value: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """No state."""
         return jnp.zeros((0,), dtype=jnp.result_type(float))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The constant."""
         return state, self.value + 0.0 * u1
 

@@ -9,15 +9,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.band_limited import REACH, upsample
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, Derived
+from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.bouc_wen_steps import any_power, zeroth_power
 from hystfit.models.c_code import CPart, template
 from hystfit.models.dynamics import no_inverse
 from hystfit.models.oscillator_start import oscillator_starts
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.outcome import Code
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -25,10 +28,8 @@ from hystfit.quality.needs import Needs
 Between = Literal["bandlimited", "linear", "hold"]
 _STABLE = 2.8  # largest step times angular frequency at which Runge-Kutta of fourth order does not grow
 _UNEVEN = 0.05  # deviation of a time step from their median, in parts of it, up to which the sampling is even
-_UPPER = (
-    0.8,
-    0.05,
-)  # a force with more than this part of its power above this part of half the sampling rate is not band-limited
+# A force with more than 5 % of its power above 80 % of half the sampling rate is not band-limited.
+_UPPER, _UPPER_SHARE = 0.8, 0.05
 
 
 class BoucWenOscillator(AbstractHysteresis):
@@ -55,26 +56,21 @@ class BoucWenOscillator(AbstractHysteresis):
     needs: ClassVar[Needs] = Needs(
         time=True, dynamics=True, too_few="mass, damping and stiffness trade off; measure around the resonance"
     )
-    estimator: ClassVar[str] = (
-        "trf"  # its steps in physical coordinates need half as many evaluations as Levenberg-Marquardt's
-    )
+    # Its steps in physical coordinates need half as many evaluations as Levenberg-Marquardt's.
+    estimator: ClassVar[str] = "trf"
 
     # m and c are far below their natural size in data that are sampled finely.
-    m: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u*s^2/y", scale=1e-3, doc="mass")
-    c: Float[Array, ""] = param(0.1, bounds=(0.0, np.inf), unit="u*s/y", scale=1e-3, doc="damping")
-    K: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u/y", doc="stiffness at small amplitude, k + kz")
-    a: Float[Array, ""] = param(0.5, bounds=(-0.5, 1.2), doc="part of K without hysteresis, k / K")
-    r_load: Float[Array, ""] = param(
+    m: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u*s^2/y", scale=1e-3, doc="mass")
+    c: Scalar = param(0.1, bounds=(0.0, np.inf), unit="u*s/y", scale=1e-3, doc="damping")
+    K: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/y", doc="stiffness at small amplitude, k + kz")
+    a: Scalar = param(0.5, bounds=(-0.5, 1.2), doc="part of K without hysteresis, k / K")
+    r_load: Scalar = param(
         0.3, bounds=(-5.0, 50.0), doc="softening (> 0) or hardening (< 0) on loading, at the force Z"
     )
-    r_unl: Float[Array, ""] = param(0.3, bounds=(-5.0, 50.0), doc="stiffening on unloading, at the force Z")
-    n: Float[Array, ""] = param(1.0, bounds=(0.5, 12.0), fixed=True, doc="exponent of |z|")
-    Z: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="force at which r_load and r_unl apply"
-    )
-    offset: Float[Array, ""] = param(
-        0.0, unit="y", per_record=True, doc="displacement that is read at rest", linear=True
-    )
+    r_unl: Scalar = param(0.3, bounds=(-5.0, 50.0), doc="stiffening on unloading, at the force Z")
+    n: Scalar = param(1.0, bounds=(0.5, 12.0), fixed=True, doc="exponent of |z|")
+    Z: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="force at which r_load and r_unl apply")
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="displacement that is read at rest", linear=True)
     between: Between = eqx.field(static=True, default="bandlimited")
     substeps: int = eqx.field(static=True, default=4)
 
@@ -91,13 +87,11 @@ class BoucWenOscillator(AbstractHysteresis):
         """Whether the force between samples is independent of later samples."""
         return self.between != "bandlimited"
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: displacement, velocity, z, and 1 once the first sample is read; at rest without force."""
         return jnp.zeros((4,)) + 0.0 * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample.
 
         Raises:
@@ -108,19 +102,12 @@ class BoucWenOscillator(AbstractHysteresis):
         state, y = self.sweep(state, u0, u1[None], dt[None])
         return state, y[0]
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The force at all Runge-Kutta stages first, then one scan over the substeps with the state as three numbers."""
-        state, y, _ = self._trajectory(state, u0, u, dt, unroll)
+        state, y, _ = self._trajectory(state, u0, u, dt)
         return state, self.offset + y
 
-    def _trajectory(self, state: Array, u0: Array, u: Array, dt: Array, unroll: int) -> tuple[Array, Array, Array]:
+    def _trajectory(self, state: Array, u0: Array, u: Array, dt: Array) -> tuple[Array, Array, Array]:
         """State after the last sample, displacement and z at each."""
         force = self._force(jnp.concatenate([u0[None], u]))
         # The time before the first sample does not count: the mass rests until then.
@@ -135,12 +122,12 @@ class BoucWenOscillator(AbstractHysteresis):
         def scanned(power: Callable[[Array, Array], Array]) -> tuple[Array, ...]:
             once = lambda carry, sample: (new := self._runge_kutta(power, carry, *sample), (new[0], new[2]))
             flat = tuple(part.reshape(-1) for part in substeps)
-            (y, v, z), (ys, zs) = jax.lax.scan(once, (state[0], state[1], state[2]), flat, unroll=unroll)
+            (y, v, z), (ys, zs) = jax.lax.scan(once, (state[0], state[1], state[2]), flat)
             last = lambda values: values[self.substeps - 1 :: self.substeps]
             return jnp.stack([y, v, z, jnp.ones_like(y)]), last(ys), last(zs)
 
         # Without exponential and logarithm where n = 1: they take most of the time of a step.
-        return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(_any_power))
+        return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(any_power))
 
     def _force(self, u: Array) -> Array:
         """Force at the ends and midpoints of all substeps of each interval between samples, shape (T, 2 substeps + 1)."""
@@ -248,7 +235,7 @@ class BoucWenOscillator(AbstractHysteresis):
         if dt is not None:
             lines += self._coarse(u, dt)
         share = _upper_share(u)
-        if not self.causal and share > _UPPER[1]:
+        if not self.causal and share > _UPPER_SHARE:
             lines.append(
                 f"{100 * share:.2g} % of the force's power lies near half the sampling rate, where band-limited interpolation "
                 "is wrong: use between='linear', or between='hold' for a D/A converter (at the shell :between=hold after the model's name)"
@@ -300,39 +287,19 @@ class BoucWenOscillator(AbstractHysteresis):
 _CAUSAL = "use between='linear' or between='hold' (at the shell, oscillator:between=linear)"
 
 
-def _any_power(x: Array, n: Array) -> Array:
-    """x^n for x >= 0, with finite derivatives at zero."""
-    safe = jnp.where(x > 0, x, 1.0)
-    return jnp.where(x > 0, jnp.exp(n * jnp.log(safe)), 0.0)
-
-
-@jax.custom_jvp
 def _first_power(x: Array, n: Array) -> Array:
     """x^n at n = 1; the logarithm is in the derivative by n alone."""
-    return x
-
-
-def _first_power_slope(values: tuple[Array, Array], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
-    x, _ = values
-    by_x, by_n = tangents
-    missing = jax.custom_derivatives.SymbolicZero
-    slope = jnp.zeros_like(x) if isinstance(by_x, missing) else by_x
-    if not isinstance(by_n, missing):
-        slope = slope + jnp.where(x > 0, x * jnp.log(jnp.where(x > 0, x, 1.0)), 0.0) * by_n
-    return x, slope
-
-
-_first_power.defjvp(_first_power_slope, symbolic_zeros=True)
+    return x * zeroth_power(x, n)
 
 
 @eqx.filter_jit
 def _hysteretic_force(model: BoucWenOscillator, u: Array, dt: Array) -> Array:
     """z at each sample."""
-    return model._trajectory(model.init(u[0]), u[0], u, dt, 1)[2]
+    return model._trajectory(model.init(u[0]), u[0], u, dt)[2]
 
 
 def _upper_share(u: np.ndarray) -> float:
     """Part of the power of u, shape (T,), in the highest fifth of its spectrum, of the record less a line and under a Hann window."""
     rest = np.asarray(u) - np.linspace(u[0], u[-1], len(u))
     power = np.abs(np.fft.rfft(rest * np.hanning(len(u)))) ** 2
-    return float(power[int(_UPPER[0] * power.size) :].sum() / (power.sum() or 1.0))
+    return float(power[int(_UPPER * power.size) :].sum() / (power.sum() or 1.0))

@@ -10,8 +10,15 @@ from jaxtyping import Array, Float
 from numpy.polynomial import Legendre, Polynomial
 
 
-def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Sum of c_i P_i(x), by Clenshaw's recurrence (n is static)."""
+def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."], first: int = 0) -> Float[Array, "..."]:
+    """Sum of c_i P_(first + i)(x), by Clenshaw's recurrence (n is static).
+
+    Args:
+        coefficients: c, shape (n,).
+        x: any shape.
+        first: degree of the first polynomial.
+    """
+    coefficients = jnp.concatenate([jnp.zeros(first, coefficients.dtype), coefficients])
     n = coefficients.shape[0]
     later, latest = jnp.zeros_like(x), jnp.zeros_like(x)
     for i in range(n - 1, 0, -1):

@@ -14,12 +14,14 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, PlayWeights, SearchStep
+from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import legendre_series, rising_series
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import fitted_input_range, output_range
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -77,16 +79,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
         linear=True,
         doc="increments of the rising single-valued part over the range",
     )
-    offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     hardening: Float[Array, " fading"] = param(
         (), unit="y", linear=True, doc="weights that fade with the path, none or one a play"
     )
-    s0: Float[Array, ""] = param(
-        3.0, bounds=(0.0, np.inf), fixed=True, doc="path, in input ranges, over which hardening fades"
-    )
-    low: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input where x = 0")
-    high: Float[Array, ""] = param(1.0, unit="u", fixed=True, doc="input where x = 1")
-    level: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    s0: Scalar = param(3.0, bounds=(0.0, np.inf), fixed=True, doc="path, in input ranges, over which hardening fades")
+    low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
+    high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
     envelopes: tuple[Envelope, ...] = eqx.field(static=True, default=("identity",))
     operator: Operator = eqx.field(static=True, default="play")
     rest: Rest = eqx.field(static=True, default="level")
@@ -172,17 +172,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
             rest=rest,
         )
 
-    @classmethod
-    def generalized(cls, plays: int = 20, degree: int = 5, **options: object) -> PrandtlIshlinskii:
-        """`of` with the three envelopes, for asymmetric loops.
-
-        Args:
-            plays: number of plays for each envelope.
-            degree: of the single-valued polynomial.
-            **options: others of `of`.
-        """
-        return cls.of(plays, degree, envelopes=3, **options)
-
     @property
     def needs(self) -> Needs:
         """Plays describe loops that lag, stops loops that lead."""
@@ -202,11 +191,9 @@ class PrandtlIshlinskii(AbstractHysteresis):
         return jnp.maximum(target - self.r, jnp.minimum(target + self.r, plays))
 
     def _single(self, x: Array) -> Array:
-        return legendre_series(jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), 2.0 * x - 1.0) + rising_series(
-            self.rise, x
-        )
+        return legendre_series(self.b, 2.0 * x - 1.0, first=1) + rising_series(self.rise, x)
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the plays, moved from rest to u0, and with hardening the path run so far."""
         rest = u0 if self.rest == "first" else self.level + 0.0 * u0
         plays = self._move(jnp.broadcast_to(self._envelopes(rest), self.w.shape), u0).reshape(-1)
@@ -214,9 +201,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
             return plays
         return jnp.append(plays, jnp.abs(self._position(u0) - self._position(rest)))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: every play follows the input."""
         plays, total, fading = self._dragged(state[: self.w.size].reshape(self.w.shape), u1)
         x = self._position(u1)
@@ -226,17 +211,10 @@ class PrandtlIshlinskii(AbstractHysteresis):
         path = state[-1] + jnp.abs(x - self._position(u0))
         return jnp.append(plays.reshape(-1), path), y + jnp.exp(-path / self.s0) * fading
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """With hardening, plays and path alone are in the scan."""
         if not self.hardening.size:
-            return super().sweep(state, u0, u, dt, unroll)
+            return super().sweep(state, u0, u, dt)
 
         def once(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
             (plays, path), (u1, way) = carry, row
@@ -246,7 +224,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         x = self._position(u)
         ways = jnp.abs(jnp.diff(x, prepend=self._position(u0)))
         begin = state[: self.w.size].reshape(self.w.shape), state[-1]
-        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways), unroll=unroll)
+        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways))
         y = self.offset + total + self._single(x) + jnp.exp(-path / self.s0) * fading
         return jnp.append(plays.reshape(-1), last), y
 

@@ -7,12 +7,13 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 
 
@@ -22,15 +23,13 @@ class Viscous(AbstractHysteresis):
     rate_independent: ClassVar[bool] = False
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
-    c: Float[Array, ""] = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
+    c: Scalar = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the last rate, kept over repeated time stamps."""
         return jnp.zeros((1,)) * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Rate over the sample."""
         rate = _rate(state[0], u0, u1, dt)
         return rate[None], self.c * rate
@@ -50,16 +49,14 @@ class SaturatingRate(AbstractHysteresis):
     rate_independent: ClassVar[bool] = False
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
-    F: Float[Array, ""] = param(0.1, unit="y", linear=True, doc="force far above v0")
-    v0: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")
+    F: Scalar = param(0.1, unit="y", linear=True, doc="force far above v0")
+    v0: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the last rate, kept over repeated time stamps."""
         return jnp.zeros((1,)) * u0
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Rate over the sample."""
         rate = _rate(state[0], u0, u1, dt)
         return rate[None], self.F * jnp.tanh(rate / self.v0)

@@ -10,12 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.data.record import Record, median_interval
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse, LinearStep
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.starting import sampling_interval
+from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
 
 
@@ -42,32 +45,23 @@ class Relaxation(AbstractHysteresis):
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape != self.tau.shape:
             raise ModelError(f"one weight a time constant: got {self.a.shape} and {self.tau.shape}")
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State: the slow followers z, at rest on u0."""
         return jnp.broadcast_to(u0, self.tau.shape)
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Follow the new displacement for the time dt, exactly."""
         state = state - jnp.expm1(-dt / self.tau) * (u1 - state)
         return state, u1 - jnp.sum(self.a * (u1 - state))
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """The followers alone are in the scan."""
-        state, total = relaxed(state, self.tau, 1.0, self.a, u, dt, unroll)
+        state, total = relaxed(state, self.tau, 1.0, self.a, u, dt)
         return state, (1.0 - jnp.sum(self.a)) * u + total
 
     def start(self, records: Sequence[Record]) -> Relaxation:
         """Time constants from ten sampling intervals to the length of the records, small equal weights."""
-        typical = median_interval(np.concatenate([record.dt[1:] for record in records])) or 0.005
+        typical = sampling_interval(records)
         longest = max(float(np.sum(record.dt[1:])) for record in records)
         tau = np.geomspace(10 * typical, max(longest / 5, 100 * typical), self.tau.shape[0] + 2)[1:-1]
         return eqx.tree_at(lambda m: (m.a, m.tau), self, (jnp.full(self.a.shape, 0.02), jnp.asarray(tau)))

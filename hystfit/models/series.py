@@ -14,19 +14,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import (
-    AbstractHysteresis,
-    AbstractStepInverse,
-    OutputResonance,
-    SearchStep,
-    drive,
-    run,
-    simulate,
-)
+from hystfit.models.base import AbstractHysteresis, OutputResonance, drive, run, simulate
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
 
 class Series(AbstractComposition):
@@ -42,7 +36,7 @@ class Series(AbstractComposition):
         check_parts(parts, 2, "Series")
         self.parts = parts
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """States of the parts, then the signals between them."""
         states, between, signal = [], [], u0
         for part in self.parts:
@@ -51,9 +45,7 @@ class Series(AbstractComposition):
             between.append(signal)
         return jnp.concatenate([*states, jnp.stack(between[:-1])])
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample through the chain."""
         states, between, signal = [], [], u1
         for part, s, old in self._chain(state, u0):
@@ -62,20 +54,11 @@ class Series(AbstractComposition):
             between.append(signal)
         return jnp.concatenate([*states, jnp.stack(between[:-1])]), signal
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """A scan for each part, over all that the part before it puts out."""
-        return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt, unroll))
+        return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt))
 
-    def sweep_at_once(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """That of each part."""
         return self._fed(state, u0, u, lambda part, *signals: part.sweep_at_once(*signals, dt))
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.record import Dataset, Record, median_interval
 from hystfit.params.units import Scales
 from hystfit.quality.loops import reversals
 
@@ -18,25 +18,42 @@ class Range(NamedTuple):
     center: float
     half: float
 
+    @classmethod
+    def of(cls, signals: Iterable[np.ndarray]) -> Range:
+        """Of signals that are not all empty."""
+        values = [signal for signal in signals if signal.size]
+        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+        return cls(0.5 * (low + high), 0.5 * (high - low) or 1.0)
 
-def input_range(records: Sequence[Record]) -> Range:
+    @property
+    def width(self) -> float:
+        """From the lowest to the highest value."""
+        return 2 * self.half
+
+
+def input_range(records: Iterable[Record]) -> Range:
     """Range of the input over all records, the part before a fitting window too (it drives the model)."""
-    low, high = min(float(r.u.min()) for r in records), max(float(r.u.max()) for r in records)
-    return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+    return Range.of(r.u for r in records)
 
 
-def fitted_input_range(records: Sequence[Record]) -> Range:
+def fitted_input_range(records: Iterable[Record]) -> Range:
     """Range of the input over the samples that count."""
-    values = [r.u[r.used] for r in records if r.used.any()]
-    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+    return Range.of(r.u[r.used] for r in records)
 
 
-def output_range(records: Sequence[Record]) -> Range:
+def output_range(records: Iterable[Record]) -> Range:
     """Range of the output over the samples that count."""
-    values = [r.y[r.used] for r in records if r.used.any()]
-    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    return Range(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+    return Range.of(r.y[r.used] for r in records)
+
+
+def sampling_interval(records: Iterable[Record], without: float = 0.005) -> float:
+    """Median of the positive time steps of records [s].
+
+    Args:
+        records: any.
+        without: returned where they have no time.
+    """
+    return median_interval(np.concatenate([record.dt[1:] for record in records])) or without
 
 
 def scales_of(data: Dataset) -> Scales:

@@ -8,21 +8,17 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record
-from hystfit.models.base import (
-    AbstractHysteresis,
-    AbstractStepInverse,
-    SearchStep,
-    drive,
-    simulate,
-)
+from hystfit.models.base import AbstractHysteresis, drive, simulate
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
 
 class Sum(AbstractComposition):
@@ -38,31 +34,20 @@ class Sum(AbstractComposition):
         check_parts(parts, 1, "Sum")
         self.parts = parts
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """States of the parts, one after another."""
         return jnp.concatenate([part.init(u0) for part in self.parts])
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample of every part."""
         steps = [part.step(s, u0, u1, dt) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
         return jnp.concatenate([s for s, _ in steps]), sum((y for _, y in steps), jnp.zeros_like(u1))
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
-        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt, unroll))
+        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt))
 
-    def sweep_at_once(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u: Float[Array, " T"], dt: Float[Array, " T"]
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """That of each part."""
         return self._added(state, u, lambda part, s: part.sweep_at_once(s, u0, u, dt))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from hystfit.params.coordinates import BOTH, Coordinates
+
 
 def latin_hypercube(dimensions: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
     """Points in the unit cube, one in each of `count` equal slices along every axis (McKay, Beckman and Conover 1979).
@@ -22,3 +24,21 @@ def latin_hypercube(dimensions: int, count: int, seed: int) -> Float[np.ndarray,
     for row in slices:
         rng.shuffle(row)
     return (slices.T - inside) / count
+
+
+def spread_points(
+    coordinates: Coordinates, center: Float[np.ndarray, " p"], count: int, seed: int, *, spread: float
+) -> Float[np.ndarray, "n p"]:
+    """A Latin hypercube of unconstrained points: about a center, but over most of the range of parameters with two bounds.
+
+    Args:
+        coordinates: of the parameters.
+        center: unconstrained.
+        count: number of points.
+        seed: of the random numbers.
+        spread: largest distance from the center.
+    """
+    unit = latin_hypercube(center.size, count, seed)
+    inside = 0.05 + 0.9 * unit
+    both = np.array([kind == BOTH for kind in coordinates.kinds])
+    return np.where(both, np.log(inside) - np.log1p(-inside), center + spread * (2 * unit - 1))

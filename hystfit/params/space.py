@@ -256,7 +256,12 @@ class ParameterSpace:
     def offsets(self) -> np.ndarray:
         """Which free elements shift the output of a record, shape (p,), bool: they are of any size, and tell nothing about the others."""
         real = np.asarray(self.coordinates.kinds) == REAL
-        return np.array([info.per_record and info.linear for info in self.infos], dtype=bool) & real
+        return self.linear & np.array([info.per_record for info in self.infos], dtype=bool) & real
+
+    @property
+    def linear(self) -> np.ndarray:
+        """In which free elements the output is linear, shape (p,), bool."""
+        return np.array([info.linear for info in self.infos], dtype=bool)
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""
@@ -286,7 +291,6 @@ def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
         both = (x - lower) * (upper - x) / (upper - lower)
         one = np.where(np.isfinite(lower), x - lower, upper - x)
     natural = np.where(space.offsets, scale, np.maximum(scale, np.abs(x)))
-    weight = np.array([info.linear for info in space.infos])
     # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
-    one = np.where(weight, np.maximum(one, scale), one)
+    one = np.where(space.linear, np.maximum(one, scale), one)
     return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))

@@ -5,6 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import numpy as np
+
+from hystfit.params.space import ParameterSpace
+
 
 @dataclasses.dataclass(frozen=True)
 class ParameterEstimate:
@@ -34,6 +38,22 @@ class ParameterEstimate:
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
         return {k: v for k, v in dataclasses.asdict(self).items() if k not in ("name", "doc")}
+
+
+def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[ParameterEstimate, ...]:
+    """Every parameter with its declaration, free ones first, without standard errors.
+
+    Args:
+        space: of the parameters.
+        x: the free ones, physical, shape (p,).
+    """
+    free = ((*row, False) for row in zip(space.names, x, space.infos, strict=True))
+    rows = []
+    for name, value, info, fixed in (*free, *((*row, True) for row in space.fixed())):
+        lower, upper = (float(bound) if np.isfinite(bound) else None for bound in info.bounds)
+        unit = space.scales.label(info.unit)
+        rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc))
+    return tuple(rows)
 
 
 @dataclasses.dataclass(frozen=True)

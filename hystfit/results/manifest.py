@@ -12,9 +12,8 @@ from typing import NamedTuple
 from hystfit.errors import DataError
 
 MANIFEST = "manifest.json"
-PENDING = (
-    ".hystfit-commit"  # a whole result whose files are being moved in place (see `hystfit.results.folders.writing`)
-)
+# Folder of a whole result whose files are being moved in place (see `hystfit.results.folders.writing`).
+PENDING = ".hystfit-commit"
 _SCHEMA = "hystfit.manifest/1"
 _ATTEMPTS, _PAUSE = 4, 0.05  # to read a folder while another process writes it, and seconds between two of them
 

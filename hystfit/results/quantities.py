@@ -21,10 +21,8 @@ from hystfit.params.units import quantity
 from hystfit.quality.loops import cycles, reversals
 
 _CYCLES, _POINTS = 3, 400
-_WHOLE, _GRID = (
-    0.01,
-    2001,
-)  # gap to the fitted range, in parts of it, within which a measured cycle covers it; inputs of its branches
+_WHOLE = 0.01  # gap to the fitted range, in parts of it, within which a measured cycle covers it
+_GRID = 2001  # inputs of its branches
 _TURN = 0.05  # of the input's range: smallest reversal that ends a measured branch
 _APART = 2.0  # standard errors between a model's quantity and the measured one that are worth a word
 _LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record

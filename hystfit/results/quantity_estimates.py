@@ -36,7 +36,7 @@ def quantity_values(result: FitResult) -> dict[str, float | None]:
 def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     """The quantities that the records and the model of a fit have, of the first record, with standard errors."""
     x, space = np.asarray(result.x), result.problem.space
-    size, linear = relative_size(space, x), np.array([info.linear for info in space.infos], dtype=bool)
+    size, linear = relative_size(space, x), space.linear
     excitation = Excitation.of(result.data)
     values = _values(result, excitation, lambda record: _perturbed(result, record, _STEP * size, linear))
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)

@@ -43,16 +43,7 @@ def _register(*functions: Callable[..., Series]) -> dict[str, Signal]:
 
 
 SIGNALS: Mapping[str, Signal] = _register(
-    sine,
-    triangle,
-    decaying_sine,
-    multisine,
-    amplitude_sweep,
-    staircase,
-    step,
-    forc_protocol,
-    random_reversals,
-    chirp,
+    sine, triangle, decaying_sine, multisine, amplitude_sweep, staircase, step, forc_protocol, random_reversals, chirp
 )
 
 

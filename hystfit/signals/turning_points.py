@@ -47,13 +47,7 @@ def amplitude_sweep(
 
 
 def staircase(
-    rate: Real = 100.0,
-    *,
-    levels: Real = 6,
-    hold: Real = 2.0,
-    ramp: Real = 0.1,
-    low: Real = -1.0,
-    high: Real = 1.0,
+    rate: Real = 100.0, *, levels: Real = 6, hold: Real = 2.0, ramp: Real = 0.1, low: Real = -1.0, high: Real = 1.0
 ) -> Series:
     """Steps up from low to high and down again; creep shows during the holds.
 
@@ -78,14 +72,7 @@ def staircase(
     return t, np.interp(t, knots, np.repeat(values, 2))
 
 
-def step(
-    duration: Real = 10.0,
-    rate: Real = 200.0,
-    *,
-    at: Real = 1.0,
-    low: Real = 0.0,
-    high: Real = 1.0,
-) -> Series:
+def step(duration: Real = 10.0, rate: Real = 200.0, *, at: Real = 1.0, low: Real = 0.0, high: Real = 1.0) -> Series:
     """A jump from low to high; the response at constant input is creep and dynamics.
 
     Args:
@@ -121,10 +108,7 @@ def forc_protocol(*, curves: Real = 20, points: Real = 100, low: Real = -1.0, hi
         count = max(1, round((high - level) / spacing))
         down = np.linspace(high, level, count + 1)[1:]
         u += [down, np.append(down[-2::-1], high)]
-        curve += [
-            np.append(np.zeros(count - 1, dtype=int), number),
-            np.full(count, number),
-        ]
+        curve += [np.append(np.zeros(count - 1, dtype=int), number), np.full(count, number)]
     return np.concatenate(u), np.concatenate(curve)
 
 

@@ -38,12 +38,7 @@ def sine(
 
 
 def triangle(
-    duration: Real = 5.0,
-    rate: Real = 200.0,
-    *,
-    frequency: Real = 1.0,
-    low: Real = -1.0,
-    high: Real = 1.0,
+    duration: Real = 5.0, rate: Real = 200.0, *, frequency: Real = 1.0, low: Real = -1.0, high: Real = 1.0
 ) -> Series:
     """Triangle from low to high and back: constant speed between sharp reversals.
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, ParameterError
+from hystfit.models.shapes import Scalar
 from hystfit.params.param import param
 
 AXES = ("x", "y", "theta")
@@ -25,9 +26,9 @@ class Kinematics(eqx.Module):
     Lengths in um, theta in mrad, so that the arm is in um per mrad (its length in mm).
     """
 
-    amplification: Float[Array, ""] = param(6.44, bounds=(0.0, np.inf), doc="lever ratio, platform over actuator")
-    arm: Float[Array, ""] = param(40.0, bounds=(0.0, np.inf), doc="moment arm about the center [um/mrad]")
-    direction: Float[Array, ""] = param(0.0, doc="direction of the first actuator [rad]")
+    amplification: Scalar = param(6.44, bounds=(0.0, np.inf), doc="lever ratio, platform over actuator")
+    arm: Scalar = param(40.0, bounds=(0.0, np.inf), doc="moment arm about the center [um/mrad]")
+    direction: Scalar = param(0.0, doc="direction of the first actuator [rad]")
 
     def jacobian(self) -> Float[Array, "3 3"]:
         """(x, y, theta) [um, um, mrad] from extensions [um], in closed form."""

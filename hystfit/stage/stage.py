@@ -17,6 +17,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
 from hystfit.models.one_device import check_one_device
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo
@@ -84,8 +85,8 @@ class Stage(eqx.Module):
     actuators: Any
     kinematics: Kinematics
     modes: Any
-    low: Float[Array, ""]
-    high: Float[Array, ""]
+    low: Scalar
+    high: Scalar
 
     @classmethod
     def of(
@@ -147,7 +148,7 @@ class Stage(eqx.Module):
         stages = tuple(dataclasses.replace(self, actuators=three) for three in devices)
         return Population(stages, named(1), named(2))
 
-    def init(self, u0: Float[Array, " 3"]) -> Float[Array, " state"]:
+    def init(self, u0: Float[Array, " 3"]) -> State:
         """State at rest on voltages, without history: states of the actuators and modes, static pose of the previous sample."""
         u0 = jnp.clip(u0, self.low, self.high)
         states = jax.vmap(lambda model, u: model.init(u))(self.actuators, u0)
@@ -156,8 +157,8 @@ class Stage(eqx.Module):
         return jnp.concatenate([states.ravel(), jax.vmap(lambda mode, p: mode.init(p))(self.modes, pose).ravel(), pose])
 
     def step(
-        self, state: Float[Array, " state"], u0: Float[Array, " 3"], u1: Float[Array, " 3"], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, " 3"]]:
+        self, state: State, u0: Float[Array, " 3"], u1: Float[Array, " 3"], dt: Scalar
+    ) -> tuple[State, Float[Array, " 3"]]:
         """One sample: the voltages go from u0 to u1, clipped at the limits of the amplifiers.
 
         Args:
@@ -176,7 +177,7 @@ class Stage(eqx.Module):
         modal, pose = one_step(self.modes, modal, previous, static)
         return jnp.concatenate([stacks.ravel(), modal.ravel(), static]), pose
 
-    def run(self, u: Float[Array, "T 3"], dt: Float[Array, " T"]) -> Float[Array, "T 3"]:
+    def run(self, u: Float[Array, "T 3"], dt: Signal) -> Float[Array, "T 3"]:
         """Poses for voltages, from rest on the first sample; traced, so `jax.vmap` simulates populations."""
         before = jnp.concatenate([u[:1], u[:-1]])
         return jax.lax.scan(lambda s, sample: self.step(s, *sample), self.init(u[0]), (before, u, dt))[1]

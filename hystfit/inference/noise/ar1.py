@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.exponential import AbstractSlow
+from hystfit.models.shapes import Scalar
 from hystfit.params.param import param
 
 
@@ -16,15 +16,13 @@ class Ar1(AbstractSlow):
     """First-order autoregressive noise without a white part, for sensors whose own noise is negligible."""
 
     name: ClassVar[str] = "ar1"
-    noise_slow: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the noise"
-    )
-    noise_time: Float[Array, ""] = param(
+    noise_slow: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the noise")
+    noise_time: Scalar = param(
         10.0, bounds=(0.0, np.inf), unit="sample", scale=10.0, doc="correlation time of the noise"
     )
 
     @property
-    def white_variance(self) -> Float[Array, ""]:
+    def white_variance(self) -> Scalar:
         """A small nugget, which keeps the covariance non-singular."""
         return (1e-6 * self.noise_slow) ** 2
 

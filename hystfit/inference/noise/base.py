@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior
+from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
 LOG_2PI = 1.8378770664093453
@@ -84,13 +85,11 @@ class AbstractNoise(eqx.Module):
     covers: ClassVar[frozenset[Code]] = frozenset()
 
     @abc.abstractmethod
-    def init(self) -> Float[Array, " state"]:
+    def init(self) -> State:
         """State of the filter before the first sample."""
 
     @abc.abstractmethod
-    def step(
-        self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
+    def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
         """One sample: (state, innovation scaled to unit variance, log variance). The state ignores samples of weight 0."""
 
     @abc.abstractmethod
@@ -131,11 +130,11 @@ class AbstractNoise(eqx.Module):
         """Shapes that the noise adds with independent weights of unit variance, the same in every record; none by default."""
         return jnp.zeros((*setting.weight.shape, 0))
 
-    def of_squares(self, setting: Setting, total: Float[Array, ""]) -> Float[Array, ""]:
+    def of_squares(self, setting: Setting, total: Scalar) -> Scalar:
         """Log density from the weighted sum of squared residuals, where `by_squares` is set."""
         raise TypeError(f"{type(self).__name__} needs each residual")
 
-    def gaussian_scale(self) -> Float[Array, ""]:
+    def gaussian_scale(self) -> Scalar:
         """Standard deviation of the Gaussian white noise with the same Fisher information about the mean [y].
 
         Only for noise that is not Gaussian; by numerical integration unless a closed form overrides it.
@@ -161,7 +160,7 @@ class AbstractNoise(eqx.Module):
         """
         return self.draw(new, key)
 
-    def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Float[Array, ""]:
+    def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Scalar:
         """Log density of the residuals that count."""
         on = setting.weight > 0
         columns = self.columns(setting)

@@ -16,6 +16,7 @@ from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.ornstein_uhlenbeck import OrnsteinUhlenbeck
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code
 from hystfit.params.param import param
 
@@ -32,19 +33,17 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
     name: ClassVar[str] = "discrepancy"
     has_shapes: ClassVar[bool] = True
     covers: ClassVar[frozenset[Code]] = OrnsteinUhlenbeck.covers | {Code.REPEATING_RESIDUALS}
-    noise_loop: Float[Array, ""] = param(
+    noise_loop: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the error that repeats"
     )
-    noise_length: Float[Array, ""] = param(
+    noise_length: Scalar = param(
         0.3, bounds=(0.08, 3.0), scale=0.3, doc="input range over which that error changes, relative to the whole range"
     )
     points: int = eqx.field(static=True, default=12)
 
     def columns(self, setting: Setting) -> Float[Array, "R T k"]:
         """Shapes of the inducing points on either branch."""
-        shapes = self.noise_loop * inducing_shapes(setting.place, self.noise_length, self.points)
-        up = setting.rising[..., None]
-        return jnp.concatenate([jnp.where(up, shapes, 0.0), jnp.where(up, 0.0, shapes)], axis=-1)
+        return on_branches(self.noise_loop * inducing_shapes(setting.place, self.noise_length, self.points), setting)
 
     @classmethod
     def start(cls, scales: ResidualScales) -> LoopDiscrepancy:
@@ -90,6 +89,12 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
         rest = jnp.sqrt(jnp.maximum(self.noise_loop**2 - jnp.sum(ahead**2, axis=-1), 0.0))
         curve = ahead @ weights + rest * jax.random.normal(second, rest.shape)
         return curve + OrnsteinUhlenbeck.draw(self, new, third)
+
+
+def on_branches(shapes: Float[Array, "R T k"], setting: Setting) -> Float[Array, "R T k2"]:
+    """Columns that are the shapes on rising branches, then on falling ones, and zero elsewhere."""
+    up = setting.rising[..., None]
+    return jnp.concatenate([jnp.where(up, shapes, 0.0), jnp.where(up, 0.0, shapes)], axis=-1)
 
 
 def inducing_shapes(place: Any, length: Any, points: int, on: ModuleType = jnp) -> Any:

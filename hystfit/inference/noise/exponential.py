@@ -15,6 +15,7 @@ from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.parallel.associative import affine_scan, ratio_scan
 from hystfit.models.parallel.route import Route, route
+from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
 _MISSING = 1e100  # variance of the white part where there is no measurement
@@ -33,10 +34,10 @@ class AbstractSlow(AbstractNoise):
 
     @property
     @abc.abstractmethod
-    def white_variance(self) -> Float[Array, ""]:
+    def white_variance(self) -> Scalar:
         """Variance of the independent part at weight one."""
 
-    def init(self) -> Float[Array, " state"]:
+    def init(self) -> State:
         """State: mean and variance of the slow part after the sample before; at first the stationary ones."""
         return jnp.stack([jnp.zeros_like(self.noise_slow), self.noise_slow**2])
 
@@ -48,9 +49,7 @@ class AbstractSlow(AbstractNoise):
         gain = jnp.where(weight > 0, before / total, 0.0)
         return decay, gain, total, (1 - gain) * before
 
-    def step(
-        self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
+    def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
         """Predict over the gap, then update with the sample."""
         decay, gain, total, after = self._gain(state[1], gap, weight)
         mean = decay * state[0]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.exponential import AbstractSlow
+from hystfit.models.shapes import Scalar
 from hystfit.params.param import param
 
 
@@ -16,18 +16,16 @@ class OrnsteinUhlenbeck(AbstractSlow):
     """An Ornstein-Uhlenbeck process with independent noise on top: sensor noise, and drift or model error that changes slowly."""
 
     name: ClassVar[str] = "ou"
-    noise_white: Float[Array, ""] = param(
+    noise_white: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of independent noise"
     )
-    noise_slow: Float[Array, ""] = param(
-        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of slow noise"
-    )
-    noise_time: Float[Array, ""] = param(
+    noise_slow: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of slow noise")
+    noise_time: Scalar = param(
         10.0, bounds=(0.0, np.inf), unit="sample", scale=10.0, doc="correlation time of slow noise"
     )
 
     @property
-    def white_variance(self) -> Float[Array, ""]:
+    def white_variance(self) -> Scalar:
         """Variance of the white (sensor) noise."""
         return self.noise_white**2
 

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.data.record import median_interval
+from hystfit.models.shapes import Scalar
 from hystfit.params.host_arrays import to_device
 
 _UNEVEN = 0.02  # deviation from even sampling, relative, below which the filters take one interval for all samples
@@ -29,8 +30,8 @@ class Setting(eqx.Module):
     weight: Float[Array, "R T"]
     place: Float[Array, "R T"]
     rising: Array
-    count: Float[Array, ""]
-    log_weight: Float[Array, ""]
+    count: Scalar
+    log_weight: Scalar
 
     @classmethod
     def of(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:

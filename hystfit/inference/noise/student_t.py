@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.white import White
+from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code
 from hystfit.params.param import param
 
@@ -23,7 +24,7 @@ class StudentT(White):
     gaussian: ClassVar[bool] = False
     by_squares: ClassVar[bool] = False
     covers: ClassVar[frozenset[Code]] = frozenset({Code.HEAVY_TAILS})
-    noise_dof: Float[Array, ""] = param(
+    noise_dof: Scalar = param(
         5.0, bounds=(1.0, np.inf), scale=4.0, doc="degrees of freedom; few mean heavy tails, many a Gaussian"
     )
 
@@ -38,7 +39,7 @@ class StudentT(White):
         """See `AbstractNoise.of_size`."""
         return cls(noise_white=size, noise_dof=5.0)
 
-    def gaussian_scale(self) -> Float[Array, ""]:
+    def gaussian_scale(self) -> Scalar:
         """From the Fisher information per sample, (dof + 1) / (dof + 3) / scale^2."""
         return self.noise_white * jnp.sqrt((self.noise_dof + 3) / (self.noise_dof + 1))
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import LOG_2PI, AbstractNoise, ResidualScales
 from hystfit.inference.noise.setting import Setting
+from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 
 
@@ -19,11 +20,11 @@ class White(AbstractNoise):
 
     name: ClassVar[str] = "iid"
     by_squares: ClassVar[bool] = True
-    noise_white: Float[Array, ""] = param(
+    noise_white: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of independent noise"
     )
 
-    def init(self) -> Float[Array, " state"]:
+    def init(self) -> State:
         """No state."""
         return jnp.zeros((0,))
 
@@ -37,9 +38,7 @@ class White(AbstractNoise):
         """See `AbstractNoise.of_size`."""
         return cls(noise_white=size)
 
-    def step(
-        self, state: Float[Array, " state"], r: Float[Array, ""], gap: Float[Array, ""], weight: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""], Float[Array, ""]]:
+    def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
         """The residual itself."""
         safe = jnp.where(weight > 0, weight, 1.0)
         return state, r * jnp.sqrt(safe) / self.noise_white, 2 * jnp.log(self.noise_white) - jnp.log(safe)
@@ -53,7 +52,7 @@ class White(AbstractNoise):
         e = rows * (jnp.where(on, jnp.sqrt(safe), 0.0) / self.noise_white)[..., None]
         return e, jnp.where(on, 2 * jnp.log(self.noise_white) - jnp.log(safe), 0.0)
 
-    def of_squares(self, setting: Setting, total: Float[Array, ""]) -> Float[Array, ""]:
+    def of_squares(self, setting: Setting, total: Scalar) -> Scalar:
         """Log density of residuals from the sum of their squares, each times its weight."""
         each = jnp.log(self.noise_white) + 0.5 * LOG_2PI
         return 0.5 * setting.log_weight - setting.count * each - 0.5 * total / self.noise_white**2

@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hystfit.models.shapes import Scalar, Signal, State
+
 Step = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
 
 
@@ -25,14 +27,7 @@ class StateMap(enum.Enum):
     AFFINE = "affine"  # an affine map of all numbers
 
 
-def sweep_at_once(
-    step: Step,
-    kind: StateMap,
-    state: Float[Array, " state"],
-    u0: Float[Array, ""],
-    u: Float[Array, " T"],
-    dt: Float[Array, " T"],
-) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+def sweep_at_once(step: Step, kind: StateMap, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
     """State after the last sample and outputs, as those of a scan of the step.
 
     Args:
@@ -132,7 +127,7 @@ def affine_scan(
     return times(factor, jnp.broadcast_to(start, push.shape)) + push
 
 
-def ratio_scan(maps: Float[Array, "T 2 2"], start: Float[Array, ""]) -> Float[Array, " T"]:
+def ratio_scan(maps: Float[Array, "T 2 2"], start: Scalar) -> Signal:
     """x_k = (a_k x_(k-1) + b_k) / (c_k x_(k-1) + d_k) for all k: the variance of a Kalman filter with one state.
 
     Args:

@@ -18,23 +18,22 @@ _WIDEST = 1024  # numbers that one lane keeps
 _BLOCK = 32  # lanes of one program: a warp, one lane a thread, its state in registers
 
 
-def scan(body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any, unroll: int = 1) -> tuple[Any, Any]:
+def scan(body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any) -> tuple[Any, Any]:
     """`jax.lax.scan`; on a GPU, one kernel under `jax.vmap` over enough lanes. Derivatives of it are those of `jax.lax.scan`.
 
     Args:
         body: (carry, row) -> (carry, output).
         carry: before the first row.
         rows: arrays of leading length T.
-        unroll: of the scan.
     """
     if not on_gpu():
-        return jax.lax.scan(body, carry, rows, unroll=unroll)
+        return jax.lax.scan(body, carry, rows)
     row = jax.tree_util.tree_map(lambda v: jax.ShapeDtypeStruct(v.shape[1:], v.dtype), rows)
     closed, shapes = jax.make_jaxpr(body, return_shape=True)(carry, row)
     leaves, treedef = jax.tree_util.tree_flatten(carry)
     begin = [jnp.asarray(leaf, shape.dtype) for leaf, shape in zip(leaves, closed.out_avals, strict=False)]
     known = [not isinstance(c, jax.core.Tracer) and np.size(c) <= _BLOCK for c in closed.consts]
-    task = _Task(closed, tuple(known), len(leaves), unroll)
+    task = _Task(closed, tuple(known), len(leaves))
     consts = [c for c, k in zip(closed.consts, known, strict=True) if not k]
     end, outputs = _over_lanes(task)(consts, begin, jax.tree_util.tree_leaves(rows))
     return treedef.unflatten(end), jax.tree_util.tree_structure(shapes[1]).unflatten(outputs)
@@ -68,13 +67,11 @@ class _Task(NamedTuple):
         body: (consts, carry, row) -> (carry, output), as a closed jaxpr.
         known: which of its constants are values to write into the program.
         carried: number of leaves of the carry.
-        unroll: of the plain scan.
     """
 
     body: Any
     known: tuple[bool, ...]
     carried: int
-    unroll: int
 
     def merged(self, consts: Sequence[Any], of_known: Callable[[Any], Any]) -> list[Any]:
         """All constants, from those that are arguments and those that are known."""
@@ -89,7 +86,7 @@ class _Task(NamedTuple):
             out = function(*carry, *row)
             return out[: self.carried], out[self.carried :]
 
-        return jax.lax.scan(once, list(begin), list(rows), unroll=self.unroll)
+        return jax.lax.scan(once, list(begin), list(rows))
 
 
 def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from hystfit.models.preisach.everett import Place, accumulate, grid
 from hystfit.models.preisach.plane import AbstractPlane
 from hystfit.models.preisach.staircase import Staircase, compile_input
+from hystfit.models.shapes import Signal
 
 
 class Terms(eqx.Module):
@@ -174,7 +175,7 @@ def locate(levels: np.ndarray, u: np.ndarray) -> Place:
 
 
 @eqx.filter_jit
-def respond(model: AbstractPlane, compiled: Compiled) -> Float[Array, " T"]:
+def respond(model: AbstractPlane, compiled: Compiled) -> Signal:
     """Output of a model on an input compiled for it, shape (T,): what `hystfit.simulate` returns, by look-ups.
 
     Differentiable, forward and backward, in the weights and in whatever they depend on.

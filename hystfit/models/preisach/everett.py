@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from hystfit.models.shapes import Scalar
+
 AnyArray = Array | np.ndarray  # for functions that serve host and device
 
 
@@ -26,14 +28,16 @@ def cells(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.lru_cache(maxsize=16)
 def mirror(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cells tied by symmetry: (the independent weight of each cell, the cell and its mirror image of each weight, (2, p)).
-
-    The mirror image of cell (i, j) in the line alpha + beta = 0 is (n - 1 - j, n - 1 - i).
-    """
-    i, j = cells(n)
-    image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
-    first, inverse = np.unique(np.minimum(np.arange(i.size), image), return_inverse=True)
+    """Cells tied by symmetry: (the independent weight of each cell, the cell and its mirror image of each weight, (2, p))."""
+    image = _images(n)
+    first, inverse = np.unique(np.minimum(np.arange(image.size), image), return_inverse=True)
     return inverse, np.stack([first, image[first]])
+
+
+def _images(n: int) -> np.ndarray:
+    """Number of the mirror image of every cell in the line alpha + beta = 0: of cell (i, j) it is (n - 1 - j, n - 1 - i)."""
+    i, j = cells(n)
+    return (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
 
 
 def fold(columns: np.ndarray, n: int) -> np.ndarray:
@@ -118,7 +122,7 @@ class Everett(eqx.Module):
         return (1 - p) * near + p * far + jnp.where(i == j, inside, across)
 
     @property
-    def total(self) -> Float[Array, ""]:
+    def total(self) -> Scalar:
         """Mass of all relays."""
         return self.off[-1, 0] + self.sums[-1]
 
@@ -164,10 +168,10 @@ class FirstRise(eqx.Module):
     square: Float[Array, "n n"]
     sums: Float[Array, " m"]
     levels: Float[Array, " m"]
-    center: Float[Array, ""]
+    center: Scalar
 
     @classmethod
-    def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
+    def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar) -> FirstRise:
         """Tables of weights.
 
         Args:
@@ -181,16 +185,13 @@ class FirstRise(eqx.Module):
         return cls(square, jnp.concatenate([jnp.zeros(1, w.dtype), jnp.cumsum(rows)]), levels, center)
 
     @classmethod
-    def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Float[Array, ""]) -> FirstRise:
+    def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar) -> FirstRise:
         """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image.
 
         Args:
             w, levels, center: as in `of`.
         """
-        n = levels.shape[0] - 1
-        i, j = cells(n)
-        image = (n - 1 - j) * (n - j) // 2 + (n - 1 - i)
-        return cls.of(w[image], 2 * center - levels[::-1], center)
+        return cls.of(w[_images(levels.shape[0] - 1)], 2 * center - levels[::-1], center)
 
     def __call__(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
         """Mass that a rise to u switches."""
@@ -212,19 +213,14 @@ class CellMemory(eqx.Module):
     everett: Everett
     up: FirstRise | None
     down: FirstRise | None
-    rest: Float[Array, ""]
+    rest: Scalar
     levels: Float[Array, " m"]
-    center: Float[Array, ""]
+    center: Scalar
     initial: str = eqx.field(static=True)
 
     @classmethod
     def of(
-        cls,
-        w: Float[Array, " cells"],
-        levels: Float[Array, " m"],
-        center: Float[Array, ""],
-        initial: str,
-        symmetric: bool,
+        cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar, initial: str, symmetric: bool
     ) -> CellMemory:
         """Tables of the masses of cells.
 

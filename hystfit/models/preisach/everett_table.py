@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.staircase import compile_input
 
-Admissibility = Literal["monotone", "positive"]
+_ROUNDS = 5000  # of projections at most
 _NEAR = 0.05  # of the levels' range: an input so close to the lowest level has come back to it
 
 
 @dataclasses.dataclass(frozen=True)
 class Moved:
-    """Distance between a measured table and the nearest one of a Preisach model.
+    """Distance between a measured table and the nearest monotone one.
 
     Attributes:
         rms, largest: change of node values, in percent of the table's largest value.
@@ -122,22 +120,6 @@ class EverettTable:
         size = float(np.abs(self.X).max()) or 1.0
         return np.concatenate([self.X[i, j] - self.X[i + 1, j], self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
 
-    def faults(self) -> tuple[str, ...]:
-        """Reasons why the table is not that of a Preisach model, one sentence each; empty where it is."""
-        size = float(np.abs(self.X).max()) or 1.0
-        turned, masses, found = self.turned(), self.masses() / size, []
-        if (turned > 1e-9).any():
-            found.append(
-                f"the table is not monotone at {np.sum(turned > 1e-9)} of {turned.size} steps (by up to {turned.max():.2g} of the "
-                "largest value): its inverse would jump; admissible('monotone') gives the nearest that is"
-            )
-        if (masses < -1e-9).any():
-            found.append(
-                f"{np.count_nonzero(masses < -1e-9)} of {masses.size} cells have negative mass; admissible('positive') gives the nearest "
-                "table without"
-            )
-        return tuple(found)
-
     def __call__(self, alpha: np.ndarray | float, beta: np.ndarray | float) -> np.ndarray:
         """X by eqs. (4) and (5): bilinear in a rectangle, linear in a triangle on the diagonal; arguments clamped to the grid."""
         i, p = self._locate(alpha)
@@ -164,13 +146,12 @@ class EverettTable:
         before = np.where(parent < 0, self.levels[0], nodes[parent])
         return np.sign(value - before) * self(np.maximum(value, before), np.minimum(value, before))
 
-    def admissible(self, kind: Admissibility = "positive") -> tuple[EverettTable, Moved]:
-        """The nearest table of a Preisach model (least squares over the nodes), and how far it had to move.
+    def monotone(self) -> tuple[EverettTable, Moved]:
+        """The nearest table that rises with alpha and falls with beta, as an inverse needs, and how far it had to move.
 
-        Args:
-            kind: "monotone", X rises with alpha and falls with beta, enough for an inverse; "positive", all masses are >= 0.
+        Nearest by least squares over the nodes.
         """
-        X = _monotone(self.X) if kind == "monotone" else _positive(self.X, self.levels)
+        X = _monotone(self.X)
         size = float(np.abs(self.X).max()) or 1.0
         i, j = np.tril_indices(self.levels.size, -1)
         change = 100 * (X - self.X)[i, j] / size
@@ -206,11 +187,11 @@ def _single_peaks(record: Record, levels: np.ndarray) -> list[Record]:
     return pieces
 
 
-def _monotone(X: np.ndarray, rounds: int = 5000) -> np.ndarray:
+def _monotone(X: np.ndarray) -> np.ndarray:
     """Dykstra's alternating projections on "falls with beta" and "rises with alpha", from 0 on the diagonal."""
     n = X.shape[0]
     Y, kept = X.copy(), [np.zeros_like(X), np.zeros_like(X)]
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         before = Y
         for k in (0, 1):
             trial = Y + kept[k]
@@ -225,15 +206,3 @@ def _monotone(X: np.ndarray, rounds: int = 5000) -> np.ndarray:
         if np.abs(Y - before).max() <= 1e-12 * np.abs(X).max(initial=1e-300):
             break
     return np.tril(Y, -1)
-
-
-def _positive(X: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    n = levels.size - 1
-    i, j = cells(n)
-    sums = ((i[None, :] <= i[:, None]) & (j[None, :] >= j[:, None])).astype(float)
-    target = X[i + 1, j]
-    A = sums.T @ sums
-    w, _ = solve_nonnegative(A, sums.T @ target, np.ones(i.size, dtype=bool))
-    out = np.zeros_like(X)
-    out[i + 1, j] = sums @ w
-    return out

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractStepInverse, SearchStep, drive
+from hystfit.models.base import drive
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
@@ -26,24 +26,18 @@ from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels,
 from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
+from hystfit.models.shapes import Scalar
 from hystfit.models.starting import input_range, output_range
+from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves
 
-_SMALL = (
-    4_000_000  # samples times weights up to which columns on the host beat compiling look-ups for yet another shape
-)
+# Samples times weights up to which columns on the host beat compiling look-ups for yet another shape.
+_SMALL = 4_000_000
 _RIDGE = 1e-3  # penalty on the weights themselves, relative to that on their second differences
-_SIZES = (
-    8,
-    12,
-    16,
-    24,
-    30,
-    40,
-    60,
-)  # cells along an axis that a comparison tries, one step from the model's own at a time
+# Cells along an axis that a comparison tries, one step from the model's own at a time.
+_SIZES = (8, 12, 16, 24, 30, 40, 60)
 _MOST = {True: 60, False: 40}  # the largest of them, for reversal curves and for other records
 
 
@@ -92,9 +86,9 @@ class Preisach(AbstractPlane):
     b: Float[Array, " degree"] = param(
         (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the reversible part"
     )
-    offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
-    center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
-    half: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    center: Scalar = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
+    half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
     elements: Elements = eqx.field(static=True, default="cells")
     symmetric: bool = eqx.field(static=True, default=False)
     initial: Rest = eqx.field(static=True, default="demagnetized")
@@ -181,25 +175,6 @@ class Preisach(AbstractPlane):
             spacing=spacing or ("square" if symmetric else "quantile"),
             depth=depth,
         )
-
-    @classmethod
-    def uniform(
-        cls, n: int = 20, degree: int = 1, initial: Rest = "demagnetized", *, elements: Elements = "cells"
-    ) -> Preisach:
-        """Equally spaced levels and a polynomial reversible part.
-
-        Args:
-            n: cells, or relay levels, along each axis.
-            degree: of the polynomial.
-            initial: state before the record.
-            elements: "cells" or "relays".
-
-        Raises:
-            ModelError: fewer than one cell or degree one.
-        """
-        if degree < 1:
-            raise ModelError(f"at least degree one is needed, got {degree}")
-        return cls.of(n, degree=degree, reversible=False, elements=elements, initial=initial, spacing="uniform")
 
     def start(self, records: Sequence[Record]) -> Preisach:
         """Levels spread over the input by `spacing`; the weights follow from a linear solve.

@@ -18,6 +18,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.param import param
 
@@ -42,19 +43,19 @@ class ParametricPreisach(AbstractHysteresis):
     rate_independent: ClassVar[bool] = True
     has_fast_run: ClassVar[bool] = True
 
-    saturation: Float[Array, ""] = param(
+    saturation: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", linear=True, doc="half the jump between saturations"
     )
-    coercivity: Float[Array, ""] = param(0.4, bounds=(0.0, np.inf), unit="u", doc="h at the peak of the density")
-    width: Float[Array, ""] = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="width of the density in h")
-    spread: Float[Array, ""] = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="width of the density in m")
-    shift: Float[Array, ""] = param(0.0, unit="u", doc="m at the peak of the density")
-    slope: Float[Array, ""] = param(0.0, unit="y/u", linear=True, doc="reversible slope")
-    offset: Float[Array, ""] = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    coercivity: Scalar = param(0.4, bounds=(0.0, np.inf), unit="u", doc="h at the peak of the density")
+    width: Scalar = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="width of the density in h")
+    spread: Scalar = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="width of the density in m")
+    shift: Scalar = param(0.0, unit="u", doc="m at the peak of the density")
+    slope: Scalar = param(0.0, unit="y/u", linear=True, doc="reversible slope")
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     levels: Float[Array, " levels"] = param(
         tuple(np.linspace(-1, 1, 41)), unit="u", fixed=True, doc="edges of the cells, rising"
     )
-    center: Float[Array, ""] = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
+    center: Scalar = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
     density: Density = eqx.field(static=True, default="gaussian")
     initial: Literal["demagnetized", "negative", "positive"] = eqx.field(static=True, default="demagnetized")
     depth: int = eqx.field(static=True, default=64)
@@ -99,13 +100,11 @@ class ParametricPreisach(AbstractHysteresis):
         """See `preisach`."""
         return self.preisach()
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """The dominant extrema, as in `Preisach`."""
         return self.preisach().init(u0)
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """As `Preisach.step`."""
         return self.preisach().step(state, u0, u1, dt)
 

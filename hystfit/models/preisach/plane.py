@@ -13,6 +13,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.preisach.everett import AnyArray, CellMemory, cells, mirror
 from hystfit.models.preisach.staircase import Rest
+from hystfit.models.shapes import Scalar, State
 
 Elements = Literal["cells", "relays"]
 
@@ -50,9 +51,9 @@ class AbstractPlane(AbstractHysteresis):
     levels: eqx.AbstractVar[Float[Array, " levels"]]
     slopes: eqx.AbstractVar[Float[Array, " intervals"]]
     b: eqx.AbstractVar[Float[Array, " degree"]]
-    offset: eqx.AbstractVar[Float[Array, ""]]
-    center: eqx.AbstractVar[Float[Array, ""]]
-    half: eqx.AbstractVar[Float[Array, ""]]
+    offset: eqx.AbstractVar[Scalar]
+    center: eqx.AbstractVar[Scalar]
+    half: eqx.AbstractVar[Scalar]
     elements: eqx.AbstractVar[Elements]
     symmetric: eqx.AbstractVar[bool]
     initial: eqx.AbstractVar[Rest]
@@ -85,9 +86,7 @@ class AbstractPlane(AbstractHysteresis):
 
     def single_valued(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
         """The part of the output without memory, the offset included."""
-        y = self.offset + legendre_series(
-            jnp.concatenate([jnp.zeros(1, self.b.dtype), self.b]), (u - self.center) / self.half
-        )
+        y = self.offset + legendre_series(self.b, (u - self.center) / self.half, first=1)
         if self.slopes.size:
             y = y + ramps(self.levels, self.center, u, self.symmetric, jnp) @ self.slopes
         return y
@@ -98,7 +97,7 @@ class AbstractPlane(AbstractHysteresis):
 
     # -- dynamics --------------------------------------------------------------------------------------------------------
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """State after the input went from the initial state to u0: the dominant extrema, the last one repeated to fill the
         array; or the relays, +1 or -1.
         """
@@ -111,9 +110,7 @@ class AbstractPlane(AbstractHysteresis):
             rest = jnp.full(up.shape, 1.0 if self.initial == "positive" else -1.0)
         return _switch(rest, up, down, u0)
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Wipe out the extrema that u1 passed; or switch the relays whose threshold it passed."""
         if self.elements == "relays":
             state = _switch(state, *self.thresholds(), u1)
@@ -123,7 +120,7 @@ class AbstractPlane(AbstractHysteresis):
         pairs = memory.pair(memory.place(state[1:]), memory.place(state[:-1]), state[1:] > state[:-1])
         return state, self.single_valued(u1) + memory.rest + memory.first(state[0]) + jnp.sum(pairs)
 
-    def remember(self, extrema: Float[Array, " state"], u: Float[Array, ""]) -> Float[Array, " state"]:
+    def remember(self, extrema: State, u: Scalar) -> State:
         """Dominant extrema after the input went to u: those that it passed are wiped out."""
         # Nested intervals: those that contain u come first. A full memory forgets its smallest loop.
         before = {"demagnetized": 2 * self.center - extrema[0], "negative": -jnp.inf, "positive": jnp.inf}[self.initial]

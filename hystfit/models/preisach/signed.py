@@ -7,8 +7,8 @@ from typing import ClassVar
 from jaxtyping import Array, Float
 
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractStepInverse
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 
 

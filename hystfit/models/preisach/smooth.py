@@ -189,10 +189,7 @@ class SmoothFit:
 
 
 def fit_smooth(
-    system: SmoothSystem,
-    strengths: Sequence[float] = SMOOTHNESS,
-    *,
-    held: np.ndarray | None = None,
+    system: SmoothSystem, strengths: Sequence[float] = SMOOTHNESS, *, held: np.ndarray | None = None
 ) -> SmoothFit:
     """Solve for the weights, with the smoothness whose error on blocks left out in turn is smallest.
 

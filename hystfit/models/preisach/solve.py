@@ -37,11 +37,6 @@ class PreisachFit:
     reach: np.ndarray
     notes: tuple[str, ...]
 
-    @property
-    def untouched(self) -> np.ndarray:
-        """Weights whose cell the data never switched: they follow from smoothness alone, shape (weights,), bool."""
-        return self.reach < 1e-9
-
     def predict(self, u: np.ndarray) -> np.ndarray:
         """Output of the fitted model on an input, shape (T,)."""
         return self.model.free_run(u)

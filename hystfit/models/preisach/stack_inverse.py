@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.models.base import AbstractStepInverse
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.preisach.everett import CellMemory, Place
 from hystfit.models.preisach.plane import AbstractPlane
+from hystfit.models.step_inverse import AbstractStepInverse
 
 
 class PreisachStep(AbstractStepInverse):

@@ -25,6 +25,7 @@ from hystfit.outcome.status import Status
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
 Outcome = Literal["holds", "fails", "untested"]
+_LIMIT = 2.0  # percent of the output's range up to which a property holds
 _MAJOR = 0.95  # part of the input's range from which a loop is the major one
 _KNOWN = 0.9  # part of the higher orders' states from which the first-order ones determine them
 _FIRST = 1  # reversals that the memory holds on a first-order curve
@@ -152,21 +153,20 @@ class PreisachCheck:
         }
 
 
-def check_preisach(record: Record, limit: float = 2.0, *, model: bool = False) -> PreisachCheck:
+def check_preisach(record: Record, *, model: bool = False) -> PreisachCheck:
     """Test the two properties that characterize a Preisach model (Mayergoyz): wiping-out and congruency.
 
     Args:
         record: measured.
-        limit: percent of the output's range up to which a property holds.
         model: also identify a Preisach model and see how its errors grow with the order of reversal.
     """
     closures, loops = wiping_out(record), tuple(congruency(record))
     minor = closures.width < _MAJOR * float(np.ptp(record.u))
     inner = tuple(loop for loop in loops if loop.high - loop.low < _MAJOR * float(np.ptp(record.u)))
-    found = [_wiping_words(closures, minor, limit), _congruency_words(inner, limit)]
+    found = [_wiping_words(closures, minor), _congruency_words(inner)]
     higher = higher_order(record) if model else None
     if model:
-        found.append(_order_words(higher, limit))
+        found.append(_order_words(higher))
     names = ("wiping-out", "congruency", "higher-order")
     outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=False))
     return PreisachCheck(record.name, closures, loops, higher, outcomes, tuple(note for _, note in found))
@@ -197,7 +197,7 @@ class PreisachChecks:
     def text(self) -> str:
         """As lines of text; records with the same text share it."""
         tested, family = [one for one in self.checks if one.tested], self.family
-        lines = ["Preisach properties (limit: 2 % of the output's range)"]
+        lines = [f"Preisach properties (limit: {_LIMIT:g} % of the output's range)"]
         if family is not None:
             closes = ["the curves close and do not cross: weights >= 0 can reproduce them"]
             lines += [f"  {family.words()}", *(f"    - {note}" for note in family.notes or closes)]
@@ -228,15 +228,15 @@ def check_family(data: Record | Dataset) -> PreisachChecks:
     return PreisachChecks(tuple(check_preisach(record, model=True) for record in dataset), recognize_family(dataset))
 
 
-def _outcome(value: float, limit: float) -> Outcome:
-    return "holds" if value <= limit else "fails"
+def _outcome(value: float) -> Outcome:
+    return "holds" if value <= _LIMIT else "fails"
 
 
 def _verb(outcome: Outcome) -> str:
     return "holds" if outcome == "holds" else "does not hold"
 
 
-def _wiping_words(closures: Closures, minor: np.ndarray, limit: float) -> tuple[Outcome, str]:
+def _wiping_words(closures: Closures, minor: np.ndarray) -> tuple[Outcome, str]:
     if not minor.any():
         which = "no loop closes in this record"
         if closures.percent is not None:
@@ -249,32 +249,32 @@ def _wiping_words(closures: Closures, minor: np.ndarray, limit: float) -> tuple[
         )
     worst = float(np.abs(closures.gap[minor]).max() / closures.span * 100)
     rms = float(np.sqrt(np.mean(closures.gap[minor] ** 2)) / closures.span * 100)
-    outcome = _outcome(worst, limit)
+    outcome = _outcome(worst)
     return outcome, (
         f"wiping-out {_verb(outcome)}: over {int(minor.sum())} closed minor loops the output comes back within {rms:.2g} % rms, "
         f"{worst:.2g} % at most, of the range"
     )
 
 
-def _congruency_words(loops: tuple[Congruency, ...], limit: float) -> tuple[Outcome, str]:
+def _congruency_words(loops: tuple[Congruency, ...]) -> tuple[Outcome, str]:
     if not loops:
         return "untested", (
             "no two minor branches run between the same inputs: congruency cannot be tested; drive the same minor loop after "
             "different histories, such as 120, 80, 120, 180, 80, 120 V"
         )
     worst = max(loops, key=lambda c: c.percent_of_range)
-    outcome = _outcome(worst.percent_of_range, limit)
+    outcome = _outcome(worst.percent_of_range)
     return outcome, (
         f"congruency {_verb(outcome)}: branches between {worst.low:.4g} and {worst.high:.4g} differ by "
         f"{worst.percent_of_range:.2g} % of the range ({worst.percent_of_loop:.2g} % of their travel)"
     )
 
 
-def _order_words(higher: HigherOrder | None, limit: float) -> tuple[Outcome, str]:
+def _order_words(higher: HigherOrder | None) -> tuple[Outcome, str]:
     worst = None if higher is None else higher.worst
     if higher is None or worst is None:
         return "untested", "no sample remembers more than one reversal: higher orders cannot be tested"
-    outcome = _outcome(worst, limit)
+    outcome = _outcome(worst)
     how = (
         "a model identified on the first-order curves alone predicts"
         if higher.held_out

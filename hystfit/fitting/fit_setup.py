@@ -1,0 +1,203 @@
+"""A fit that is ready to be solved: problem, estimator and starting points; and its solution."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import numpy as np
+
+from hystfit.data.record import Dataset
+from hystfit.errors import ParameterError
+from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.multistart import spread_starts
+from hystfit.fitting.registry import ESTIMATORS
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.objective import Loss
+from hystfit.inference.problem import LOSSES, Problem, check_fittable
+from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Note
+from hystfit.params.space import ParameterSpace
+
+Start = Literal["data", "model"] | Mapping[str, float]
+_MANY = 4  # weights on a bound from which the convex solve is the default
+
+
+@dataclasses.dataclass(frozen=True)
+class FitSetup:
+    """A fit that is ready to be solved.
+
+    Attributes:
+        problem: what is fitted.
+        method: an estimator or its name.
+        points: models to start from, the best first.
+        notes: of choices made on the way.
+    """
+
+    problem: Problem
+    method: str | AbstractEstimator
+    points: tuple[AbstractHysteresis, ...]
+    notes: tuple[Note, ...] = ()
+
+
+def set_up_fit(
+    model: AbstractHysteresis,
+    data: Dataset,
+    *,
+    method: str | AbstractEstimator = "auto",
+    fix: Sequence[str] | Mapping[str, Any] = (),
+    free: Sequence[str] = (),
+    start: Start = "data",
+    loss: Loss = "linear",
+    held: bool = False,
+    notes: tuple[Note, ...] = (),
+) -> FitSetup:
+    """Set up a fit: the problem, its estimator and starting points.
+
+    Args:
+        model: what is fitted.
+        data: the records.
+        method, fix, free, start, loss: see `hystfit.fit`.
+        held: whether parameters in `fix` without a value keep that of the model where starting values are read off the data.
+        notes: of choices made before.
+    """
+    check_fittable(model, data)
+    points: tuple[AbstractHysteresis, ...] = (model,)
+    if start != "model":
+        fix = _fixed_values(model, fix) if held else fix
+        problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
+        if isinstance(start, Mapping):
+            points = (points[0].replace(**start),)
+            problem = Problem(points[0], data, fix=fix, free=free, loss=loss)
+        model = points[0]
+    else:
+        problem = Problem(model, data, fix=fix, free=free, loss=loss)
+    name = choose_method(problem) if method == "auto" else method
+    if name == "convex" and start != "model" and model.has_rest:
+        problem, of_rest = _choose_rest(problem, fix, free, loss)
+        notes = (*notes, *of_rest)
+    return FitSetup(problem, name, points, notes)
+
+
+def started_problem(
+    model: AbstractHysteresis, data: Dataset, **options: Any
+) -> tuple[Problem, tuple[AbstractHysteresis, ...]]:
+    """The problem of a model with starting values from the records, and all models to start from.
+
+    Args:
+        model: any model.
+        data: records.
+        **options: of `Problem`.
+    """
+    check_fittable(model, data)
+    points = model.starting_points(list(data.map(model.prepared)))
+    return Problem(points[0], data, **options), points
+
+
+def _fixed_values(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:
+    """`fix` with the model's own values where it gives none: starting values read off the data must not replace them."""
+    values = dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix)
+    return {name: ParameterSpace.of(model).value(name) if value is None else value for name, value in values.items()}
+
+
+def check_settings(method: Any, starts: int, loss: str, noise: Any, start: Any) -> None:
+    """Refuse settings that no data can be fitted with.
+
+    Args:
+        method, starts, loss, noise, start: see `hystfit.fit`; no sequential method.
+
+    Raises:
+        ParameterError: one of them is unknown.
+    """
+    if method != "auto" and not isinstance(method, AbstractEstimator):
+        ESTIMATORS.find(method)
+    if noise != "auto":
+        NOISES.find(noise)
+    if loss not in LOSSES:
+        raise ParameterError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    if start not in ("data", "model") and not isinstance(start, Mapping):
+        raise ParameterError(f"start must be data, model, or values of parameters by name, got {start!r}")
+    if starts < 1:
+        raise ParameterError(f"at least one start is needed, got {starts}")
+
+
+def choose_method(problem: Problem) -> str:
+    """The estimator that suits a model: a closed form for its weights where there are many, else Levenberg-Marquardt."""
+    if problem.objective.loss != "linear":
+        return "lm"
+    if problem.model.estimator is not None:
+        return problem.model.estimator
+    weights = sum(info.linear and info.bounds[0] == 0.0 for info in problem.space.infos)
+    return "convex" if weights >= _MANY else "lm"
+
+
+def solve(
+    problem: Problem, method: str | AbstractEstimator, starts: int, seed: int, points: Sequence[AbstractHysteresis] = ()
+) -> Estimate:
+    """Run one estimator from several models, or from the values of one and a hypercube about them.
+
+    Args:
+        problem: what to fit.
+        method: an estimator or its name.
+        starts: number of starting points.
+        seed: of the hypercube.
+        points: models to start from, the best first; that of the problem by default.
+
+    Raises:
+        ParameterError: nothing is free.
+    """
+    estimator = ESTIMATORS.make(method)
+    return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))
+
+
+def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[AbstractHysteresis] = ()) -> np.ndarray:
+    """Starting points of shape (S, p) in unconstrained coordinates; arguments and errors as for `solve`.
+
+    Args:
+        problem: what to fit.
+        count: of the points at most.
+        seed: of the hypercube.
+        points: models to start from, the best first.
+    """
+    if not len(problem.space):
+        raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
+    models = points[:count] or (problem.model,)
+    at = [
+        problem.space.unconstrained(_with_record_parameters(problem, problem.space.vector(model))) for model in models
+    ]
+    return np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed)
+
+
+def _with_record_parameters(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
+    per_record = problem.space.linear & np.array([info.per_record for info in problem.space.infos], dtype=bool)
+    if len(problem.data) > 1 and per_record.any():
+        system = LinearSystem.of(problem, x, per_record)
+        x = x.copy()
+        x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
+    c = problem.space.coordinates
+    return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
+
+
+def _choose_rest(
+    problem: Problem, fix: Sequence[str] | Mapping[str, Any], free: Sequence[str], loss: Loss
+) -> tuple[Problem, list[Note]]:
+    """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
+    span = 2 * problem.scales.u
+    if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
+        return problem, []
+    first = problem.model.with_rest("first")
+    if eqx.tree_equal(first, problem.model):  # chosen by the user
+        return problem, []
+    other = Problem(first, problem.data, fix=fix, free=free, loss=loss)
+    scores = []
+    for candidate in (problem, other):
+        x = _with_record_parameters(candidate, candidate.space.vector(candidate.model))
+        scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
+    best, where = (problem, "on zero input") if scores[0] <= scores[1] else (other, "on its first input")
+    gain = 1 - min(scores) / max(scores)
+    text = f"the device is assumed to have rested {where} before the record (cross-validation error {100 * gain:.0f} % lower)"
+    return best, [Note(Code.CHOICE, text)]
