@@ -139,6 +139,7 @@ def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str) -> dict[str, 
     error = float(np.sqrt(np.mean((middle - y) ** 2))) / span
     chosen = f"default ({made.noise})" if noise == "auto" else noise
     chains = made.convergence
-    row = [name, chosen, 100 * inside, 100 * float(np.mean(high - low)) / span, 100 * score, 100 * error, float(np.min(chains.bulk)),
-           float(np.max(chains.rhat)), 100 * float(np.mean(made.stats["diverging"])), str(made.status)]  # fmt: skip
+    percent = [100 * inside, 100 * float(np.mean(high - low)) / span, 100 * score, 100 * error]
+    of_chains = [float(np.min(chains.bulk)), float(np.max(chains.rhat)), 100 * float(np.mean(made.stats["diverging"]))]
+    row = [name, chosen, *percent, *of_chains, str(made.status)]
     return {"row": row, "numbers": numbers}
