@@ -97,7 +97,7 @@ def test_a_first_rise_from_rest_is_no_measured_loop():
     path = np.linspace(0, 6, 241)
     u, y = (np.interp(path, np.arange(7), corners[:, k]) for k in (0, 1))
     record = hf.Record(u, y, u_unit="A/m", y_unit="T")
-    assert measured_quantities(hf.Dataset((record.window(None, 161),))) == {}
+    assert measured_quantities(hf.Dataset((record.window(None, 161.0),))) == {}
     assert measured_quantities(hf.Dataset((record,)))["stroke"] == pytest.approx(1.4, rel=2e-3)
 
 
