@@ -286,6 +286,10 @@ class AbstractHysteresis(eqx.Module):
         """Lowest and highest input for which the model is defined; None where it has no such range."""
         return None
 
+    def inputs_between(self, low: float, high: float) -> tuple[float, float]:
+        """Limits of the input within which a filter puts out signals between two values: a static gain of one by default."""
+        return low, high
+
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The one-sample inverse: a closed form, or by default a bracketed search.
 
