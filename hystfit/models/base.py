@@ -213,6 +213,15 @@ class AbstractHysteresis(eqx.Module):
         """
         return ()
 
+    def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
+        """Share of the dissipated energy that hysteresis takes, of a model that dissipates by rate as well; None for others.
+
+        Args:
+            u: input, shape (T,).
+            dt: time since the sample before, shape (T,) [s].
+        """
+        return None
+
     def derived(self) -> tuple[Derived, ...]:
         """Quantities that follow from its parameters, which a fit reports with their standard errors."""
         return ()

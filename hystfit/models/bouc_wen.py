@@ -42,7 +42,7 @@ class BoucWen(AbstractHysteresis):
         amplitudes=2,
         symmetry="symmetric",
         direction="counter-clockwise",
-        too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
+        too_few="mu, tau and rho are nearly redundant",
     )
 
     c: Float[Array, ""] = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
