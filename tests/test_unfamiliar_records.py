@@ -188,7 +188,7 @@ def test_a_spring_that_dissipates_nothing_shows_no_hysteresis() -> None:
     dt = np.full(400, 0.1)
     model = hf.BoucWenOscillator(c=0.3, r_load=0.4, r_unl=-0.4, between="linear")
     assert model.hysteretic_share(force, dt) == pytest.approx(0.0, abs=0.02)
-    lossy = dataclasses.replace(model, r_load=np.asarray(0.8), r_unl=np.asarray(0.8))
+    lossy = dataclasses.replace(model, r_load=np.asarray(2.0), r_unl=np.asarray(2.0))
     assert (lossy.hysteretic_share(force, dt) or 0.0) > 0.1
 
 
