@@ -93,7 +93,7 @@ class TestWeights:
         errors = [fit_preisach(r, model, smoothness=[1e-14]).nrmse_percent for r in (record, record.repeating())]
         assert errors[0] > 1.0
         assert errors[1] < 0.01
-        with pytest.raises(DataError, match="no period of a cycle"):
+        with pytest.raises(DataError, match="not a period of a cycle"):
             Record(period[:90], period[:90]).repeating()
 
     def test_cells_that_the_data_never_switched_are_told(self):

@@ -1,4 +1,4 @@
-"""Docstrings of the package as reStructuredText: they are plain text, in which |h|, w_ij and 2 * x are no marks."""
+"""Docstrings of the package as reStructuredText: they are plain text, in which |h|, w_ij and 2 * x are not marks."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ out/ and, in the full form with all data, RESULTS.md here. Exit status: see expe
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -29,7 +28,7 @@ TIMED = ("bouc-wen+log-creep", "bouc-wen+relaxation", "bouc-wen+second-order", "
 UNTIMED = ("preisach-magnetic",)
 FACTOR = 1.5  # error on left-out data, over that of the best model in the box, up to which the choice is right
 HEAD = [
-    "record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best in the box", "its error, %", "s",
+    "record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best in the box", "its error, %",
 ]  # fmt: skip
 
 
@@ -56,18 +55,17 @@ def best_in_the_box(case: Case, chosen: Comparison) -> tuple[str, float]:
 
 def judge(case: Case, quick: bool) -> tuple[list, bool, float | None]:
     """A row of the table, whether the status is wrong, and the error over that of the best model."""
-    started = time.perf_counter()
     report = hf.check(case.data)
     advised = report.advice.model if report.advice else "none"
     try:
         chosen = hf.compare(case.data, progress=lambda *_: None)
     except HystfitError as error:
-        row = [case.name, case.kind, advised, f"refused: {error}", "", None, "", None, time.perf_counter() - started]
+        row = [case.name, case.kind, advised, f"refused: {error}", "", None, "", None]
         return row, case.usable, None
-    first, seconds = chosen.rows[0], time.perf_counter() - started
+    first = chosen.rows[0]
     name, error = ("", None) if quick else best_in_the_box(case, chosen)
     ratio = first.score_percent / error if error and first.score_percent is not None else None
-    row = [case.name, case.kind, advised, first.name, chosen.winner.status, first.score_percent, name, error, seconds]
+    row = [case.name, case.kind, advised, first.name, chosen.winner.status, first.score_percent, name, error]
     return row, chosen.winner.usable and not case.usable, ratio
 
 

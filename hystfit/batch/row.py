@@ -67,7 +67,7 @@ class Row:
         """From what `to_dict` gave.
 
         Raises:
-            KeyError, ValueError, TypeError: it is no such description.
+            KeyError, ValueError, TypeError: it is not such a description.
         """
         known = {field.name: content[field.name] for field in dataclasses.fields(cls)}
         return cls(**known | {"status": Status(content["status"]), "codes": tuple(content["codes"])})

@@ -163,7 +163,7 @@ class SequentialSettings:
         """Settings that differ from the defaults, as keywords.
 
         Raises:
-            ParameterError: weights that are no numbers.
+            ParameterError: weights that are not numbers.
         """
         chosen = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         if self.weights is not None:

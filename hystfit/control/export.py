@@ -46,7 +46,7 @@ def export_c(
         The files.
 
     Raises:
-        ModelError: a model without C code, or a name that is no C identifier.
+        ModelError: a model without C code, or a name that is not a C identifier.
     """
     require_x64()
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):

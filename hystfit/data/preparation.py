@@ -17,7 +17,7 @@ def real_numbers(values: Any) -> np.ndarray:
 
     Raises:
         TypeError: complex numbers, or no numbers.
-        ValueError: text that is no number, or rows of different lengths.
+        ValueError: text that is not a number, or rows of different lengths.
     """
     array = np.asanyarray(values)
     if np.iscomplexobj(array):

@@ -179,7 +179,7 @@ class Record:
         """Arguments of the constructor from what `labels` returned.
 
         Raises:
-            KeyError, ValueError, TypeError: it is no such description.
+            KeyError, ValueError, TypeError: it is not such a description.
         """
         notes = tuple(Note.of(note) for note in stored["notes"])
         return {field: stored[field] for field in _LABELS} | {"notes": notes}
@@ -233,7 +233,7 @@ class Record:
         gap = abs(float(self.u[-1] - self.u[0]))
         if cycles < 1 or gap > _OPEN * float(np.ptp(self.u)):
             raise DataError(
-                f"record {self.name!r} is no period of a cycle: its input begins at {self.u[0]:g} and ends at {self.u[-1]:g} "
+                f"record {self.name!r} is not a period of a cycle: its input begins at {self.u[0]:g} and ends at {self.u[-1]:g} "
                 f"{self.u_unit}".rstrip()
             )
         before = lambda column, value: np.concatenate([np.full(cycles * len(self), value), column])

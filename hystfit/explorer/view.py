@@ -102,7 +102,7 @@ class View:
             values: by name; the others keep the values of the view.
 
         Raises:
-            ParameterError: an unknown name, or a value that is no number or outside its bounds.
+            ParameterError: an unknown name, or a value that is not a number or outside its bounds.
         """
         x = self._x.copy()
         for name, value in self.checked(values).items():

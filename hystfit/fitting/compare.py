@@ -104,7 +104,7 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
     """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it.
 
     Raises:
-        ModelError: one of them is no model.
+        ModelError: one of them is not a model.
     """
     chosen: dict[str, Any] = {}
     for choice in [models] if isinstance(models, str) else models:

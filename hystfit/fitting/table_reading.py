@@ -25,7 +25,7 @@ class TableReading(AbstractEstimator):
 
         Raises:
             ModelError: another model, or parts of the table are fixed.
-            DataError: records that are no such curves.
+            DataError: records that are not such curves.
         """
         model, records = problem.model, list(problem.data)
         if not isinstance(model, TabulatedPreisach):

@@ -153,7 +153,7 @@ class AbstractIdentifier(eqx.Module):
 
     @abc.abstractmethod
     def model(self, theta: np.ndarray, record: Record) -> AbstractHysteresis | None:
-        """The identified model for one record; None where theta, finite, is no valid model."""
+        """The identified model for one record; None where theta, finite, is not a valid model."""
 
     @abc.abstractmethod
     def judge(self, run: Run) -> Judgment:
@@ -212,7 +212,7 @@ class AbstractIdentifier(eqx.Module):
         )
 
     def _models(self, theta: np.ndarray, data: Dataset) -> tuple[AbstractHysteresis, ...]:
-        """One model for each record; empty where theta is no valid model."""
+        """One model for each record; empty where theta is not a valid model."""
         if not np.isfinite(theta).all():
             return ()
         models = [self.model(theta, record) for record in data]

@@ -209,7 +209,7 @@ class DuhemRegressor(eqx.Module):
         return np.concatenate([rate / half, f, theta[..., self.m + 1 :] * size / half], axis=-1)
 
     def model(self, theta: np.ndarray, w0: float) -> Duhem | None:
-        """The model of theta with first output w0; None where the rate is not positive, which is no hysteresis."""
+        """The model of theta with first output w0; None where the rate is not positive, which is not hysteresis."""
         values = self.physical(theta)
         if not np.isfinite(values).all():
             return None
@@ -326,7 +326,7 @@ class LinearIdentifier(AbstractIdentifier):
             return Status.OK, []
         rate = self.regressor.physical(theta)[0]
         text = (
-            f"the identified rate alpha = {rate:.4g} is not positive, which is no hysteresis; possible causes are a delay between "
+            f"the identified rate alpha = {rate:.4g} is not positive, which means no hysteresis; possible causes are a delay between "
             "input and output, noise larger than the increments, and too short a record"
         )
         return Status.FAILED, [Note(Code.INVALID_MODEL, text, Severity.ERROR)]

@@ -107,5 +107,5 @@ def innovations(average: float, memory: float) -> Note:
     elif average < 1 - width:
         text += "; the filter is underconfident: decrease noise or walk"
     consistent = abs(average - 1) <= width
-    text += ". The covariance of the filter is no error bar: fit by least squares from here for standard errors"
+    text += ". The covariance of the filter is not an error bar: fit by least squares from here for standard errors"
     return Note(Code.INNOVATIONS, text, Severity.INFO if consistent else Severity.WARNING)

@@ -31,7 +31,7 @@ class Identification:
     Attributes:
         method: name of the identifier.
         data: the records, R of them.
-        models: identified model for each record; empty where the parameters are no valid model.
+        models: identified model for each record; empty where the parameters are not a valid model.
         space: the identified parameters by name; None without a valid model.
         x: their values, shape (len(space),); empty without a valid model.
         names: of the columns of `history`.
@@ -79,7 +79,7 @@ class Identification:
 
     @property
     def model(self) -> AbstractHysteresis | None:
-        """Identified model for the first record; None where the parameters are no valid model."""
+        """Identified model for the first record; None where the parameters are not a valid model."""
         return self.models[0] if self.models else None
 
     @property
@@ -132,7 +132,7 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
         watch: started with the identification.
 
     Raises:
-        ModelError: the identified parameters are no valid model, or its simulation is not finite.
+        ModelError: the identified parameters are not a valid model, or its simulation is not finite.
     """
     method, data, space = identification.method, identification.data, identification.space
     advice = identification.status.advice("identify")

@@ -242,7 +242,7 @@ def choose_priors(
         others: names of another space, for the error message.
 
     Raises:
-        ParameterError: a prior for no free parameter, or something that is no prior, one without a proper width, or one that lies
+        ParameterError: a prior for no free parameter, or something that is not a prior, one without a proper width, or one that lies
             outside the parameter's bounds.
     """
     chosen = default_priors(space, x)
@@ -250,7 +250,7 @@ def choose_priors(
         hits = [known for known in space.names if known == name or known.split("@")[0] == name]
         if not hits:
             raise ParameterError(
-                f"a prior for {name!r}, which is no free parameter; those are: {', '.join([*space.names, *others])}"
+                f"a prior for {name!r}, which is not a free parameter; those are: {', '.join([*space.names, *others])}"
             )
         _check(name, prior)
         bounds = {space.infos[space.names.index(hit)].bounds for hit in hits}

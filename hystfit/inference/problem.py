@@ -85,7 +85,7 @@ class Problem:
         records = [record.name for record in self.data]
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
         batch = Batch.of(self.data)
-        # Smooth weights are many, and their number is no measure of what the data must determine.
+        # Smooth weights are many, and their number is not a measure of what the data must determine.
         if batch.count < len(self.space) and model.estimator != "preisach":
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="

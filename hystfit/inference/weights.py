@@ -24,7 +24,7 @@ class Split:
     Attributes:
         designs: one for each record.
         system: equations of all weights, the held ones included.
-        place: position of each free parameter among the weights, shape (p,); -1 for parameters that are no weights.
+        place: position of each free parameter among the weights, shape (p,); -1 for parameters that are not weights.
         record: number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,).
         held: values of the weights that are not free, NaN for the free ones.
     """

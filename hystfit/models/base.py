@@ -173,7 +173,7 @@ class AbstractHysteresis(eqx.Module):
     def settings(self) -> dict[str, int | bool | str]:
         """Choices besides the values of parameters, as they follow a name (`preisach:n=60`): whole numbers, words and switches.
 
-        By default the fields that are no parameters; to override where the model is built by other settings than its fields.
+        By default the fields that are not parameters; to override where the model is built by other settings than its fields.
         """
         values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
         return {name: value for name, value in values if isinstance(value, (int, str))}
@@ -317,7 +317,7 @@ class AbstractHysteresis(eqx.Module):
     def obstacle(self, use: Use) -> str | None:
         """The reason why the model cannot be inverted or exported to C; None where it can.
 
-        A resonance at the end of a model is no obstacle to an inverse, because the reference leads it.
+        A resonance at the end of a model is not an obstacle to an inverse, because the reference leads it.
         """
         try:
             if use == "export":

@@ -78,7 +78,7 @@ def solve_rising(
         newton = s.x - value / jnp.where(slope > 0, slope, 1.0)
         settled = (slope > 0) & (jnp.abs(newton - s.x) <= 2 * eps * jnp.abs(s.x))
         held = jnp.clip(newton, low, high)
-        # An end where the value is known is no trial; nor is Newton trusted for more than five steps running.
+        # An end where the value is known is not a trial; nor is Newton trusted for more than five steps running.
         refused = (
             ~(slope > 0)
             | ((held == low) & ends[0])

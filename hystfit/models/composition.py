@@ -40,7 +40,7 @@ def check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> N
         name: of the composition, for the message.
 
     Raises:
-        ModelError: a part is no model, or there are too few.
+        ModelError: a part is not a model, or there are too few.
     """
     if len(parts) < least or not all(isinstance(part, AbstractHysteresis) for part in parts):
         raise ModelError(f"{name} needs at least {least} models, got {[type(part).__name__ for part in parts]}")

@@ -35,7 +35,7 @@ class Series(AbstractComposition):
     """The output of each model is the input of the next: a lag before, creep or a resonance after a hysteresis.
 
     Raises:
-        ModelError: a part is no model.
+        ModelError: a part is not a model.
     """
 
     parts: tuple[AbstractHysteresis, ...] = eqx.field(converter=tuple)

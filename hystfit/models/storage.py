@@ -146,7 +146,7 @@ def _class_of(place: Any, allowed: Collection[str]) -> type[eqx.Module]:
     """The class of a description, without running anything but hystfit's own modules and allowed files.
 
     Raises:
-        ModelError: it is not there, is no model or part of one, or its file is not allowed.
+        ModelError: it is not there, is not a model or part of one, or its file is not allowed.
     """
     home, _, name = str(place).rpartition(":")
     if _is_own(home):
@@ -161,9 +161,9 @@ def _class_of(place: Any, allowed: Collection[str]) -> type[eqx.Module]:
     elif home in allowed or (home.endswith(".py") and in_process(Path(home))):
         kind = class_from_file(home, name, eqx.Module, ModelError)
     else:
-        raise ModelError(f"{place!r} is no model of hystfit's")
+        raise ModelError(f"{place!r} is not a model of hystfit's")
     if not (isinstance(kind, type) and issubclass(kind, eqx.Module)) or (_is_own(home) and kind.__module__ != home):
-        raise ModelError(f"{place!r} is no model")
+        raise ModelError(f"{place!r} is not a model")
     if getattr(kind, "__abstractmethods__", None):
         raise ModelError(f"{place!r} is an unfinished class")
     return kind

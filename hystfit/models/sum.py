@@ -29,7 +29,7 @@ class Sum(AbstractComposition):
     """Outputs of several models of the same input, added: a hysteresis, its creep, a viscous force.
 
     Raises:
-        ModelError: a part is no model.
+        ModelError: a part is not a model.
     """
 
     parts: tuple[AbstractHysteresis, ...] = eqx.field(converter=tuple)

@@ -191,7 +191,7 @@ class Code(enum.StrEnum):
     )
     INVALID_MODEL = (
         "invalid-model",
-        "the identified parameters are no valid model",
+        "the identified parameters are not a valid model",
         "decimate the record by input increment, or use `--method lm`",
     )
     DIVERGED = (
@@ -470,7 +470,7 @@ class Note:
         """The note that `to_dict` described.
 
         Raises:
-            KeyError, ValueError, TypeError: it is no such description.
+            KeyError, ValueError, TypeError: it is not such a description.
         """
         return cls(Code(stored["code"]), str(stored["text"]), Severity(stored["severity"]))
 

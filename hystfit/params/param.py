@@ -121,7 +121,7 @@ def param(
         vector: the parameter is an array of one dimension; a number becomes an array of one element.
 
     Raises:
-        ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is no expression.
+        ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is not an expression.
     """
     info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear)
     extra = {} if default is dataclasses.MISSING else {"default": default}

@@ -71,7 +71,7 @@ def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
     """Holds of the input: first sample and end (exclusive), shape (K, 2).
 
     A hold is a longest stretch within the tolerance whose input moves away soon outside it. The input may settle before it; the
-    tops of slow waves are no holds, because they grow with the tolerance.
+    tops of slow waves are not holds, because they grow with the tolerance.
 
     Args:
         u: input, shape (T,).

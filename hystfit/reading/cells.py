@@ -153,7 +153,7 @@ def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.nda
 
 @functools.lru_cache(maxsize=8192)
 def _odd(cell: str, decimal: str) -> tuple[float, str]:
-    """Number (NaN where there is none) and kind of a cell that is no plain number; the same words occur again and again."""
+    """Number (NaN where there is none) and kind of a cell that is not a plain number; the same words occur again and again."""
     cell = clean(cell)
     value = number(cell, decimal)
     if value is not None:
@@ -162,7 +162,7 @@ def _odd(cell: str, decimal: str) -> tuple[float, str]:
 
 
 def whole_from_first(cells: Sequence[str]) -> np.ndarray | None:
-    """A column of whole numbers too large for a double, as differences to the first; None if it is no such column."""
+    """A column of whole numbers too large for a double, as differences to the first; None if it is not such a column."""
     try:
         whole = [int(clean(cell)) for cell in cells]
         return np.array([float(value - whole[0]) for value in whole])

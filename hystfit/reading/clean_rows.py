@@ -63,7 +63,7 @@ def _shows_its_mark(lines: Sequence[str], body: str, layout: Layout) -> bool:
 
 
 def _parsed(body: str, layout: Layout) -> np.ndarray | None:
-    """Numbers of all rows, shape (rows, columns), correctly rounded; None where a cell is no number."""
+    """Numbers of all rows, shape (rows, columns), correctly rounded; None where a cell is not a number."""
     if "pandas" in sys.modules:  # its parser is three times as fast, but importing it takes longer than reading a file
         return _by_pandas(body, layout)
     return _by_numpy(body, layout)

@@ -86,7 +86,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
 
     Args:
         lines: lines above the numbers.
-        names: of the columns, which are no properties.
+        names: of the columns, which are not properties.
     """
     known: dict[str, str] = {}
     for line in lines:

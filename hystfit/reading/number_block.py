@@ -34,7 +34,7 @@ class Block:
         cells: of every column, where they are needed; else empty.
         rows: cells of the lines, at least of those above and at the first row.
         ragged: numbers of lines of another width.
-        notes: on cells that are no numbers.
+        notes: on cells that are not numbers.
     """
 
     index: np.ndarray

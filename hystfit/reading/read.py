@@ -89,7 +89,7 @@ def read(
     options["treatment"] = Treatment(rate, dt, units, integrate, smooth)
     if is_frame(path):
         if file_options := [key for key, value in layout.items() if value is not None]:
-            raise DataError(f"a data frame is no file: leave out {file_options[0]}=")
+            raise DataError(f"a data frame is not a file: leave out {file_options[0]}=")
         return assemble(frame_table(path), **columns, **options, name=name or "data")
     return _read_all(path, lambda file: table_of(file, **layout), columns, options, name)
 

@@ -16,7 +16,7 @@ _STRICT, _USABLE = 1.0, 3.0  # percent of range between which the limit of the r
 _TIMES_PLAYS = 5.0  # this many times the error of ten plays
 _BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
 _NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
-_LARGEST = 10.0  # percent of range: limit of an error that lasts
+_LARGEST = 10.0  # percent of range: limit of an error that persists over three samples
 _ROUNDING = 1e-9  # of the range
 _LASTING = 3  # samples; a shorter one is an outlier of the measurement
 _NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
@@ -80,7 +80,9 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
             f"the error is {metrics.nrmse_percent:.3g} % of the range, above the limit of {limits.error:.2g} %"
         )
     if largest > limits.largest:
-        found.append(f"an error of {largest:.3g} % of the range lasts, above the limit of {limits.largest:.2g} %")
+        found.append(
+            f"an error of {largest:.3g} % of the range persists over three samples, above the limit of {limits.largest:.2g} %"
+        )
     if is_single_valued_error(metrics.rmse, baselines) and not is_noise(metrics.rmse, baselines):
         found.append(
             f"the error is {100 * metrics.rmse / baselines.curve:.0f} % of that of a single-valued curve: the loop itself is not described"
@@ -127,7 +129,7 @@ def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
     beside = [f"{value:.2g} times {names[name]}" for name, value in over.items() if value is not None]
     text = (
         f"{what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
-        f"(limit {limits.largest:.2g} % where it lasts)"
+        f"(limit {limits.largest:.2g} % over three samples)"
     )
     return Note(Code.ACCURACY, text + (": " + ", ".join(beside) if beside else ""))
 

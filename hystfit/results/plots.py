@@ -193,7 +193,7 @@ def _cycle_errors(traces: list[_Trace], ax: Axes) -> None:
 
 
 def _worst(traces: list[_Trace], ax: Axes) -> None:
-    """Output over time around the largest error that lasts."""
+    """Output over time around the largest persistent error."""
     errors = [persistent_error(np.where(t.seen | t.held, t.residual, 0.0)) for t in traces]
     trace, error = max(zip(traces, errors, strict=True), key=lambda pair: float(pair[1].max()))
     middle, size = int(np.argmax(error)), error.size

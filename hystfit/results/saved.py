@@ -113,7 +113,7 @@ def _covariance_in(content: bytes, place: str) -> tuple[np.ndarray, np.ndarray] 
         upper, known = np.asarray(stored["joint"], dtype=float), np.asarray(stored["known"])
     p = known.size
     if known.shape != (p,) or known.dtype != bool or upper.shape != (p * (p + 1) // 2,):
-        raise DataError("records.npz: the covariance is no triangle of numbers; restore the file, or fit again")
+        raise DataError("records.npz: the covariance is not a triangle of numbers; restore the file, or fit again")
     full = np.empty((p, p))
     full[np.triu_indices(p)] = upper
     full = np.where(np.tri(p, k=-1, dtype=bool), full.T, full)

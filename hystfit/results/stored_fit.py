@@ -182,7 +182,7 @@ def _covariance(stored: Stored, p: int) -> np.ndarray:
     fits = lambda row: isinstance(row, list) and len(row) == p and all(v is None or is_number(v) for v in row)
     if len(rows) != p or not all(map(fits, rows)):
         raise DataError(
-            f"{stored.place}: 'covariance' is no table of {p} by {p} numbers; restore the file, or fit again"
+            f"{stored.place}: 'covariance' is not a table of {p} by {p} numbers; restore the file, or fit again"
         )
     table = np.array(rows, dtype=float).reshape(p, p)
     if (np.diag(table) < 0).any():

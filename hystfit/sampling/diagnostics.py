@@ -13,7 +13,7 @@ from hystfit.outcome.note import warn
 GOOD_RHAT = 1.01
 GOOD_ESS = 400
 _APART = 1.1  # R-hat above which chains are not merely short
-_MORE = 20.0  # factor in the number of draws above which more draws are no remedy
+_MORE = 20.0  # factor in the number of draws above which more draws are not a remedy
 
 
 def split(draws: np.ndarray) -> np.ndarray:

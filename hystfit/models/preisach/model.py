@@ -205,7 +205,7 @@ class Preisach(AbstractPlane):
         """Levels spread over the input by `spacing`; the weights follow from a linear solve.
 
         Raises:
-            DataError: a constant input; records that are no reversal curves, where the spacing needs them.
+            DataError: a constant input; records that are not reversal curves, where the spacing needs them.
         """
         out, place = output_range(records), input_range(records)
         if self.spacing == "reversal-curves":
