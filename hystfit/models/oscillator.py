@@ -144,9 +144,10 @@ class BoucWenOscillator(AbstractHysteresis):
 
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
         """Work of z over all dissipated work; what the spring stores at the end is small beside many cycles."""
-        u, dt = jnp.asarray(u), jnp.asarray(dt)
-        _, y, z = (np.asarray(values) for values in self._trajectory(self.init(u[0]), u[0], u, dt, 1))
-        way, steps = np.diff(y), np.maximum(np.asarray(dt)[1:], 1e-300)
+        force = jnp.asarray(u)
+        run = self._trajectory(self.init(force[0]), force[0], force, jnp.asarray(dt), 1)
+        _, y, z = (np.asarray(values) for values in run)
+        way, steps = np.diff(y), np.maximum(dt[1:], 1e-300)
         spring = float(np.sum(0.5 * (z[1:] + z[:-1]) * way))
         damper = float(self.c) * float(np.sum(way**2 / steps))
         return max(spring, 0.0) / (max(spring, 0.0) + damper) if damper > 0 else None

@@ -228,7 +228,9 @@ def design(
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
     notes += [
-        dataclasses.replace(note, text=f"{note.text}. The design takes the model as true and cannot ask for them to test it")
+        dataclasses.replace(
+            note, text=f"{note.text}. The design takes the model as true and cannot ask for them to test it"
+        )
         for note in coverage_notes(result.data)
     ]
     notes += differences(
