@@ -97,6 +97,12 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen]))
     crossing = bool(abs(area) < _CROSSING * between and between > max(0.01 * stroke * largest, 3 * _CHANCE * chance))
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
+    if turning is None and not crossing and not closed and loops and len(cycles):
+        first = max(loops, key=lambda loop: loop.stroke)
+        part = slice(first.start, first.stop + 1)
+        shape = loop_shape(u[part], y[part], closed_loops(u[part]), cycles[:0], noise)
+        if shape is not None and shape.circulation is not None:
+            return dataclasses.replace(shape, closure_percent=None)
     last = chosen[-1]
     return Shape(
         area=float(area),
