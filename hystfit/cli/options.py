@@ -122,7 +122,7 @@ class Split:
         test: another file (or data set) to report the error on.
         test_only: curves to report the error on (with --by), which are not fitted.
         rest: input at which the device was in equilibrium before each record, such as 0, or "cycle" where each record is one
-            period of a steady cycle; default: the first input of the record.
+            period of a steady cycle; default: the first input of the record, and "cycle" where a single period closes on a branch.
         refit_offset: shift the prediction of each test record to its mean (another zero of the sensor).
     """
 

@@ -243,7 +243,8 @@ class Record:
             t = np.concatenate([t - k * period for k in range(cycles, -1, -1)])
         u = np.tile(self.u, cycles + 1)
         longer = self.replace(u=u, y=before(self.y, np.nan), t=t, weight=before(self.weight, 0.0))
-        return longer.noted(Code.PREPARED, f"driven through its own cycle {cycles} x before it begins (a steady cycle)")
+        times = "once" if cycles == 1 else f"{cycles} times"
+        return longer.noted(Code.PREPARED, f"one period of a steady cycle: driven through it {times} before it begins")
 
     def sampled(self, rate: float | None = None, dt: float | None = None) -> Record:
         """Copy whose samples are evenly spaced in time from 0 s on; any other time is replaced.

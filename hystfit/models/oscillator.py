@@ -213,6 +213,7 @@ class BoucWenOscillator(AbstractHysteresis):
         Raises:
             ModelError: uneven sampling under a band-limited force.
         """
+        record = super().prepared(record)
         if self.causal or record.t is None:
             return record
         self._check_even(np.diff(record.t))

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.data.record import Dataset, Record
+from hystfit.data.steady_cycle import from_turning_point
 from hystfit.params.units import quantity
 from hystfit.quality.loops import cycles, reversals
 
@@ -331,7 +332,7 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
     excitation = Excitation.of(data)
     inputs = np.linspace(excitation.low, excitation.high, _GRID)
     branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
-    for record in data:
+    for record in data.map(from_turning_point):
         turns = np.unique([0, *reversals(record.u, _TURN * float(np.ptp(record.u))), len(record) - 1]).tolist()
         found = [(record.u[b] > record.u[a], _branch(record, a, b, inputs)) for a, b in itertools.pairwise(turns)]
         for pair in itertools.pairwise(found):

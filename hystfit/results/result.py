@@ -270,8 +270,9 @@ class FitResult:
             y = self._simulated[fitted]
         else:
             model = self.models[self.record_number(record)]
+            driven = model.prepared(record)
             # Equinox makes a module for a bound method, which takes longer than a short run.
-            y = type(model).free_run(model, record.u, None if record.t is None else record.dt)
+            y = type(model).free_run(model, driven.u, None if driven.t is None else driven.dt)[-len(record) :]
         if refit_offset:
             if not record.used.any():
                 raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")

@@ -1,0 +1,87 @@
+"""One period of a steady loop as it comes: recognized, fitted and predicted from the branch on which it begins."""
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.data.steady_cycle import from_turning_point, is_steady_cycle
+from hystfit.results.quantities import measured_quantities
+
+N = 200
+DEVICE = hf.BoucWen(c=1.0, mu=0.5, tau=6.0, rho=0.3)
+
+
+def period(phase, amplitude=1.0):
+    return amplitude * np.sin(phase + 2 * np.pi * np.arange(N + 1) / N)
+
+
+def steady(phase, noise=0.0, model=DEVICE, amplitude=1.0):
+    """The second of two periods."""
+    u = period(phase, amplitude)
+    y = np.asarray(hf.simulate(model, np.concatenate([u, u]))[0])[-u.size :]
+    return hf.Record(u, y + noise * np.ptp(y) * np.random.default_rng(0).normal(size=u.size))
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.6, 2.6, 3.5, 5.5])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_period_from_any_place_on_either_branch_is_recognized(phase, sign):
+    record = steady(phase, noise=0.005)
+    assert is_steady_cycle(record.replace(y=sign * record.y))
+
+
+def virgin():
+    u = period(0.0)
+    return hf.Record(u, np.asarray(hf.simulate(DEVICE, u)[0]))
+
+
+OTHERS = {
+    "from rest": virgin,
+    "from a turning point": lambda: steady(np.pi / 2),
+    "not closed": lambda: hf.Record(steady(0.0).u[:180], steady(0.0).y[:180]),
+    "two periods": lambda: hf.Record(np.tile(steady(0.0).u, 2), np.tile(steady(0.0).y, 2)),
+    "a curve": lambda: hf.Record(period(0.0), period(0.0) ** 3),
+    "an output missing": lambda: hf.Record(period(0.0), np.where(np.arange(N + 1) == 5, np.nan, steady(0.0).y)),
+    "rested before": lambda: steady(0.0).resting_on(0.0),
+    "driven through itself": lambda: steady(0.0).repeating(),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_records_are_left_as_they_are(name):
+    record = OTHERS[name]()
+    assert not is_steady_cycle(record)
+    assert DEVICE.prepared(record) is record
+
+
+def test_loops_of_three_amplitudes_are_fitted_and_predicted_to_the_noise():
+    """Hysteresis loops of a magnetic material as an instrument writes them: single periods from zero field."""
+    device = hf.ParametricPreisach()
+    records = []
+    for number, amplitude in enumerate((0.9, 0.54, 0.315)):
+        field = np.tile(period(0.0, amplitude), 2)
+        flux = np.asarray(device.free_run(field))[-N - 1 :]
+        noise = 0.002 * np.ptp(flux) * np.random.default_rng(number).normal(size=N + 1)
+        records.append(hf.Record(field[-N - 1 :], flux + noise, name=f"loop {number}", u_unit="A/m", y_unit="T"))
+    fit = hf.fit("preisach-magnetic:n=40", records)
+    assert fit.train.nrmse_percent < 0.5
+    rested = hf.fit("preisach-magnetic:n=40", [record.resting_on(0.0) for record in records])
+    assert rested.train.nrmse_percent > 3.0
+    # The prediction of a period is the second pass of the model through it, on its own samples.
+    twice = np.asarray(hf.simulate(fit.models[1], np.tile(records[1].u, 2))[0])
+    np.testing.assert_allclose(fit.predict(records[1]), twice[-N - 1 :], rtol=0, atol=1e-12)
+    assert fit.metrics(records[1]).nrmse_percent == pytest.approx(
+        100 * np.sqrt(np.mean((twice[-N - 1 :] - records[1].y) ** 2)) / np.ptp(records[1].y)
+    )
+
+
+def test_a_cycle_is_measured_from_its_turning_point():
+    record = steady(2.6)
+    from_peak = steady(np.pi / 2)
+    for given in (record, record.repeating()):
+        turned = from_turning_point(given)
+        assert abs(turned.u[0]) == abs(turned.u[-1]) == np.abs(record.u).max()
+        measured = measured_quantities(hf.Dataset.of(given))
+        assert measured["loop_area"] == pytest.approx(
+            measured_quantities(hf.Dataset.of(from_peak))["loop_area"], rel=1e-3
+        )
+    assert from_turning_point(from_peak) is from_peak
