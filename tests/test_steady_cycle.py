@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.data.steady_cycle import from_turning_point, is_steady_cycle
+from hystfit.data.steady_cycle import from_turning_point, steady_period
 from hystfit.results.quantities import measured_quantities
 
 N = 200
@@ -26,7 +26,20 @@ def steady(phase, noise=0.0, model=DEVICE, amplitude=1.0):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_period_from_any_place_on_either_branch_is_recognized(phase, sign):
     record = steady(phase, noise=0.005)
-    assert is_steady_cycle(record.replace(y=sign * record.y))
+    assert steady_period(record.replace(y=sign * record.y)) == len(record)
+
+
+def test_of_several_periods_the_first_is_driven_through_again():
+    u = np.tile(period(2.6)[:-1], 4)
+    t = 0.01 * np.arange(u.size)
+    y = np.asarray(hf.simulate(DEVICE, u)[0])
+    record = hf.Record(u[N:-30], y[N:-30], t=t[N:-30])  # neither closed nor a whole number of periods
+    prepared = DEVICE.prepared(record)
+    np.testing.assert_allclose(prepared.u, u[:-30], atol=1e-12)
+    np.testing.assert_allclose(np.diff(prepared.t), 0.01)
+    assert not prepared.used[:N].any()
+    np.testing.assert_array_equal(prepared.y[N:], record.y)
+    assert DEVICE.prepared(prepared) is prepared
 
 
 def virgin():
@@ -38,8 +51,11 @@ OTHERS = {
     "from rest": virgin,
     "from a turning point": lambda: steady(np.pi / 2),
     "not closed": lambda: hf.Record(steady(0.0).u[:180], steady(0.0).y[:180]),
-    "two periods": lambda: hf.Record(np.tile(steady(0.0).u, 2), np.tile(steady(0.0).y, 2)),
+    "growing": lambda: hf.Record(
+        *np.hstack([[r.u[:-1], r.y[:-1]] for r in (steady(0.0, amplitude=a) for a in (0.5, 1.0))])
+    ),
     "a curve": lambda: hf.Record(period(0.0), period(0.0) ** 3),
+    "noise": lambda: hf.Record(period(0.0), np.random.default_rng(2).normal(size=N + 1)),
     "an output missing": lambda: hf.Record(period(0.0), np.where(np.arange(N + 1) == 5, np.nan, steady(0.0).y)),
     "rested before": lambda: steady(0.0).resting_on(0.0),
     "driven through itself": lambda: steady(0.0).repeating(),
@@ -49,7 +65,7 @@ OTHERS = {
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_records_are_left_as_they_are(name):
     record = OTHERS[name]()
-    assert not is_steady_cycle(record)
+    assert steady_period(record) is None
     assert DEVICE.prepared(record) is record
 
 

@@ -221,30 +221,36 @@ class Record:
         level = f"{u0:g} {self.u_unit}".rstrip()
         return longer.noted(Code.PREPARED, f"assumed in equilibrium at an input of {level} before the record begins")
 
-    def repeating(self, cycles: int = 1) -> Record:
-        """Prepend the record itself as unmeasured samples: it is one period of a motion that has long been steady.
+    def repeating(self, cycles: int = 1, period: int | None = None) -> Record:
+        """Prepend the first period of the record as unmeasured samples: the motion has long been steady.
 
         The state before the first sample is then the one after the cycle, and no virgin branch. One cycle is enough for models
         with return-point memory (plays, stops, Preisach); others take several.
 
+        Args:
+            cycles: number of periods.
+            period: samples of one; None where the record is one period.
+
         Raises:
             DataError: the input does not come back to where it began.
         """
-        gap = abs(float(self.u[-1] - self.u[0]))
+        count = len(self) if period is None else period
+        gap = abs(float(self.u[min(count, len(self) - 1)] - self.u[0]))
         if cycles < 1 or gap > _OPEN * float(np.ptp(self.u)):
             raise DataError(
                 f"record {self.name!r} is not a period of a cycle: its input begins at {self.u[0]:g} and ends at {self.u[-1]:g} "
                 f"{self.u_unit}".rstrip()
             )
-        before = lambda column, value: np.concatenate([np.full(cycles * len(self), value), column])
+        before = lambda column, value: np.concatenate([np.full(cycles * count, value), column])
         t = self.t
         if t is not None:
-            period = t[-1] - t[0] + self.dt[-1]
-            t = np.concatenate([t - k * period for k in range(cycles, -1, -1)])
-        u = np.tile(self.u, cycles + 1)
+            duration = t[count] - t[0] if count < len(self) else t[-1] - t[0] + self.dt[-1]
+            t = np.concatenate([*(t[:count] - k * duration for k in range(cycles, 0, -1)), t])
+        u = np.concatenate([np.tile(self.u[:count], cycles), self.u])
         longer = self.replace(u=u, y=before(self.y, np.nan), t=t, weight=before(self.weight, 0.0))
         times = "once" if cycles == 1 else f"{cycles} times"
-        return longer.noted(Code.PREPARED, f"one period of a steady cycle: driven through it {times} before it begins")
+        text = f"begins in a steady cycle: driven through its first period {times} before"
+        return longer.noted(Code.PREPARED, text)
 
     def sampled(self, rate: float | None = None, dt: float | None = None) -> Record:
         """Copy whose samples are evenly spaced in time from 0 s on; any other time is replaced.

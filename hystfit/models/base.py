@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
 from hystfit.data.record import Record
-from hystfit.data.steady_cycle import is_steady_cycle
+from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
@@ -196,13 +196,13 @@ class AbstractHysteresis(eqx.Module):
     def prepared(self, record: Record) -> Record:
         """The record as it is fitted: samples that the model cannot describe have weight 0.
 
-        By default one period of a steady loop follows itself once, without weight, because its first sample lies on a branch. A
-        record whose device rested before is `Record.resting_on` the input there.
+        By default a record that begins with a steady period follows that period once more, without weight, because its first sample
+        lies on a branch. A record whose device rested before is `Record.resting_on` the input there.
 
         Raises:
             ModelError: a record that cannot drive the model.
         """
-        return record.repeating() if is_steady_cycle(record) else record
+        return with_steady_start(record)
 
     def starting_points(self, records: Sequence[Record]) -> tuple[AbstractHysteresis, ...]:
         """Models with starting values estimated from measured records, the best first: by default that of `start` alone."""
