@@ -68,7 +68,7 @@ benchmarks: setup  ## speed beside other programs: one table of ratios, which fa
 smoke: setup  ## the cheaper benchmarks on little work, unjudged (PARTS= for all)
 	$(BIN)/python benchmarks/run.py --quick $(PARTS)
 
-docs: setup  ## build the documentation in build/docs/site; DOCS=--quick without running notebooks and gallery
+docs: setup  ## build the documentation in build/docs/site; DOCS=--quick without running notebooks and gallery, DOCS=--download with measured loops
 	$(BIN)/python docs/build.py $(DOCS)
 
 package: setup  ## build the wheel and check that its data are found without the checkout

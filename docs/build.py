@@ -1,16 +1,18 @@
 """Build the documentation site.
 
-    python docs/build.py [--quick] [--out build/docs]
+    python docs/build.py [--quick] [--download] [--out build/docs]
 
 Assembles the pages of docs/ and those generated from the package in OUT/source, and has Sphinx make OUT/site from them. The full form
 executes the notebooks (in their short form, where there is no newer run of them) and the scripts of the gallery. `--quick` shows both
-without outputs and draws only pictures that do not exist yet.
+without outputs and draws only pictures that do not exist yet. Scripts of measured loops whose data are neither in the folder named by
+HYSTFIT_DATA nor in the user's cache are left out of the full form, unless `--download` fetches the data.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -29,6 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Build the site as the command line says; returns the exit status of Sphinx."""
     parser = argparse.ArgumentParser(description="Build the documentation site.")
     parser.add_argument("--quick", action="store_true", help="notebooks and gallery without outputs")
+    parser.add_argument("--download", action="store_true", help="download the measured data sets of the gallery")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "docs", help="folder for the sources and the site")
     chosen = parser.parse_args(arguments)
     source, site = chosen.out / "source", chosen.out / "site"
@@ -37,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     skip = shutil.ignore_patterns("__pycache__", "*.py", "gallery", "generate", "models.toml")
     shutil.copytree(HERE, source, ignore=skip)
     shutil.copy2(HERE / "conf.py", source)
-    shutil.copytree(HERE / "gallery", source / "gallery_scripts")
+    copy_gallery(source / "gallery_scripts", chosen.quick, chosen.download)
     generate(source, chosen.out / "pictures", redraw=not chosen.quick)
     copy_results(source)
     copy_notebooks(source, chosen.quick)
@@ -99,6 +102,33 @@ def copy_results(source: Path) -> None:
             shutil.copy2(picture, target)
     shutil.copy2(ROOT / "CHANGELOG.md", source / "changelog.md")
     shutil.copy2(ROOT / "SECURITY.md", source / "promises.md")
+
+
+def copy_gallery(target: Path, quick: bool, download: bool) -> None:
+    """Copy the scripts of the gallery, without those that would be run on measured data that are not there.
+
+    Args:
+        target: folder of the copies.
+        quick: the scripts are shown and not run.
+        download: fetch measured data.
+    """
+    import hystfit as hf
+
+    shutil.copytree(HERE / "gallery", target)
+    left_out = []
+    for script in () if quick else sorted((target / "measured").glob("*.py")):
+        try:
+            for name in re.findall(r'datasets\.load\("(.+?)"', script.read_text(encoding="utf-8")):
+                hf.datasets.load(name, download=download)
+        except hf.HystfitError as reason:
+            left_out.append(f"{script.name}: {reason}")
+            script.unlink()
+    if left_out:
+        print("left out of the gallery:", *left_out, sep="\n  ", flush=True)
+        header = target / "measured" / "GALLERY_HEADER.rst"
+        header.write_text(
+            f"{header.read_text(encoding='utf-8')}\nThis copy was built without some of the data.\n", encoding="utf-8"
+        )
 
 
 def copy_notebooks(source: Path, quick: bool) -> None:

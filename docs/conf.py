@@ -24,7 +24,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
 ]
-exclude_patterns = ["parts", "gallery_scripts", "gallery/*.ipynb", "gallery/*.py", "notebooks/files"]
+exclude_patterns = ["parts", "gallery_scripts", "gallery/**/*.ipynb", "gallery/**/*.py", "notebooks/files"]
 suppress_warnings = ["config.cache", "mystnb.unknown_mime_type", "ref.python"]
 
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
@@ -53,6 +53,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 1e9,
     "image_srcset": ["2x"],
     "abort_on_example_error": True,
+    "capture_repr": (),  # what a script prints, without the axes that its last line returns
 }
 
 html_context = {"default_mode": "auto"}  # light or dark as the reader's system is

@@ -1,6 +1,8 @@
-"""Draw the picture of the README and of the front page: loops with fits, from scripts of the gallery.
+"""Draw the picture of the README and of the front page: measured loops with fits, from scripts of the gallery.
 
-python docs/picture.py
+    python docs/picture.py
+
+The measured data are read from the folder that HYSTFIT_DATA names, or downloaded.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
@@ -16,34 +19,44 @@ import matplotlib.pyplot as plt  # noqa: E402
 from generate.style import save_both  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-import hystfit as hf  # noqa: E402
+from hystfit.params.units import axis_label  # noqa: E402
+from hystfit.results.plots import thin  # noqa: E402
 
 PANELS = {
-    "plot_1_piezo.py": "piezo actuator",
-    "plot_2_asymmetric_piezo.py": "asymmetric piezo",
-    "plot_3_magnetic_core.py": "magnetic core",
-    "plot_4_damper.py": "damper",
+    "plot_1_piezo.py": "piezo stack, predicted",
+    "plot_2_electric_steel.py": "electric steel",
+    "plot_4_u_damper.py": "U-damper, predicted",
+    "plot_5_steel_coupon.py": "steel coupon",
 }
 
 
 def main() -> None:
     """Run the scripts and draw their results side by side."""
-    results = {title: runpy.run_path(str(HERE / "gallery" / name))["result"] for name, title in PANELS.items()}
+    runs = {title: runpy.run_path(str(HERE / "gallery" / "measured" / name)) for name, title in PANELS.items()}
     plt.close("all")
-    save_both(lambda: _draw(results), HERE / "loops")
+    save_both(lambda: _draw(runs), HERE / "loops")
 
 
-def _draw(results: dict[str, hf.FitResult]) -> Figure:
-    figure, axes = plt.subplots(1, len(results), figsize=(11, 2.9), layout="constrained")
-    for ax, (title, result) in zip(axes, results.items(), strict=True):
-        data = result.data[0]
-        ax.plot(data.u, data.y, color="#9aa0a6", lw=2.6, label="data")
-        ax.plot(data.u, result.predict(data), color="#2f86c9", lw=0.9, label="fit")
-        ax.set_title(f"{title}: {result.name}", fontsize=8)
-        ax.set(xlabel=f"{data.u_name or 'input'} [{data.u_unit}]", ylabel=f"{data.y_name or 'output'} [{data.y_unit}]")
-        ax.text(
-            0.97, 0.03, f"rms error {result.train.nrmse_percent:.2f} %", ha="right", transform=ax.transAxes, fontsize=8
-        )
+def _draw(runs: dict[str, dict[str, Any]]) -> Figure:
+    """One panel a script: the records that it fitted, or the later part of the record that it predicted.
+
+    Args:
+        runs: variables of each script by the title of its panel: `result` and, if a part was held out, `later`.
+    """
+    figure, axes = plt.subplots(1, len(runs), figsize=(11, 2.9), layout="constrained")
+    for ax, (title, run) in zip(axes, runs.items(), strict=True):
+        result = run["result"]
+        records = [run["later"]] if "later" in run else result.data
+        for k, record in enumerate(records):
+            u, y, model = record.u[record.used], record.y[record.used], result.predict(record)[record.used]
+            at = thin(1500, u, y, model)
+            ax.plot(u[at], y[at], color="#9aa0a6", lw=2.6, label=None if k else "measured")
+            ax.plot(u[at], model[at], color="#2f86c9", lw=0.9, label=None if k else "model")
+        error = (result.metrics(run["later"]) if "later" in run else result.train).nrmse_percent
+        ax.set_title(title, fontsize=9)
+        ax.set_xlabel(axis_label(record.u_name or "input", record.u_unit))
+        ax.set_ylabel(axis_label(record.y_name or "output", record.y_unit))
+        ax.text(0.97, 0.03, f"rms error {error:.2g} %", ha="right", transform=ax.transAxes, fontsize=8)
     axes[0].legend(loc="upper left", fontsize=8)
     return figure
 

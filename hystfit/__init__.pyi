@@ -26,6 +26,7 @@ from .models import Duhem as Duhem
 from .models import Lag as Lag
 from .models import LinearCreep as LinearCreep
 from .models import LogCreep as LogCreep
+from .models import Negate as Negate
 from .models import Offset as Offset
 from .models import ParametricPreisach as ParametricPreisach
 from .models import PrandtlIshlinskii as PrandtlIshlinskii

@@ -205,7 +205,7 @@ plt.show()
 # ## A measured actuator
 # The same question on a real device: a piezo stack in a flexure, nested loops at 1 Hz that decay to rest and grow again (yan9a,
 # MIT license; `hystfit datasets piezo_dbo/test` prints address and SHA-256). It is read from the folder that the environment
-# variable `HYSTFIT_DATA` names, or from the cache of an earlier download; elsewhere a simulated record takes its place, and the
+# variable `HYSTFIT_DATA` names, or from the cache of an earlier download. If it is in neither, a simulated record is used, and the
 # output says so. The first part is fitted, and the rest is predicted from its input alone.
 
 # %%
@@ -214,7 +214,7 @@ try:
     print("measured:", device)
 except hf.HystfitError as reason:
     device = data
-    print(f"simulated (stage-sweep), for the measured record was not found: {reason}")
+    print(f"simulated (stage-sweep), because the measured record was not found: {reason}")
 part = device.t[0] + 0.38 * np.ptp(device.t)
 early, later = device.window(None, part), device.window(part, None)
 device_fits = {}
@@ -266,8 +266,8 @@ for name in many.free_names:
 # good fit does not mean that the parameters are determined. The experiment decides that, and sweeping the amplitude costs nothing.
 #
 # Here the model class contains the actuator, so even the poorly determined fit predicts the sweep well. With a wrong model the two
-# faults add up. Without creep in the same model (in the full run of this notebook) one combination of parameters is not
-# determined at all, which the notes name, and the prediction fails:
+# faults add up. Without creep in the same model (in the full run of this notebook) the fit still looks good on its own data. But the
+# notes report one amplitude and residuals that recur every loop, and the prediction of the sweep fails:
 
 # %%
 if not QUICK:

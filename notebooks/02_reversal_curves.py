@@ -247,7 +247,7 @@ print(files[0].read_text().split("#ifndef")[0])
 # %% [markdown]
 # ## A measured material
 # Loops of three amplitudes of M130-27s electric steel (JAmodel by R. Szewczyk, MIT license; `hystfit datasets mag_ja_bh/M130_27s`
-# prints address and SHA-256), read from the folder that `HYSTFIT_DATA` names; elsewhere simulated loops take their place. A
+# prints address and SHA-256), read from the folder that `HYSTFIT_DATA` names; without them, simulated loops are used. A
 # material has no preferred sign: mirror cells of the plane share one weight (`preisach-magnetic`). Each loop is predicted from a
 # fit to the others.
 
@@ -268,7 +268,7 @@ try:
     print(len(loops), "measured loops")
 except hf.HystfitError as reason:
     loops = simulated_loops()
-    print(len(loops), "simulated loops, for the measured ones were not found:", reason)
+    print(len(loops), "simulated loops, because the measured ones were not found:", reason)
 figure, axes = plt.subplots(1, len(loops), figsize=(4 * len(loops), 3.6), layout="constrained")
 full = max(np.ptp(loop.y) for loop in loops)
 for k, (loop, ax) in enumerate(zip(loops, axes)):

@@ -69,7 +69,7 @@ print(f"{slope:.3f} µm a decade on a step of {first - before:.2f} µm: {100 * s
 # %% [markdown]
 # The same law on a measured piezo stack (yan9a, MIT license; `hystfit datasets piezo_dbo/model`), 40 equal cycles at 1 Hz: if the
 # displacement creeps, the mean of a cycle rises in proportion to the logarithm of time. It is read from the folder that
-# `HYSTFIT_DATA` names; elsewhere the simulated cycles take its place.
+# `HYSTFIT_DATA` names; without it, simulated cycles are used.
 
 # %%
 try:
@@ -77,7 +77,7 @@ try:
     print("measured:", cyclic)
 except hf.HystfitError as reason:
     cyclic = hf.datasets.load("stage-sine")
-    print(f"simulated (stage-sine), for the measured cycles were not found: {reason}")
+    print(f"simulated (stage-sine), because the measured cycles were not found: {reason}")
 period = round(len(cyclic) / np.abs(np.fft.rfft(cyclic.u - cyclic.u.mean())).argmax())  # samples
 cycles = len(cyclic) // period
 means = cyclic.y[: cycles * period].reshape(cycles, period).mean(axis=1)[1:]  # the first cycle starts from rest
@@ -136,7 +136,7 @@ stages = [
 ][: 2 if QUICK else 3]
 model, results = identify_in_stages(hf.Series(start, hf.LogCreep(gamma=0.005)), stages)
 for number, stage in enumerate(results, start=1):
-    print(f"stage {number}: {stage.status:<14} free run {stage.free_run.nrmse_percent:.3f} % of the range")
+    print(f"stage {number}: {stage.status:<14} simulation error {stage.free_run.nrmse_percent:.3f} % of the range")
 
 # %% [markdown]
 # ## Accuracy of the estimates
@@ -202,7 +202,7 @@ for name, u in voltages.items():
     left.plot(t, y, lw=1, label=name)
     right.plot(t, error, lw=1, label=name)
     print(
-        f"{name:<24} largest error {np.max(np.abs(error)):6.2f} % of the staircase, RMS {np.sqrt(np.mean(error**2)):5.2f} %"
+        f"{name:<24} largest error {np.max(np.abs(error)):7.3f} % of the staircase, RMS {np.sqrt(np.mean(error**2)):6.3f} %"
     )
 left.plot(t, reference, "k--", lw=0.7, label="reference")
 left.set(xlabel="time [s]", ylabel="displacement [µm]")

@@ -188,9 +188,10 @@ for name in again.free_names:
 # ## A measured damper, whose model is wrong
 # Error bars assume that the model is right. Here is a measured loop where it is not: a magnetorheological damper on a shaking table
 # (labcontrol, MIT license; `hystfit datasets mr_labcontrol/4.1` prints address and SHA-256), read from the folder that
-# `HYSTFIT_DATA` names; elsewhere a simulated damper with a saturating force, which the models below lack, takes its place. Two
-# models are fitted to the first 6 s. Where the residuals recur every loop, the parameters are biased by more than their errors say:
-# compare the stiffness that the two models report with its standard errors.
+# `HYSTFIT_DATA` names; without it, a damper with a saturating force is simulated, which the models below lack. Two models are
+# fitted to the first 6 s, and `kappa_x`, the stiffness after yielding, is read from each. Its standard error allows for autocorrelated
+# residuals, but not for a wrong force law. Read the status before the errors: a stiffness from a model that is `rough` belongs to that
+# model, and may not be that of the device.
 
 
 # %%
@@ -208,7 +209,7 @@ try:
     print("measured:", damper)
 except hf.HystfitError as reason:
     damper = simulated_damper()
-    print(f"simulated, for the measured damper was not found: {reason}")
+    print(f"simulated, because the measured damper was not found: {reason}")
 begin = float(damper.t[0])
 first, rest = damper.window(begin, begin + 6), damper.window(begin + 6, None)
 for name in ("bouc-wen-force", "bouc-wen-force+viscous"):

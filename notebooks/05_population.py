@@ -59,7 +59,7 @@ plt.show()
 # `fit_many` fits each device on its own, in one compiled program, and keeps what is finished in a folder: the same call resumes.
 
 # %%
-fits = hf.fit_many("bouc-wen+log-creep", data, starts=1 if QUICK else 4, folder=folder / "run")
+fits = hf.fit_many("bouc-wen+log-creep", data, starts=1 if QUICK else 2, folder=folder / "run")
 fits
 
 # %% [markdown]
@@ -89,15 +89,15 @@ plt.show()
 # the median standard error is not small beside the spread, subtract its square from the variance of the fits.
 #
 # ## One model for all?
-# How wrong is the model of one device for the others? The prediction error of the fit of one device against that of the own fit, in percent of
-# the range:
+# How well does the model of one device predict the others? Its error on each of them, beside the error of each device's own fit, in
+# percent of the range:
 
 # %%
 first = fits.result(data[0].name)
 own = np.array([row.error_percent for row in fits])
 shared = np.array([first.metrics(record).nrmse_percent for record in data])
-print(f"own fit: median {np.median(own):.3f} %; the fit of device 1: median {np.median(shared[1:]):.2f} %, worst {shared.max():.2f} %")
+print(f"each device's own fit: median {np.median(own):.3f} %; the fit of device 1 on the others: median {np.median(shared[1:]):.2f} %, worst {shared.max():.2f} %")
 
 # %% [markdown]
-# A model of one device predicts the others to a few percent; its own fit, to the sensor noise. An inverse for open-loop control needs a fit of
-# its own device; feedback must cover the rest.
+# The model of one device predicts the others to a few percent; a device's own model predicts it to the sensor noise. Open-loop control
+# needs an inverse that was fitted to the same device. With one inverse for all devices, feedback has to correct these few percent.

@@ -56,19 +56,19 @@ print("\n".join(path.name for path in sorted((folder / "loops").iterdir())[:4]),
 # A file that cannot be fitted is a row with the reason; it does not stop the others.
 
 # %%
-fits = hf.fit_many("bouc-wen", str(folder / "loops" / "*.csv"), starts=1 if QUICK else 4, folder=folder / "run")
+fits = hf.fit_many("bouc-wen", str(folder / "loops" / "*.csv"), starts=1 if QUICK else 2, folder=folder / "run")
 fits
 
 # %% [markdown]
-# ## Those that need a look
+# ## Files that need a look
 
 # %%
-for row in fits.worst(3):
-    print(f"{Path(row.name).name:<24} {row.status:<10} {row.reason[:90]}")
+for row in fits.worst(2):
+    print(f"{Path(row.name).name:<24} {row.status:<10} {row.reason.partition(';')[0]}")
 
 # %% [markdown]
 # ## The table
-# `to_dataframe` and `to_xarray` hand it on; `fits.save("fits.parquet")` writes it. The temperature is in the names of the files.
+# `to_dataframe` and `to_xarray` convert it; `fits.save("fits.parquet")` writes it. The temperature is in the names of the files.
 
 # %%
 frame = fits.to_dataframe()
@@ -103,4 +103,4 @@ plt.show()
 
 # %%
 together = hf.fit("bouc-wen", [hf.read(row.name) for row in fits if row.usable][:3], starts=1)
-print(f"three temperatures with one set of parameters: rms error {together.train.nrmse_percent:.2f} %, of their own {fits.rows[0].error_percent:.2f} %")
+print(f"three temperatures with one set of parameters: rms error {together.train.nrmse_percent:.2f} %; the first loop with its own {fits.rows[0].error_percent:.2f} %")

@@ -13,11 +13,11 @@
 # %% [markdown]
 # # From first-order reversal curves to a Preisach density
 #
-# A magnet is saturated, brought back to a reversal field, and measured on the way up, again and again from lower fields. From such curves follows
-# the density of its elementary loops: which coercivities there are, and how they interact.
+# A magnet is saturated, the field is lowered to a reversal field, and the moment is measured while the field rises again. This is repeated with
+# lower and lower reversal fields. Such curves determine the density of elementary loops: which coercivities occur, and how the loops interact.
 #
-# The measured set is of FeCo nanowires (pyforc, MIT license): 152 curves, 30 476 points. `hystfit datasets` tells where it comes from. It is read
-# from the folder that the environment variable `HYSTFIT_DATA` names; without it, the notebook goes on with simulated curves.
+# The measured set is of FeCo nanowires (pyforc, MIT license): 152 curves, 30 476 points. `hystfit datasets mag_forc_pyforc/FeCo` prints its
+# address. It is read from the folder that the environment variable `HYSTFIT_DATA` names; without it, simulated curves are used.
 
 # %%
 import os
@@ -44,7 +44,7 @@ def simulated() -> list[hf.Record]:
     make = lambda k: hf.Record(
         u=u[curve == k], y=y[curve == k], name=f"curve {k}", u_unit="Oe", y_unit="memu", u_name="field", y_name="moment"
     )
-    return [make(k) for k in np.unique(curve) if np.count_nonzero(curve == k) > 8]
+    return [make(k) for k in range(1, curve.max() + 1) if np.count_nonzero(curve == k) > 8]  # 0: the descending parts
 
 
 try:
@@ -64,9 +64,9 @@ for note in curves[-1].notes[:6]:
 print(hf.check(curves[:: 16 if QUICK else 4]).text()[:1200])
 
 # %% [markdown]
-# ## The diagram of the field
-# The second mixed derivative of the moment, by local polynomials of second degree: no model, and it shows noise as structure. The smoothing factor
-# is chosen by eye, as usual.
+# ## The FORC diagram
+# The mixed second derivative of the moment, from local quadratic polynomials. It needs no model, but noise can look like structure in it. The
+# smoothing factor is chosen by eye, as usual.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
@@ -94,9 +94,9 @@ plot_density(fit.model, axes[1], reach=fit.reach)
 plt.show()
 
 # %% [markdown]
-# ## What it says
-# The mean and the width of the density over coercivity (half the distance of the two switching fields) and interaction (their mean), weighted by the
-# cells:
+# ## Mean and width
+# Mean and standard deviation of the density over coercivity (half the distance between the two switching fields) and interaction field (their mean),
+# weighted by the mass of each cell:
 
 # %%
 levels, masses = np.asarray(fit.model.levels), np.asarray(fit.model.masses())

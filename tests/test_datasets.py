@@ -43,13 +43,13 @@ def put(folder, text):
     return folder
 
 
-def test_every_entry_has_a_full_revision_checksum_licence_and_citation():
+def test_every_entry_has_a_full_revision_checksum_license_and_citation():
     for name, entry in MEASURED.items():
         source = entry.source
         assert name.split("/")[0] in (source.folder, "friction_brfd")
         assert len(source.revision) == 40
         assert int(source.revision, 16) > 0
-        assert source.licence
+        assert source.license
         assert source.citation
         assert source.about
         for file in entry.files:
@@ -59,7 +59,7 @@ def test_every_entry_has_a_full_revision_checksum_licence_and_citation():
                 assert f"/{source.repository}/{source.revision}/" in address
                 assert " " not in address
         text = datasets.describe(name)
-        assert source.licence in text
+        assert source.license in text
         assert entry.files[0].sha256 in text
     assert set(BUNDLED) == {"stage-sine", "stage-sweep", "stage-step", "stage-staircase"}
     assert datasets.names() == (*BUNDLED, *MEASURED)

@@ -53,6 +53,7 @@ CASES = {
     "duhem_explicit": (hf.Duhem(**SMOOTH, scheme="explicit"), -1.0, 1.0),
     "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
     "plays": (hf.PrandtlIshlinskii.of(6), -0.2, 1.2),
+    "plays_negated": (hf.Series(hf.Negate(), hf.PrandtlIshlinskii.of(6)), -1.2, 0.2),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),

@@ -51,6 +51,7 @@ CASES = {
     "relaxation after": (hf.Series(PLAYS, Relaxation()), 0, 1, None),
     "creep beside": (hf.Sum(PLAYS, hf.LinearCreep(a=0.02, rest="first")), 0, 1, (-1, 2)),
     "falling": (hf.Sum(hf.BoucWen(c=0.1), hf.PrandtlIshlinskii.of(2, degree=1), hf.Viscous(c=-1e-4)), 0, 1, (-1, 2)),
+    "input negated": (hf.Series(hf.Negate(), PLAYS), -1.2, 0.2, None),
     "offset beside": (hf.Sum(hf.BoucWen(), hf.Offset(2.0)), -1, 1, None),
     "preisach off center": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform"), center=0.23), -1, 1, None),
     "preisach negative": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative")), -1, 1, None),

@@ -87,6 +87,7 @@ INDEPENDENT = {
         "LogCreep",
     ),
     *(
+        "Negate",
         "Offset",
         "ParametricPreisach",
         "PrandtlIshlinskii",

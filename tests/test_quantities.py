@@ -91,6 +91,16 @@ def test_measured_quantities_need_no_model():
     assert measured_quantities(hf.Dataset((record, wider))) == {}
 
 
+def test_a_first_rise_from_rest_is_no_measured_loop():
+    """The same play, at rest on -1: the fall after the first rise ends 0.3 above the start, and every later loop closes."""
+    corners = np.array([[-1.0, -1.0], [-0.7, -1.0], [1.0, 0.7], [0.4, 0.7], [-1.0, -0.7], [-0.4, -0.7], [1.0, 0.7]])
+    path = np.linspace(0, 6, 241)
+    u, y = (np.interp(path, np.arange(7), corners[:, k]) for k in (0, 1))
+    record = hf.Record(u, y, u_unit="A/m", y_unit="T")
+    assert measured_quantities(hf.Dataset((record.window(None, 161.0),))) == {}
+    assert measured_quantities(hf.Dataset((record,)))["stroke"] == pytest.approx(1.4, rel=2e-3)
+
+
 def test_a_quantity_that_the_model_misses_is_named_with_the_measured_one():
     """A Bouc-Wen law on a loop that switches: its error bar is far smaller than its error."""
     inputs = np.linspace(-1, 1, 101)

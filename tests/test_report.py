@@ -230,6 +230,25 @@ def test_loop_and_series_show_the_numbers(result):
         assert ax.get_ylabel() == "y [um]"
 
 
+@pytest.mark.parametrize("kind", ["loop", "series"])
+def test_the_model_is_not_drawn_over_samples_that_only_set_its_state(result, kind):
+    record = result.data[0]
+    late = record.t >= 3
+    ax = plots.fit(result, kind, axes(), data=record.replace(weight=late.astype(float)))
+    (model,) = (line for line in ax.get_lines() if line.get_label() == "model")
+    assert np.array_equal(np.isfinite(model.get_ydata()), late)
+
+
+def test_a_calibration_point_before_a_curve_is_not_joined_to_it(result):
+    record = result.data[0]
+    u, weight = np.append(90.0, record.u), np.append(0.0, np.ones(len(record)))
+    curve = Record(u=u, y=np.append(20.0, record.y), weight=weight, name="curve")
+    drawn = {line.get_label(): line for line in plots.fit(fit(BoucWen(), curve, starts=1), "loop", axes()).get_lines()}
+    assert list(drawn) == ["measured", "model"]
+    assert np.isnan(drawn["model"].get_ydata()[0])
+    assert np.isfinite(drawn["model"].get_ydata()[1:]).all()
+
+
 def test_every_kind_leaves_the_result_alone(result):
     before = result.to_dict(), result.data[0].digest()
     for kind in plots.KINDS:

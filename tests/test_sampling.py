@@ -25,13 +25,16 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.sampling.bend import bent, log_slope, unbent
+from hystfit.sampling.bend import Bend
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.files import load_posterior
+from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
-from hystfit.sampling.setup import prepare
+from hystfit.sampling.setup import checked, prepare
+from hystfit.sampling.target import Target
 
 
 def loop(T: int = 500, seed: int = 0, sigma: float = 0.01) -> tuple[hf.Record, hf.BoucWen]:
@@ -87,12 +90,12 @@ def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
 
 
 def test_coordinates_for_sampling_are_linear_inside_two_bounds_and_logistic_in_the_tails():
-    both = jnp.asarray([True, False])
+    bend = Bend(jnp.asarray([True, False]), jnp.zeros(2))
     v = np.linspace(-4.5, 4.5, 181)
     rows = jnp.asarray(np.stack([v, v], 1))
-    z = np.asarray(jax.vmap(lambda row: unbent(row, both))(rows))
+    z = np.asarray(jax.vmap(bend.unbent)(rows))
     np.testing.assert_array_equal(z[:, 1], v)
-    np.testing.assert_allclose(np.asarray(jax.vmap(lambda row: bent(row, both))(jnp.asarray(z))), rows, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(jax.vmap(bend.bent)(jnp.asarray(z))), rows, atol=1e-9)
     part = scipy.special.expit(z[:, 0])  # of the interval
     inside = np.abs(v) < 1.0
     np.testing.assert_allclose(part[inside], v[inside] / 4 + 0.5, atol=1e-3)
@@ -100,8 +103,69 @@ def test_coordinates_for_sampling_are_linear_inside_two_bounds_and_logistic_in_t
     np.testing.assert_allclose(
         np.diff(z[tail, 0]) / np.diff(v[tail]), 5.0, rtol=0.01
     )  # exponential in v, as far as z goes
-    slopes = [float(log_slope(row, both)) for row in rows[1:-1]]
+    slopes = [float(bend.log_slope(row)) for row in rows[1:-1]]
     np.testing.assert_allclose(np.exp(slopes), (z[2:, 0] - z[:-2, 0]) / (v[2:] - v[:-2]), rtol=0.01)
+
+
+def test_coordinates_of_weights_are_linear_above_their_bound_and_exponential_next_to_it():
+    bend = Bend(jnp.asarray([False]), jnp.asarray([0.3]))
+    v = jnp.linspace(-40.0, 10.0, 501)[:, None]
+    z = jax.vmap(bend.unbent)(v)
+    np.testing.assert_allclose(jax.vmap(bend.bent)(z), v, atol=1e-9)
+    weight = np.exp(np.asarray(z[:, 0]))  # in its scale
+    np.testing.assert_allclose(np.diff(weight[v[:, 0] > 5]), 0.3 * 0.1, rtol=0.01)
+    np.testing.assert_allclose(np.diff(np.log(weight[v[:, 0] < -5])), 0.1, rtol=0.01)
+    slopes = np.exp([float(bend.log_slope(row)) for row in v[1:-1]])
+    np.testing.assert_allclose(slopes, np.asarray(z[2:, 0] - z[:-2, 0]) / 0.2, rtol=0.01)
+
+
+def test_weights_that_replace_each_other_are_sampled():
+    """Plays of nearly the same width: their sum is known, its parts are not, and each may be zero."""
+    u = np.sin(np.linspace(0, 4 * np.pi, 200)) * np.linspace(0.4, 1.0, 200)
+    model = hystfit.models.PrandtlIshlinskii(
+        r=jnp.asarray([0.2, 0.21, 0.22, 0.23]), w=jnp.asarray([[0.0, 0.4, 0.0, 0.0]])
+    )
+    y = np.asarray(hf.simulate(model, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=200)
+    drawn = sample(hf.fit(model, hf.Record(u=u, y=y)), "nuts", noise="iid", chains=2, draws=300, warmup=200)
+    # 14 effective draws for 1000 gradients; 3 in logarithmic coordinates, and divergent transitions.
+    assert drawn.convergence.bulk.min() > 0.007 * drawn.stats["steps"].sum()
+    assert not drawn.stats["diverging"].any()
+
+
+class Kinked(Target):
+    """A log density with a kink and a plateau that ends, whose curvature at the center says nothing about their width."""
+
+    def log_density(self, v, lean=False):
+        return -1e3 * jnp.abs(v[0]) - jnp.where(jnp.abs(v[1]) < 0.1, 0.0, (jnp.abs(v[1]) - 0.1) * 1e4) - 0.5 * v[2] ** 2
+
+
+class Funnel(Target):
+    """Neal's funnel (2003), in which one step size does not fit."""
+
+    def __call__(self, q):
+        v, x = q[0], q[1:]
+        return -(v**2) / 8 - 0.5 * jnp.sum(x**2) * jnp.exp(-v) - 0.5 * x.size * v
+
+
+def of_kind(kind: type[Target], fitted: hf.FitResult, lengths: list[float]) -> Target:
+    """A target that replaces the density of a fit."""
+    real = prepare(fitted, noise="iid").target
+    return kind(real.density, real.bend, jnp.zeros(len(lengths)), jnp.diag(jnp.asarray(lengths)))
+
+
+def test_axes_of_the_mass_matrix_are_as_long_as_the_posterior_is_wide(fitted):
+    lengths = np.diag(np.asarray(checked(of_kind(Kinked, fitted, [1e-8, 3.0, 0.9])).factor))
+    assert 0.5e-3 / 9 < lengths[0] < 0.5e-3 * 9
+    assert 0.03 < lengths[1] < 0.3
+    assert lengths[2] == 0.9  # near enough: nothing changes
+
+
+def test_nuts_adapts_again_where_transitions_diverge(fitted, monkeypatch):
+    funnel, nuts = of_kind(Funnel, fitted, [1.0] * 6), Nuts(warmup=200)
+    share = lambda warm: nuts.chunk(funnel, warm, jnp.asarray(warm["q"]), jax.random.key(7))["acceptance"].mean()
+    again = share(nuts.warm(funnel, jax.random.key(1)))
+    monkeypatch.setattr("hystfit.sampling.nuts._AGAIN", 0)
+    assert again > share(nuts.warm(funnel, jax.random.key(1))) + 0.05
 
 
 def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
@@ -545,6 +609,20 @@ def test_predictions_of_a_model_with_time_need_time(fitted):
     drawn = sample(hf.fit(model, record, start="model", starts=1, noise="iid"), "emcee", noise="iid", draws=50)
     with pytest.raises(ModelError, match="depends on time"):
         drawn.predict(hf.Record(u=u, y=u))
+
+
+def test_a_record_that_was_not_fitted_has_the_offset_of_any_fitted_one():
+    records = [loop(200, seed)[0] for seed in (0, 1)]
+    records[1] = hf.Record(u=records[1].u, y=records[1].y + 1.0, name="second")
+    records[0] = hf.Record(u=records[0].u, y=records[0].y, name="first")
+    fit = hf.fit(loop()[1], records, starts=1, noise="iid", fix={"rho": 0.5})
+    x = np.tile(fit.x, (200, 1))
+    middle = lambda name: simulate_draws(fit, hf.Record(u=records[0].u, y=records[0].y, name=name), x, 0)[:, 100]
+    assert np.ptp(middle("first")) == 0
+    assert middle("second")[0] - middle("first")[0] == pytest.approx(1.0, abs=0.02)
+    third = middle("third")
+    assert set(third) == {middle("first")[0], middle("second")[0]}
+    assert 0.35 < np.mean(third == third.min()) < 0.65  # 200 draws: four standard deviations
 
 
 def test_bands_under_heavy_tails_have_the_tails_of_students_t(fitted):

@@ -2,18 +2,21 @@
 
 Beside the coverage stands a proper score, the continuous ranked probability score (CRPS: Gneiting and Raftery 2007), under the noise
 model that `hf.sample` chooses and under independent noise.
+
+A coverage counts only where the chains have converged.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 from common import Results, table
 
 import hystfit as hf
 from hystfit.data.record import Dataset
-from hystfit.outcome import Code
+from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.predictive import predictive_draws
 
@@ -86,12 +89,26 @@ def run(results: Results) -> dict[str, str]:
     for case in CASES:
         loaded = results.load(f"{case.name}:", case.source)
         if loaded is not None:
-            fitted, held = case.split(loaded[0])
-            fit = hf.fit(case.model, fitted, fix=case.fix)
-            rows += [one(results, case.name, fit, held, noise) for noise in ("auto", "iid")]
+            rows += [_stored(results, case, loaded[0], noise) for noise in ("auto", "iid")]
     head = ["set", "noise model", "90 % bands cover, %", "mean width, % of range", "CRPS, % of range", "error of the median, % of range",
-            "least ESS", "status of the chains"]  # fmt: skip
+            "least ESS", "largest R-hat", "divergent, %", "status of the chains"]  # fmt: skip
     return {"Predictive bands of 90 % on measured samples that were not fitted": table(head, rows)}
+
+
+def _stored(results: Results, case: Case, data: hf.Record | Dataset, noise: str) -> list[object]:
+    """A row of the table, computed now or by an earlier run; its numbers are added."""
+    file = results.out / "bands" / f"{case.name}-{noise}.json"
+    if not file.exists():
+        fitted, held = case.split(data)
+        made = one(case.name, hf.fit(case.model, fitted, fix=case.fix), held, noise)
+        file.parent.mkdir(exist_ok=True)
+        scratch = file.with_suffix(".part")
+        scratch.write_text(json.dumps(made), encoding="utf-8")
+        scratch.replace(file)
+    made = json.loads(file.read_text(encoding="utf-8"))
+    for name, value in made["numbers"].items():
+        results.add(name, value)
+    return made["row"]
 
 
 def crps(draws: np.ndarray, y: np.ndarray) -> float:
@@ -102,21 +119,27 @@ def crps(draws: np.ndarray, y: np.ndarray) -> float:
     return float(np.mean(np.mean(np.abs(draws - y), axis=0) - apart))
 
 
-def one(results: Results, name: str, fit: hf.FitResult, held: hf.Record, noise: str) -> list[object]:
-    """A row of the table."""
+def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str) -> dict[str, object]:
+    """A row of the table, and the numbers in it."""
     made = hf.sample(fit, "nuts", noise=noise, seed=0, **SETTINGS)
     draws, y = predictive_draws(made, held, COUNT, 0)[:, held.used], held.y[held.used]
     low, middle, high = np.quantile(draws, [0.5 - BAND / 2, 0.5, 0.5 + BAND / 2], axis=0)
     span, words = float(np.ptp(y)), "default" if noise == "auto" else noise
     inside, score = float(np.mean((y >= low) & (y <= high))), crps(draws, y) / span
-    results.add(f"{name}: 90 % predictive bands cover, {words}", inside)
-    results.add(f"{name}: CRPS over the range, {words}", score)
+    converged = made.status is not Status.NOT_CONVERGED
+    numbers = {
+        f"{name}: chains have converged, {words}": float(converged),
+        f"{name}: 90 % predictive bands cover, {words}": inside if converged else float("nan"),
+        f"{name}: CRPS over the range, {words}": score,
+    }
     if noise == "auto":
-        results.add(
-            f"{name}: the default fit warns of repeating error", float(has(fit.notes, Code.REPEATING_RESIDUALS))
-        )
-        results.add(f"{name}: the default noise model is that of repeating error", float(made.noise == "discrepancy"))
+        repeats = has(fit.notes, Code.REPEATING_RESIDUALS)
+        numbers[f"{name}: the default fit warns of repeating error"] = float(repeats)
+        numbers[f"{name}: the default noise model is that of repeating error"] = float(made.noise == "discrepancy")
     error = float(np.sqrt(np.mean((middle - y) ** 2))) / span
     chosen = f"default ({made.noise})" if noise == "auto" else noise
-    return [name, chosen, 100 * inside, 100 * float(np.mean(high - low)) / span, 100 * score, 100 * error,
-            float(np.min(made.convergence.bulk)), made.status]  # fmt: skip
+    chains = made.convergence
+    percent = [100 * inside, 100 * float(np.mean(high - low)) / span, 100 * score, 100 * error]
+    of_chains = [float(np.min(chains.bulk)), float(np.max(chains.rhat)), 100 * float(np.mean(made.stats["diverging"]))]
+    row = [name, chosen, *percent, *of_chains, str(made.status)]
+    return {"row": row, "numbers": numbers}

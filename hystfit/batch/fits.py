@@ -108,9 +108,20 @@ class Fits:
         known = (*self.names, *self.quantities)
         if name not in known:
             raise ParameterError(f"no parameter or quantity {name!r}{near(name, known)}; there are {', '.join(known)}")
-        chosen = [row for row in self.rows if row.usable or not usable]
-        found = [row.values.get(name, row.quantities.get(name)) for row in chosen]
+        return self._values([row for row in self.rows if row.usable or not usable], name)
+
+    def _values(self, rows: Sequence[Row], name: str) -> np.ndarray:
+        found = [row.values.get(name, row.quantities.get(name)) for row in rows]
         return np.array([value for value in found if value is not None], dtype=float)
+
+    def _by_unit(self, name: str) -> dict[str, list[Row]]:
+        """Usable fits that have a parameter or quantity, by its unit: numbers in different units have no common median."""
+        groups: dict[str, list[Row]] = {}
+        self.values(name)  # refuses an unknown name
+        for row in self.rows:
+            if row.usable and (name in row.values or name in row.quantities):
+                groups.setdefault(row.units.get(name, ""), []).append(row)
+        return groups or {self.unit(name): []}
 
     def result(self, name: str) -> FitResult:
         """The fit of one loop with everything that `hystfit.fit` gives; it is fitted again.
@@ -220,13 +231,15 @@ class Fits:
         columns += [Column("5 %"), Column("95 %"), Column("standard deviation"), Column("median stderr")]
         rows: list[Sequence[Any]] = []
         for name in names or (*self.names, *self.quantities):
-            values = self.values(name)
-            errors = [error for row in self.rows if row.usable and (error := row.stderr.get(name)) is not None]
-            low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
-            spread = float(np.std(values, ddof=1)) if values.size > 1 else None
-            error = float(np.median(errors)) if errors else None
-            rows.append([name, self.unit(name), int(values.size), middle, low, high, spread, error])
+            rows += [self._summary_row(name, unit, loops) for unit, loops in self._by_unit(name).items()]
         return Table(columns, rows)
+
+    def _summary_row(self, name: str, unit: str, loops: Sequence[Row]) -> list[Any]:
+        values = self._values(loops, name)
+        errors = [error for row in loops if (error := row.stderr.get(name)) is not None]
+        low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
+        spread = float(np.std(values, ddof=1)) if values.size > 1 else None
+        return [name, unit, int(values.size), middle, low, high, spread, float(np.median(errors)) if errors else None]
 
     def __str__(self) -> str:
         counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, HystfitError
+from hystfit.reading import datasets
 from hystfit.reading.read import read
 from hystfit.reading.several import files_of, pair_of
 
@@ -68,6 +69,8 @@ def _sources(loop: Any) -> list[Source]:
         return [Source(loop.name, digest.hexdigest(), loop)]
     if not isinstance(loop, (str, Path)):
         raise DataError(f"a loop is a file or a Record, got {type(loop).__name__}")
+    if str(loop) in datasets.names() and not Path(loop).exists():
+        return [source for record in Dataset.of(datasets.load(str(loop))) for source in _sources(record)]
     return [Source(str(file), _key(str(file))) for file in files_of(loop)]
 
 

@@ -12,10 +12,10 @@ import warnings
 from collections.abc import Sequence
 
 import platformdirs
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
-from hystfit.cli.verbs import VERBS, as_options, place
+from hystfit.cli.verbs import VERBS, as_options, place, verb_options
 from hystfit.config import compile_whole_loops
 from hystfit.errors import HystfitError
 from hystfit.version import __version__
@@ -53,6 +53,11 @@ def run(arguments: Sequence[str]) -> int:
     except UnusedCliTokensError as error:
         extra = " ".join(error.unused_tokens or ())
         return _refuse(f"unexpected argument {extra!r}: an option with several values is repeated (--aim rho --aim mu)")
+    except UnknownOptionError as error:
+        message, verb = str(error), arguments[0]
+        if verb in VERBS and "Did you mean" not in message:
+            message += f" The options of {verb} are --{', --'.join(verb_options(verb)).replace('_', '-')}."
+        return _refuse(message)
     except CycloptsError as error:
         return _refuse(str(error))
     except HystfitError as error:

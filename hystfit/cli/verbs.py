@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import re
+from collections.abc import Mapping
 
 VERBS = {
     "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
@@ -51,14 +52,20 @@ def place(verb: str) -> str:
 @functools.cache
 def option_names() -> frozenset[str]:
     """Names of the options of all verbs, as in Python."""
-    names: set[str] = set()
-    for verb in VERBS:
-        module, _, function = place(verb).partition(":")
-        parameters = inspect.signature(getattr(importlib.import_module(module), function)).parameters
-        names |= set(parameters)
-        shared = [p.default for p in parameters.values() if dataclasses.is_dataclass(p.default)]
-        names |= {field.name for options in shared for field in dataclasses.fields(options)}
-    return frozenset(names)
+    return frozenset(name for verb in VERBS for name in (*_parameters(verb), *verb_options(verb)))
+
+
+def verb_options(verb: str) -> tuple[str, ...]:
+    """Names of the options of a verb, as in Python."""
+    parameters = _parameters(verb).values()
+    alone = (p.name for p in parameters if p.kind is p.KEYWORD_ONLY and not dataclasses.is_dataclass(p.default))
+    shared = (p.default for p in parameters if dataclasses.is_dataclass(p.default))
+    return (*alone, *(field.name for options in shared for field in dataclasses.fields(options)))
+
+
+def _parameters(verb: str) -> Mapping[str, inspect.Parameter]:
+    module, _, function = place(verb).partition(":")
+    return inspect.signature(getattr(importlib.import_module(module), function)).parameters
 
 
 def as_options(message: str) -> str:

@@ -322,7 +322,7 @@ def _ratio(root: np.ndarray, J: np.ndarray, variance: float) -> float:
 
 def _log_ratios(root: np.ndarray, J: np.ndarray, variance: float) -> np.ndarray:
     with np.errstate(all="ignore"):
-        errors = [np.sum(np.linalg.pinv(np.linalg.qr(A, mode="r")) ** 2, axis=1) for A in (root, J)]
+        errors = [np.sum(np.linalg.pinv(np.linalg.qr(A, mode="r"), rcond=_RANK) ** 2, axis=1) for A in (root, J)]
         return 0.5 * np.log(errors[0] / (errors[1] * variance))
 
 

@@ -88,6 +88,9 @@ def fit(
         HystfitError: data, names or settings that cannot be used; the message names the remedy.
     """
     require_x64()
+    if isinstance(data, str | AbstractHysteresis) and not isinstance(model, str | type | AbstractHysteresis):
+        name = repr(data) if isinstance(data, str) else type(data).__name__ + "()"
+        raise ParameterError(f"the model comes first, then the data: hystfit.fit({name}, data)")
     if of_read := [name for name in settings if name in _OF_READ and not is_sequential(method)]:
         raise ParameterError(
             f"{of_read[0]}= is an option of hystfit.read, which takes files and data frames: "

@@ -20,6 +20,7 @@ from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
+from hystfit.models.negate import Negate
 from hystfit.models.play_columns import play_columns, rising_columns
 from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest, envelope
 from hystfit.models.rate import SaturatingRate, Viscous
@@ -28,12 +29,15 @@ from hystfit.models.series import Series
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
+from hystfit.quality.determination import falling
+from hystfit.quality.summary import summarize
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
 _DEGREES = (1, 3, 5)
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
 _ALL = get_args(Envelope)
 _PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
+_FEWEST_RANGES = 4  # that the input runs through, so that later cycles can differ from the first one
 _FEWEST = 3  # plays, however few the samples are
 # Terms beside plays and stops, and the name of their weight.
 _BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
@@ -126,6 +130,15 @@ class Found:
 
 
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
+    """The search below, with the input of the opposite sign where the output falls as the input rises; arguments as there."""
+    if not falling([summarize(record) for record in data]):
+        return search_rising(data, plays=plays)
+    found = search_rising(Dataset(tuple(record.replace(u=-record.u) for record in data)), plays=plays)
+    parts = found.model.parts if isinstance(found.model, Series) else (found.model,)
+    return dataclasses.replace(found, model=Series(Negate(), *parts))
+
+
+def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
     """Greedy search from plays with one envelope: repeat the single change that lowers the cross-validation error most.
 
     Args:
@@ -259,6 +272,8 @@ class Terms:
         if self.timed:
             # Lags up to six samples; hardening would stand in for what creep and rate describe.
             return {**options, "lag": (0.0, *np.arange(1.0, 6.1, 0.5)), "creep": (False, True), "rate": (0, 1, 2)}
+        if max(float(np.abs(np.diff(record.u)).sum()) for record in self.data) < _FEWEST_RANGES * span:
+            return options
         return {**options, "hardening": (0, 1, 3, 10)}
 
     def score(self, structure: Structure) -> float:

@@ -17,6 +17,7 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
+from hystfit.quality.faults import clipped_samples
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
@@ -31,6 +32,7 @@ from hystfit.results.accuracy import (
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
+_LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
 _POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
 _ROUGH = 3.0  # percent of range above which the fit is checked for signs of a wrong model
 _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
@@ -108,11 +110,23 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
     notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
-    found = (better_family_warning(fitted.train, fitted.baselines), _at_an_end(fitted))
+    found = (better_family_warning(fitted.train, fitted.baselines), _at_an_end(fitted), _clipped(fitted.data))
     notes += [note for note in found if note is not None]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
         notes += coverage_notes(fitted.data)
     return status, notes
+
+
+def _clipped(data: Dataset) -> Note | None:
+    """A warning where samples that were fitted are the limit of the sensor."""
+    count = sum(clipped_samples(record.u[record.used], record.y[record.used]) for record in data)
+    if not count:
+        return None
+    return warn(
+        Code.CLIPPED,
+        f"{count} samples of the output stay at its limit while the input moves, and were fitted: if the sensor was saturated, "
+        "mark them as missing or fit a window without them (window=)",
+    )
 
 
 def _error(code: Code, text: str) -> list[Note]:
@@ -129,6 +143,11 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if train.n < _FEWEST or (train.n <= parameters and not smooth):
         text = f"{train.n} samples for {parameters} parameters: the fit is not tested by any sample"
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
+    shares = (fitted.model.hysteretic_share(record.u, record.dt) for record in data)
+    share = max((share for share in shares if share is not None), default=1.0)
+    if percent <= _POOR and share < _LEAST_SHARE:
+        text = f"hysteresis takes {100 * share:.2g} % of the dissipated energy: the data show damping, and no hysteresis of the spring"
+        return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
     if not fitted.model.from_saturation and percent <= _POOR and _is_single_valued(train, baselines, unexplained):

@@ -205,6 +205,15 @@ class AbstractHysteresis(eqx.Module):
         """
         return ()
 
+    def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
+        """Share of the dissipated energy that hysteresis takes, of a model that dissipates by rate as well; None for others.
+
+        Args:
+            u: input, shape (T,).
+            dt: time since the sample before, shape (T,) [s].
+        """
+        return None
+
     def derived(self) -> tuple[Derived, ...]:
         """Quantities that follow from its parameters, which a fit reports with their standard errors."""
         return ()
@@ -277,6 +286,10 @@ class AbstractHysteresis(eqx.Module):
     def reach(self) -> tuple[float, float] | None:
         """Lowest and highest input for which the model is defined; None where it has no such range."""
         return None
+
+    def inputs_between(self, low: float, high: float) -> tuple[float, float]:
+        """Limits of the input within which a filter puts out signals between two values: a static gain of one by default."""
+        return low, high
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The one-sample inverse: a closed form, or by default a bracketed search.

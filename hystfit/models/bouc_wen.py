@@ -40,6 +40,8 @@ class BoucWen(AbstractHysteresis):
 
     delta = rho tau with |rho| < 1 keeps the loop dissipative, |h| <= mu c / (tau + delta). The form is normalized (h enters
     with gain one), so that no two parameters do the same thing; one amplitude alone still determines mu and rho poorly.
+    In the classic form with A, beta, gamma and n the scale of the hysteretic state is arbitrary, and A = 1 is recommended; here
+    that is built in, and n = 1. One amplitude needs one more value from elsewhere: `--fix rho=1` at the shell, `fix={"rho": 1}` in Python.
 
     `scheme`: "exact" is the closed form of the law for any step; "semi-implicit" is second order, several times cheaper,
     bounded, dissipative and continuous in its parameters for any step, and warned about where the sampling is coarse.
@@ -53,7 +55,7 @@ class BoucWen(AbstractHysteresis):
         amplitudes=2,
         symmetry="symmetric",
         direction="counter-clockwise",
-        too_few="the classic parameters (A, beta, gamma, n) are nearly redundant; fix A = 1",
+        too_few="mu, tau and rho are nearly redundant",
     )
 
     c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")

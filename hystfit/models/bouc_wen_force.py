@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -22,6 +23,7 @@ from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _SUBSTEPS = 2
+_TRUSTED = 0.25  # part of the yield displacement in one substep up to which the error stays near 0.1 % of the range
 
 
 class BoucWenForce(AbstractHysteresis):
@@ -75,6 +77,18 @@ class BoucWenForce(AbstractHysteresis):
 
         w = s * jax.lax.fori_loop(0, self.substeps, once, s * state[0])
         return w[None], self.offset + self.kappa_x * u1 + self.kappa_w * w
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """Where the sampling is too coarse for the substeps."""
+        way = float(self.rho) * float(np.max(np.abs(np.diff(u)), initial=0.0))
+        needed = math.ceil(way / _TRUSTED)
+        if needed <= self.substeps:
+            return ()
+        return (
+            f"the input moves by up to {way:.2g} yield displacements in one sample, and {self.substeps} substeps are trusted to "
+            f"{_TRUSTED * self.substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
+            "the model's name)",
+        )
 
     def c_part(self) -> CPart:
         """One state; the substeps of `step`."""

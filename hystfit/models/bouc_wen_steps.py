@@ -55,10 +55,16 @@ def over(value: Array, m: Array) -> Array:
 
 
 def semi_implicit(q: Array, x: Array, m: Array, passed: Array, highest: Array) -> Array:
-    """Trapezoidal step, clipped between q and its bound where the step is too long."""
+    """Trapezoidal step, clipped between q and its bound where the step is too long.
+
+    On the bound q, the bound and the step agree. A selection takes the derivative of one of them there; those of `clip` are mixed, and
+    for long steps they grow from sample to sample without limit.
+    """
     half = 0.5 * passed
     moved = ((1 - half) * q + m * x) / (1 + half)
-    return jnp.clip(moved, jnp.minimum(q, highest), jnp.maximum(q, highest))
+    below = q <= highest
+    low, high = jnp.where(below, q, highest), jnp.where(below, highest, q)
+    return jnp.where(moved >= high, high, jnp.where(moved <= low, low, moved))
 
 
 @jax.custom_jvp

@@ -9,7 +9,7 @@ from typing import Any
 from hystfit.models.registry import MODELS, DataKind, judged, judged_as
 from hystfit.outcome.note import Code, has
 from hystfit.quality.check import Advice, QualityReport, examine
-from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict
+from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict, falling
 from hystfit.quality.summary import RecordQuality
 from hystfit.reading.in_memory import records_of
 
@@ -33,7 +33,11 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
         DataError: `data` holds no records.
     """
     report = examine(records_of(data, y, t, u=u), judged())
-    advice = _advice(report)
+    advice = _determined(_advice(report), report)
+    if advice is not None and falling(report.records) and advice.model != "preisach-forc":
+        advice = dataclasses.replace(
+            advice, model=f"negate+{advice.model}", reason=f"the output falls, mirrored: {advice.reason}"
+        )
     first = set() if advice is None else {judged_as(part) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))
@@ -57,11 +61,11 @@ def data_kinds(records: Sequence[RecordQuality]) -> tuple[DataKind, ...]:
 
 
 def _clockwise(records: Sequence[RecordQuality]) -> bool:
-    """Whether most loops run clockwise; by the area inside the records where no open loop could be measured."""
-    ways = [record.shape.circulation for record in records if record.shape is not None and record.shape.circulation]
+    """Whether most loops run clockwise, mirrored where the output falls; by the area inside the records where no loop is open."""
+    ways = [way for record in records if (way := record.circulation)]
     if ways:
         return 2 * ways.count("clockwise") > len(ways)
-    return sum(record.area for record in records) <= 0
+    return sum(-record.area if record.falls else record.area for record in records) <= 0
 
 
 def _point_symmetric(record: RecordQuality) -> bool:
@@ -96,6 +100,26 @@ def _advice(report: QualityReport) -> Advice | None:
             "bouc-wen-force", "the loop runs clockwise, as force against displacement; or prandtl-ishlinskii-stop"
         )
     return _lagging(report, kinds, verdicts)
+
+
+def _determined(advice: Advice | None, report: QualityReport) -> Advice | None:
+    """The advice, or the first model that the data determine where they do not determine any of its parts."""
+    verdicts = {item.model: item.verdict for item in report.determines}
+    wanted = () if advice is None else (judged_as(name) for name in advice.model.split("+"))
+    if advice is None or any(
+        verdicts.get(name, Verdict.YES) is Verdict.NO
+        for name in wanted
+        if name in verdicts and MODELS[name].place == "core"
+    ):
+        return next(
+            (
+                Advice(item.model, "the first model that so few samples determine")
+                for item in sorted(report.determines, key=lambda item: _RANK[item.verdict])
+                if advice is not None and item.verdict is not Verdict.NO and MODELS[item.model].place == "core"
+            ),
+            None,
+        )
+    return advice
 
 
 def _lagging(report: QualityReport, kinds: tuple[DataKind, ...], verdicts: dict[str, Determination]) -> Advice:

@@ -167,6 +167,9 @@ MODELS: dict[str, Entry] = {
         lambda model: model.hardening.size > 0,
         preset={"degree": 3, "operator": "stop", "hardening": 3},
     ),
+    "negate": Entry(
+        "negate:Negate", "before", "the input with the opposite sign: outputs that fall as the input rises"
+    ),
     "delay": Entry("dynamics:Delay", "before", "pure delay of the input, in samples"),
     "lag": Entry("dynamics:Lag", "before", "two first-order lags of the input (amplifier, sensor); needs time"),
     "creep": Entry("creep:LinearCreep", "beside", "logarithmic creep of the input, added to the output; needs time"),

@@ -129,6 +129,16 @@ class BoucWenOscillator(AbstractHysteresis):
         # Without exponential and logarithm where n = 1: they take most of the time of a step.
         return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(any_power))
 
+    def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
+        """Work of z over all dissipated work; what the spring stores at the end is small beside many cycles."""
+        force = jnp.asarray(u)
+        run = self._trajectory(self.init(force[0]), force[0], force, jnp.asarray(dt), 1)
+        _, y, z = (np.asarray(values) for values in run)
+        way, steps = np.diff(y), np.maximum(dt[1:], 1e-300)
+        spring = float(np.sum(0.5 * (z[1:] + z[:-1]) * way))
+        damper = float(self.c) * float(np.sum(way**2 / steps))
+        return max(spring, 0.0) / (max(spring, 0.0) + damper) if damper > 0 else None
+
     def _force(self, u: Array) -> Array:
         """Force at the ends and midpoints of all substeps of each interval between samples, shape (T, 2 substeps + 1)."""
         parts = 2 * self.substeps

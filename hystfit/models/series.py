@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -103,8 +105,11 @@ class Series(AbstractComposition):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """That of the first part, and of the others where it only filters the input."""
-        others = self.parts[1:] if self.parts[0].linear_in_input else ()
-        return tuple(line for part in (self.parts[0], *others) for line in part.advice(u, dt))
+        first, *others = self.parts
+        if not first.linear_in_input:
+            return first.advice(u, dt)
+        filtered = first.free_run(u) if first.rate_independent else u
+        return (*first.advice(u, dt), *(line for part in others for line in part.advice(filtered, dt)))
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of the first part that only linear filters follow, through these filters."""
@@ -121,7 +126,12 @@ class Series(AbstractComposition):
 
     def reach(self) -> tuple[float, float] | None:
         """That of the first part that has one."""
-        return next((edges for part in self.parts if (edges := part.reach()) is not None), None)
+        for k, part in enumerate(self.parts):
+            if (edges := part.reach()) is not None:
+                return functools.reduce(
+                    lambda edges, before: before.inputs_between(*edges), self.parts[:k][::-1], edges
+                )
+        return None
 
     def output_resonance(self) -> OutputResonance | None:
         """The resonance of the last part, and the parts before it."""
@@ -173,6 +183,11 @@ class SeriesStep(AbstractStepInverse):
     def needs_limits(self) -> bool:
         """As its first part."""
         return self.inner[0].needs_limits
+
+    @property
+    def sign(self) -> float:
+        """The product of those of its parts."""
+        return math.prod(step.sign for step in self.inner)
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""

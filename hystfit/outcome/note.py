@@ -412,6 +412,16 @@ class Code(enum.StrEnum):
         "the output depends on the speed of the input",
         "add `viscous` or `saturating-rate`",
     )
+    CROSSING = (
+        "crossing",
+        "the branches of the loop cross (a butterfly)",
+        "fit the signed quantity behind the output, or one half of the input range",
+    )
+    FALLING = (
+        "falling",
+        "the output falls as the input rises",
+        "nothing: fits without `--model` put `negate+` in front, the input with the opposite sign; do the same in a model you name",
+    )
     DYNAMICS = (
         "dynamics",
         "the response changes with frequency as that of a resonance",

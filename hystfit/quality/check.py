@@ -14,7 +14,7 @@ from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
 from hystfit.quality.coverage import coverage_notes
-from hystfit.quality.determination import Determination, Verdict, determine
+from hystfit.quality.determination import Determination, Verdict, count, determine
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
@@ -68,9 +68,17 @@ class QualityReport:
         return {item.model: item for item in self.determines}[model]
 
     def table(self) -> Table:
-        """Verdict and reasons for each model."""
-        columns = [Column("model"), Column("determined", left=True), Column("reason", left=True)]
-        return Table(columns, [[item.model, item.verdict, "; ".join(item.reasons)] for item in self.determines])
+        """Verdict and reason with the models for which they hold."""
+        models: dict[tuple[Verdict, str], list[str]] = {}
+        every = [reason for item in self.determines for reason in item.reasons]
+        for item in self.determines:
+            shared = [reason for reason in item.reasons if every.count(reason) > 1]
+            alone = "; ".join(reason for reason in item.reasons if reason not in shared)
+            for reason in (*shared, *([alone] if alone else [])):
+                models.setdefault((item.verdict, reason), []).append(item.model)
+        rows = [[verdict, f"{', '.join(names)}: {reason}"] for (verdict, reason), names in models.items()]
+        columns = [Column("determined"), Column("models and reason", left=True)]
+        return Table(columns, sorted(rows, key=lambda row: list(Verdict).index(Verdict(row[0]))))
 
     def text(self) -> str:
         """As a page of text."""
@@ -155,8 +163,8 @@ def _rows(record: RecordQuality) -> list[tuple[str, str]]:
         extent = f"{column.low:.6g} to {column.high:.6g} {units[symbol[-1]]}".rstrip()
         noise = ("at most " if column.noise_is_bound else "") + number(column.noise_rms, ".2g")
         rows.append((symbol, f"{extent}, noise {noise} rms"))
-    loops = f"{motion.closed_loops} closed loops ({motion.major} major, {motion.minor} minor, {motion.nested} nested)"
-    counts = f"{motion.reversals} reversals, {motion.cycles} cycles, {loops}"
+    loops = f"{count(motion.closed_loops, 'closed loop')} ({motion.major} major, {motion.minor} minor, {motion.nested} nested)"
+    counts = f"{count(motion.reversals, 'reversal')}, {count(motion.cycles, 'cycle')}, {loops}"
     rows.append(("loops", f"{counts}, amplitudes: {len(motion.strokes)}, holds: {motion.holds}"))
     if shape is not None:
         width = f"{shape.width:.4g} {units['y']}".rstrip() + f" ({shape.width_percent:.1f} % of the stroke)"

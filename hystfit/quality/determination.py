@@ -43,11 +43,13 @@ class _Facts:
         samples: number that count.
         per_branch: mean number of them between reversals.
         reversals: number of turning points.
+        crossing: the branches cross in every loop.
         branches_apart: there is an open loop, or no loop could be measured.
         amplitudes: number of different strokes.
         turning_pairs: number of different pairs of neighboring turning levels.
         asymmetry: largest departure from point symmetry [% of the stroke].
-        clockwise, counter_clockwise: most loops run in this direction.
+        clockwise, counter_clockwise: most loops run in this direction, mirrored where the output falls.
+        falls: the output falls as the input rises, in most records.
         longest_hold: of the input [samples].
         others: see `RecordQuality`; true where they hold for any record (`timed`: for all).
     """
@@ -55,12 +57,14 @@ class _Facts:
     samples: int
     per_branch: float
     reversals: int
+    crossing: bool
     branches_apart: bool
     amplitudes: int
     turning_pairs: int
     asymmetry: float
     clockwise: bool
     counter_clockwise: bool
+    falls: bool
     longest_hold: int
     timed: bool
     dynamic: bool
@@ -76,6 +80,11 @@ class _Facts:
         return self.samples < _FEWEST_SAMPLES or self.per_branch < _FEWEST_PER_BRANCH
 
 
+def falling(records: Sequence[RecordQuality]) -> bool:
+    """Whether the output falls as the input rises in most records."""
+    return 2 * sum(record.falls for record in records) > len(records)
+
+
 def few_samples(records: Sequence[RecordQuality]) -> Note | None:
     """The objection to records with too few samples, or too few between reversals; None where there are enough."""
     facts = _facts(records)
@@ -86,7 +95,7 @@ def few_samples(records: Sequence[RecordQuality]) -> Note | None:
 
 
 def _few_words(facts: _Facts) -> str:
-    size = f"{_count(facts.samples, 'sample')}, {facts.per_branch:.3g} between reversals on average"
+    size = f"{count(facts.samples, 'sample')}, {facts.per_branch:.3g} between reversals on average"
     if facts.too_few:
         return f"{size}: too few for any model of hysteresis"
     return f"{size}: turning points and the shape of branches are coarse (at least {_FEW_PER_BRANCH} are needed)"
@@ -95,7 +104,7 @@ def _few_words(facts: _Facts) -> str:
 def _facts(records: Sequence[RecordQuality]) -> _Facts:
     span = max(r.u.high for r in records) - min(r.u.low for r in records)
     shapes = [r.shape for r in records if r.shape is not None]
-    circulation = [shape.circulation for shape in shapes if shape.circulation]
+    circulation = [way for r in records if (way := r.circulation)]
     dynamic = any(r.dynamic for r in records)
     most = lambda direction: not dynamic and circulation.count(direction) > len(circulation) / 2
     samples = sum(r.sampling.used for r in records)
@@ -103,12 +112,14 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
         samples=samples,
         per_branch=samples / sum(r.motion.reversals + 1 for r in records),
         reversals=sum(r.motion.reversals for r in records),
+        crossing=bool(shapes) and all(shape.crossing for shape in shapes),
         branches_apart=bool(circulation) or not shapes,
         amplitudes=len(distinct(s * r.u.range / span for r in records for s in r.motion.strokes if span > 0)),
         turning_pairs=sum(max(r.motion.turning_pairs, r.motion.reversals > 0) for r in records),
         asymmetry=max((shape.asymmetry_percent for shape in shapes), default=0.0),
         clockwise=most("clockwise"),
         counter_clockwise=most("counter-clockwise"),
+        falls=falling(records),
         longest_hold=max(r.motion.longest_hold for r in records),
         timed=all(r.sampling.rate is not None for r in records),
         dynamic=dynamic,
@@ -144,7 +155,7 @@ def _judge(facts: _Facts, needs: Needs) -> tuple[Verdict, tuple[str, ...]]:
         lacking.append("the output depends on the input's speed: add a velocity term (viscous or saturating-rate)")
     if facts.dynamic and not needs.dynamics:
         lacking.append("the output resonates: add second-order")
-    met = f"{_count(facts.amplitudes, 'amplitude')}, {_count(facts.turning_pairs, 'pair')} of turning levels, " + (
+    met = f"{count(facts.amplitudes, 'amplitude')}, {count(facts.turning_pairs, 'pair')} of turning levels, " + (
         f"asymmetry {facts.asymmetry:.1f} %"
     )
     return (Verdict.PARTLY if lacking else Verdict.YES), (*(lacking or [met]), *remarks)
@@ -163,19 +174,24 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
         reasons.append(
             "the loop loses stiffness or strength (damage or backlash): the model has no terms for degradation or pinching"
         )
-    if needs.loop and not facts.branches_apart:
+    if needs.loop and facts.crossing:
+        reasons.append("the branches cross: the model describes loops that circulate in one direction")
+    elif needs.loop and not facts.branches_apart:
         reasons.append("the branches coincide within the noise: a single-valued curve explains the data")
+    mirrored = "mirrored " if facts.falls else ""
     if facts.clockwise and needs.direction == "counter-clockwise":
-        reasons.append("the loop runs clockwise (the output leads), and the model describes loops that lag")
+        reasons.append(f"the {mirrored}loop runs clockwise (the output leads), and the model describes loops that lag")
     if facts.counter_clockwise and needs.direction == "clockwise":
-        reasons.append("the loop runs counter-clockwise (the output lags), and the model describes loops that lead")
+        reasons.append(
+            f"the {mirrored}loop runs counter-clockwise (the output lags), and the model describes loops that lead"
+        )
     if facts.samples <= needs.parameters and not needs.regularized:
         reasons.append(_outnumbered(facts, needs))
     return reasons
 
 
 def _outnumbered(facts: _Facts, needs: Needs) -> str:
-    return f"{_count(facts.samples, 'sample')} for {_count(needs.parameters, 'parameter')}"
+    return f"{count(facts.samples, 'sample')} for {count(needs.parameters, 'parameter')}"
 
 
 def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
@@ -185,7 +201,7 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
     consequence = f": {needs.too_few}" if needs.too_few else ""
     some, enough = needs.turning_pairs
     if one_amplitude and (needs.symmetry != "generalized" or asymmetric):
-        lacking.append(f"only {_count(facts.amplitudes, 'amplitude')}{consequence}")
+        lacking.append(f"only {count(facts.amplitudes, 'amplitude')}{consequence}")
     if needs.dynamics and not facts.dynamic:
         lacking.append(f"no response that changes with frequency{consequence}")
     if facts.samples <= needs.parameters:
@@ -198,7 +214,7 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
         lacking.append(f"a major loop alone{consequence or ' does not determine the weights'}")
     elif facts.turning_pairs < enough:
         lacking.append(
-            f"{_count(facts.turning_pairs, 'pair')} of turning levels: weights of relays that never switch are not determined; "
+            f"{count(facts.turning_pairs, 'pair')} of turning levels: weights of relays that never switch are not determined; "
             "regularize, or measure first-order reversal curves"
         )
     if needs.symmetry == "symmetric" and asymmetric:
@@ -233,5 +249,6 @@ def _judge_creep(facts: _Facts) -> tuple[Verdict, tuple[str, ...]]:
     return Verdict.NO, ("no hold and no logarithmic drift: measure a step or hold over several decades of time",)
 
 
-def _count(number: int, noun: str) -> str:
+def count(number: int, noun: str) -> str:
+    """A number with its noun."""
     return f"{number} {noun}" + ("" if number == 1 else "s")

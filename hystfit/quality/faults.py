@@ -36,8 +36,8 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
     if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one with jumps
         step, moves = resolution(values) or 0.0, np.concatenate([[False], np.diff(values) != 0, [False]])
         isolated = moves[1:-1] & ~moves[:-2] & ~moves[2:]
-        rounded = isolated.sum() > 0.5 * moves.sum() and step < 0.02 * np.ptp(values)
-        return (step / math.sqrt(12) if rounded and moves.mean() < 0.75 else least), False
+        rounded = sizes[-1] > floor or (isolated.sum() > 0.5 * moves.sum() and moves.mean() < 0.75)
+        return (step / math.sqrt(12) if rounded and step < 0.02 * np.ptp(values) else least), False
     return least, sizes[-1] < 0.8 * sizes[1]
 
 

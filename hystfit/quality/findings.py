@@ -79,6 +79,11 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
     shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
     if record.dynamics is not None and record.dynamic:
         yield warn(Code.DYNAMICS, _resonance(record.dynamics, record.units["t"]))
+    if record.falls:
+        yield Note(
+            Code.FALLING,
+            "the output falls as the input rises: loops are judged with the input mirrored, and models fitted with negate+ in front",
+        )
     if quantity(unit) in ("current", "current density") and quantity(record.units["u"]) in (
         "voltage",
         "electric field",
@@ -90,7 +95,13 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
         )
     if record.motion.monotonic:
         yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
-    if shape is not None and shape.circulation is None:
+    if shape is not None and shape.crossing:
+        yield warn(
+            Code.CROSSING,
+            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): no model here "
+            "describes that; fit the signed quantity of which the output is an even function, or one half of the input range",
+        )
+    elif shape is not None and shape.circulation is None:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
     if shape is not None and shape.closure_percent is not None and abs(shape.closure_percent) > 2:
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")

@@ -121,7 +121,9 @@ def closed_loops(u: np.ndarray, threshold: float = 0.0) -> list[Loop]:
             stop = turn + int(np.argmax(back)) if back.any() else now
             low, high = sorted((u[start], u[turn]))
             loops.append(Loop(start, turn, stop, float(low), float(high)))
-            del stack[-3:-1]
+            # The first curve ends on the loop that contains it, unless that goes further to the other side of the first sample.
+            contained = stroke + threshold < abs(u[now] - u[turn]) <= 2 * stroke + threshold
+            del stack[-3 : -2 if len(stack) == 3 and contained else -1]
     return _with_depth(sorted(loops, key=lambda loop: (loop.start, -loop.stop)))
 
 

@@ -14,6 +14,8 @@ _SHORTER = 0.02  # by which a branch may be shorter than the shortest that defin
 _CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
+_LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
+_CROSSING = 0.3  # net area over that between the branches below which these cross
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
 
@@ -32,6 +34,7 @@ class Shape:
         asymmetry_percent: rms deviation from point symmetry about the loop's middle, in percent of the stroke.
         pinching: width at the middle of the input over the largest width (1: as wide as anywhere), the median over
             the later of the large cycles.
+        crossing: the branches cross, and the lobes circulate in opposite directions (a butterfly).
         loops: number of loops averaged.
     """
 
@@ -43,6 +46,7 @@ class Shape:
     closure_percent: float | None
     asymmetry_percent: float
     pinching: float
+    crossing: bool
     loops: int
 
 
@@ -62,7 +66,8 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     begun = None if len(cycles) else _from_its_end(u, y)
     if begun is not None:
         return loop_shape(*begun, closed_loops(begun[0], _CLOSED * float(np.ptp(u))), cycles, noise)
-    complete = [loop for loop in loops if loop.start > 0] or loops
+    # A loop that begins with the record begins on the curve of first loading, which it does not meet again.
+    complete = [loop for loop in loops if loop.start > 0] or ([] if len(cycles) else loops)
     spans = [(loop.start, loop.stop, loop.stroke) for loop in complete]
     closed = bool(spans) and max(stroke for _, _, stroke in spans) > 0.5 * np.ptp(u)
     if not closed:
@@ -86,8 +91,18 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         return None
     fullness = 100 * abs(area) / (stroke * largest)
     chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b, _ in chosen]) / len(chosen))
-    is_open = fullness > 0.3 and abs(area) > _CHANCE * chance
-    turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open else None
+    is_open = (fullness > 0.3 and abs(area) > _CHANCE * chance) or (
+        fullness > 0.03 and 0 < 3 * _CHANCE * chance < abs(area)
+    )
+    between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen]))
+    crossing = bool(abs(area) < _CROSSING * between and between > max(0.01 * stroke * largest, 3 * _CHANCE * chance))
+    turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
+    if turning is None and not crossing and not closed and loops and len(cycles):
+        first = max(loops, key=lambda loop: loop.stroke)
+        part = slice(first.start, first.stop + 1)
+        shape = loop_shape(u[part], y[part], closed_loops(u[part]), cycles[:0], noise)
+        if shape is not None and shape.circulation is not None:
+            return dataclasses.replace(shape, closure_percent=None)
     last = chosen[-1]
     return Shape(
         area=float(area),
@@ -98,8 +113,16 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         closure_percent=_closure(u, y, last[0], last[1]) if closed else None,
         asymmetry_percent=float(100 * asymmetry / stroke),
         pinching=pinching,
+        crossing=crossing,
         loops=len(chosen),
     )
+
+
+def _area_between(u: np.ndarray, y: np.ndarray) -> float:
+    """Area between the branches of one loop, whichever is above [unit of u times unit of y]."""
+    outer = outline(u)
+    _, rising, falling = loop_branches(u[outer], y[outer])
+    return float(np.mean(np.abs(rising - falling)) * np.ptp(u))
 
 
 def _turn(u: np.ndarray) -> int:
@@ -150,17 +173,19 @@ def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float:
     return float(100 * (end - y[start]) / np.ptp(y[start : stop + 1]))
 
 
-def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
+def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
     """Secant stiffness of late branches over that of the first branch of the same stroke.
 
     Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Branches longer than all
     before define the initial stiffness as a function of the stroke; later branches about the same middle are compared
     with it (a loop elsewhere in the range may be softer without damage). Shorter branches than all of those have nothing to be
-    compared with: any hysteresis is softer at small strokes. Without damage the ratio is near 1 or above.
+    compared with: any hysteresis is softer at small strokes; nor have branches of another duration, as a lag reduces the stiffness of
+    fast ones. Without damage the ratio is near 1 or above.
 
     Args:
         u: input, shape (T,).
         y: output, shape (T,).
+        t: time, shape (T,); None where there is none, so that samples are counted.
         cycles: see `loops.cycles`, shape (C, 3).
 
     Returns:
@@ -179,6 +204,10 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     known = stroke[first]
     repeated = ~first & (stroke > 0.1 * farthest[-1]) & (stroke > (1 - _SHORTER) * known.min())
     repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
+    lasted = np.diff(turns if t is None else t[turns])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slower = lasted / np.interp(stroke, known, lasted[first])
+    repeated &= (slower > 1 / _LIKE_DURATION) & (slower < _LIKE_DURATION)
     before = np.interp(stroke[repeated], known, change[first] / known)
     if not (before > 0).all():
         return None

@@ -18,6 +18,7 @@ from hystfit.quality.resonance import Dynamics, estimate_dynamics
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
+_FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +99,12 @@ class Motion:
 
 @dataclasses.dataclass(frozen=True)
 class RecordQuality:
-    """Everything measured on one record; None where it is unknown. `area`: signed, of the whole record, see `loops.loop_area`."""
+    """Everything measured on one record; None where it is unknown.
+
+    Attributes:
+        area: signed, of the whole record, see `loops.loop_area`.
+        correlation: of output and input; 0 where one of them is constant.
+    """
 
     name: str
     units: dict[str, str]
@@ -108,6 +114,7 @@ class RecordQuality:
     motion: Motion
     shape: Shape | None
     area: float
+    correlation: float
     drift: Drift | None
     lag: Lag | None
     velocity_gain: float | None
@@ -124,9 +131,21 @@ class RecordQuality:
         return self.dynamics is not None and self.dynamics.resonant
 
     @property
+    def falls(self) -> bool:
+        """Whether the output falls as the input rises, apart from the loop."""
+        return self.correlation < _FALLING
+
+    @property
+    def circulation(self) -> str | None:
+        """Direction of the loop, of the mirrored one where the output falls; None where no loop is open."""
+        way = None if self.shape is None else self.shape.circulation
+        opposite = {"clockwise": "counter-clockwise", "counter-clockwise": "clockwise"}
+        return opposite[way] if self.falls and way is not None else way
+
+    @property
     def degrading(self) -> bool:
         """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance."""
-        if self.shape is None or self.dynamic:
+        if self.shape is None or self.dynamic or self.shape.crossing:
             return False
         left = 1.0 if self.stiffness_left is None else self.stiffness_left
         return self.weakens or left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
@@ -186,17 +205,25 @@ def summarize(record: Record) -> RecordQuality:
         y=y_column,
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
+        correlation=_correlation(u[record.used], y[record.used]),
         shape=loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0),
         drift=drift(u, y, t, cycles) if moving else None,
         lag=lag,
         velocity_gain=gain,
         rate_effect=rate_effect(u, y, t, cycles),
-        stiffness_left=stiffness_left(u, y, cycles),
+        stiffness_left=stiffness_left(u, y, t, cycles),
         strength_left=strength_left(u, y, cycles),
         dynamics=dynamics,
         clipped=clipped_samples(u, y),
         spikes=int(spikes(y, y_column.noise_rms, turns).size),
     )
+
+
+def _correlation(u: np.ndarray, y: np.ndarray) -> float:
+    if u.size < 2 or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+        return 0.0
+    scaled = lambda x: (x - x.mean()) / np.ptp(x)
+    return float(np.corrcoef(scaled(u), scaled(y))[0, 1])
 
 
 def _column(values: np.ndarray) -> Column:

@@ -49,6 +49,7 @@ for _kind, _list in {
         _WORDS[_word] = _kind
 _UPPER = {"V": "voltage", "U": "voltage", "H": "field", "I": "current"}
 _UPPER |= {"E": "electric field", "D": "polarization", "T": "temperature"}
+_CHANNEL = re.compile(r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column)[ _.-]?[a-z0-9]", re.IGNORECASE)
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 _SENSED = (
     *("displacement", "force", "strain", "stress", "current"),
@@ -116,6 +117,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column
+    if _CHANNEL.fullmatch(base):
+        return by_unit  # its letter is that of the channel
     if _TEMPERATURES.fullmatch(base):
         return "temperature"
     if base in _UPPER and not by_unit:
@@ -253,6 +256,8 @@ def _counts(table: Table, position: int) -> bool:
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
     named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
+    if not named and len(free) + given > 2:
+        named = [k for k in free[:2] if table.names[k] == "s" and (np.diff(table.columns[k]) > 0).all()]
     if named:
         notes.append(Note(Code.COLUMN_CHOICE, f"time: column {named[0]}, {table.names[named[0]]!r}"))
         return named[0]

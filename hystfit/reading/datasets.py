@@ -27,7 +27,7 @@ def names() -> tuple[str, ...]:
 
 
 def describe(name: str) -> str:
-    """Content, origin, licence and checksum of a data set, as text.
+    """Content, origin, license and checksum of a data set, as text.
 
     Raises:
         DataError: no such data set.
@@ -39,7 +39,7 @@ def describe(name: str) -> str:
     lines = [f"{name}: {entry.about or source.about}"]
     if entry.about:
         lines.append(f"  measured  {source.about}")
-    lines += [f"  from      {source.repository} at {source.revision}", f"  licence   {source.licence}"]
+    lines += [f"  from      {source.repository} at {source.revision}", f"  license   {source.license}"]
     lines.append(f"  cite      {source.citation}")
     for file in entry.files:
         address = next(iter(file.addresses(source)), f"{file.name} (converted from the repository)")

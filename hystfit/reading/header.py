@@ -21,6 +21,7 @@ _JOINED = re.compile(
 )
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
+_BARE_TIMES = frozenset({"ms", "us", "µs", "μs", "ns"})  # names of columns that are no more than the unit of time
 _NOT_SUFFIX = frozenset({"min", "h", "counts"})  # x_min is a minimum, not minutes
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 _SAMPLE = re.compile(
@@ -53,6 +54,8 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     name = name.strip().translate(_WIDE)
     if len(name) > _LONGEST_NAME:
         return name, ""
+    if name in _BARE_TIMES:
+        return name, name
     if name.endswith(("]", ")", ">")) and (start := max(name.rfind(mark) for mark in "[(<")) > 0:
         base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
         closed = not re.search(r"[\])>]", unit)

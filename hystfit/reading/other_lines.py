@@ -104,7 +104,12 @@ def left_out(text: Text, block: Block, header: Header) -> LeftOut:
     notes = []
     if above > header.used:
         count["metadata"] = above - header.used
-        notes.append(Note(Code.FILE_FORMAT, f"metadata above the numbers: {above - header.used} lines"))
+        notes.append(
+            Note(
+                Code.FILE_FORMAT,
+                f"metadata above the numbers: {above - header.used} line" + "s" * (above - header.used > 1),
+            )
+        )
     groups, unread = _grouped(text, block, header.names)
     odd, good, layout = groups["cells"], block.index.size, text.layout
     if len(odd) > 2 and len(odd) > 0.25 * good:

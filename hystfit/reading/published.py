@@ -28,7 +28,7 @@ class Source:
         folder: name of the set here and in a local folder.
         repository: owner/name.
         revision: commit that the files are taken from.
-        licence: of the data.
+        license: of the data.
         citation: of the data.
         about: what was measured.
     """
@@ -36,7 +36,7 @@ class Source:
     folder: str
     repository: str
     revision: str
-    licence: str
+    license: str
     citation: str
     about: str
 

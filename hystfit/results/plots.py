@@ -87,8 +87,15 @@ class _Trace:
         self.u, self.y, self.predicted = record.u, record.y, predicted
         self.seen = record.used & fitted
         self.held = np.isfinite(record.y) & ~record.used if fitted else record.used
+        if self.seen[1:2].any() and not self.seen[0]:
+            self.held[0] = (
+                False  # one sample alone before the fitted ones, such as a calibration point, belongs to no curve
+            )
         self.axis = (np.arange(len(record)) if record.t is None else record.t - record.t[0] * (start > 0)) + start
         self.residual = record.y - predicted
+        shown = np.flatnonzero(self.seen | self.held)
+        at = np.arange(len(record))  # the model is not drawn over samples that only set its state
+        self.model = np.where((at >= shown[0]) & (at <= shown[-1]), predicted, np.nan) if shown.size else predicted
         self.columns = {  # name, unit and role
             "u": (record.u_name, record.u_unit, "input"),
             "y": (record.y_name, record.y_unit, "output"),
@@ -162,7 +169,7 @@ def _loop(traces: list[_Trace], ax: Axes) -> None:
         _line(ax, trace.u[at], np.where(trace.seen, trace.y, np.nan)[at], "measured", MEASURED, 2.4)
     for trace in traces:
         at = thin(share, trace.u, trace.y, trace.predicted)
-        _line(ax, trace.u[at], trace.predicted[at], "model", MODEL, 0.9)
+        _line(ax, trace.u[at], trace.model[at], "model", MODEL, 0.9)
     column_label(ax, "x", *traces[0].columns["u"])
     column_label(ax, "y", *traces[0].columns["y"])
     ax.legend(frameon=False)
@@ -216,7 +223,7 @@ def _series(traces: list[_Trace], ax: Axes) -> None:
         at = thin(share, trace.y, trace.predicted)
         for mask, label, color in ((trace.seen, "measured", MEASURED), (trace.held, "measured, not fitted", HELD_OUT)):
             _line(ax, trace.axis[at], np.where(mask, trace.y, np.nan)[at], label, color, 2.6)
-        _line(ax, trace.axis[at], trace.predicted[at], "model", MODEL, 0.9)
+        _line(ax, trace.axis[at], trace.model[at], "model", MODEL, 0.9)
     column_label(ax, "y", *traces[0].columns["y"])
     ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)
@@ -353,8 +360,8 @@ def _parameters(result: FitResult, ax: Axes) -> Axes:
         else:
             ax.plot(values, np.full(len(values), k), "|", color=MODEL, ms=9, alpha=0.6)
             if len(values) < len(family):
-                text = f" {len(family) - len(values)} of {len(family)} have no standard error"
-                ax.text(max(values), k, text, va="center", fontsize="small", color="#666666")
+                text = f"{len(family) - len(values)} of {len(family)} have no standard error"
+                ax.text(left * 1.1, k + 0.32, text, va="center", fontsize="small", color="#666666")
     ax.axvline(100.0, color=HELD_OUT, lw=1, ls="--")
     over = ax.get_xaxis_transform()
     ax.text(100.0, 1.01, "100 % of the value", transform=over, color=DARK, fontsize="small", ha="center")

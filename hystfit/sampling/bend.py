@@ -1,60 +1,80 @@
-"""Coordinates for sampling between two bounds: linear inside, bent only near the bounds.
+"""Coordinates v for sampling near bounds: linear inside, bent only near the bounds.
 
 A logistic coordinate z squeezes a wide posterior next to a bound into a long tail that linear whitening does not fit: chains stay
-there, or do not get there. In v, with t = v / 4 + 1/2,
+there, or do not get there. Between two bounds, with t = v / 4 + 1/2,
 
     (x - lower) / (upper - lower) = g(t) = e [softplus(t / e) - softplus((t - 1) / e)],
 
 x is linear in v within about 3 e of the bounds and an exponential beyond; e -> infinity is the logistic map. Value and slope agree
-with those of z in the middle.
+with those of z in the middle. Linear weights with one bound have
+
+    |x - bound| / scale = width softplus(v),
+
+because weights that replace each other have a straight valley in x and one with a sharp corner in log x.
 """
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 BEND = 0.05  # e, as a part of the interval
+_FAR = -30.0  # below it softplus is the exponential function to all digits
 
 
-def unbent(v: Float[Array, "... d"], both: Bool[Array, " d"]) -> Float[Array, "... d"]:
-    """The unconstrained coordinates z of `hystfit.params.coordinates` from v; equal where there are not two bounds.
+class Bend(eqx.Module):
+    """The map between v and the unconstrained coordinates z of `hystfit.params.coordinates`, element by element.
 
-    Args:
-        v: coordinates for sampling.
+    Attributes:
         both: which elements have two bounds.
+        width: of the bend of linear weights with one bound, in their scale; 0 for all other elements, whose v is z.
     """
-    t = jnp.where(both, v, 0.0) / 4 + 0.5
-    near = jnp.minimum(t, 1 - t)  # from the nearer bound, so that small parts keep their digits
-    part = BEND * (jax.nn.softplus(near / BEND) - jax.nn.softplus((near - 1) / BEND))
-    z = jnp.log(part) - jnp.log1p(-part)
-    return jnp.where(both, jnp.where(t < 0.5, z, -z), v)
+
+    both: Bool[Array, " d"]
+    width: Float[Array, " d"]
+
+    def unbent(self, v: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """z from v."""
+        part, near = self._part(v)
+        z = jnp.log(part) - jnp.log1p(-part)
+        z = jnp.where(self.both, jnp.where(near == self._place(v), z, -z), v)
+        one = jnp.log(jnp.where(self._soft, self.width, 1.0)) + _log_softplus(jnp.where(self._soft, v, 0.0))
+        return jnp.where(self._soft, one, z)
+
+    def bent(self, z: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """v from z."""
+        part = jax.nn.sigmoid(-jnp.abs(z))
+        near = BEND * (jnp.log(jnp.expm1(part / BEND)) - jnp.log1p(-jnp.exp((part - 1) / BEND)))
+        v = jnp.where(self.both, jnp.where(z < 0, 1, -1) * (4 * near - 2), z)
+        away = jnp.exp(jnp.where(self._soft, z, 0.0)) / jnp.where(self._soft, self.width, 1.0)
+        return jnp.where(self._soft, away + jnp.log(-jnp.expm1(-away)), v)
+
+    def log_slope(self, v: Float[Array, " d"]) -> Float[Array, ""]:
+        """log |det dz/dv|."""
+        part, near = self._part(v)
+        by_part = (
+            jax.nn.log_sigmoid(near / BEND) + jax.nn.log_sigmoid((1 - near) / BEND) + jnp.log(-jnp.expm1(-1 / BEND) / 4)
+        )
+        two = jnp.where(self.both, by_part - jnp.log(part) - jnp.log1p(-part), 0.0)
+        at = jnp.where(self._soft, v, 0.0)
+        return jnp.sum(jnp.where(self._soft, jax.nn.log_sigmoid(at) - _log_softplus(at), two))
+
+    @property
+    def _soft(self) -> Bool[Array, " d"]:
+        return self.width > 0
+
+    def _place(self, v: Array) -> Array:
+        return jnp.where(self.both, v, 0.0) / 4 + 0.5
+
+    def _part(self, v: Array) -> tuple[Array, Array]:
+        """Part of the interval from the nearer bound, so that small parts keep their digits; and t from there."""
+        t = self._place(v)
+        near = jnp.minimum(t, 1 - t)
+        return BEND * (jax.nn.softplus(near / BEND) - jax.nn.softplus((near - 1) / BEND)), near
 
 
-def bent(z: Float[Array, "... d"], both: Bool[Array, " d"]) -> Float[Array, "... d"]:
-    """v from z, the inverse of `unbent`.
-
-    Args:
-        z: unconstrained coordinates.
-        both: which elements have two bounds.
-    """
-    part = jax.nn.sigmoid(-jnp.abs(z))
-    near = BEND * (jnp.log(jnp.expm1(part / BEND)) - jnp.log1p(-jnp.exp((part - 1) / BEND)))
-    return jnp.where(both, jnp.where(z < 0, 1, -1) * (4 * near - 2), z)
-
-
-def log_slope(v: Float[Array, " d"], both: Bool[Array, " d"]) -> Float[Array, ""]:
-    """log |det dz/dv|.
-
-    Args:
-        v: coordinates for sampling.
-        both: which elements have two bounds.
-    """
-    t = jnp.where(both, v, 0.0) / 4 + 0.5
-    near = jnp.minimum(t, 1 - t)
-    part = BEND * (jax.nn.softplus(near / BEND) - jax.nn.softplus((near - 1) / BEND))
-    by_part = (
-        jax.nn.log_sigmoid(near / BEND) + jax.nn.log_sigmoid((1 - near) / BEND) + jnp.log(-jnp.expm1(-1 / BEND) / 4)
-    )
-    return jnp.sum(jnp.where(both, by_part - jnp.log(part) - jnp.log1p(-part), 0.0))
+def _log_softplus(v: Array) -> Array:
+    far = v < _FAR
+    return jnp.where(far, v, jnp.log(jax.nn.softplus(jnp.where(far, 0.0, v))))

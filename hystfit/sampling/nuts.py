@@ -26,6 +26,7 @@ from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target
 
 _CHUNK = 50  # draws in one compiled call, and between two writes to disk
+_AGAIN = 3  # further adaptations at most where transitions diverge, which more than 1 % of the draws would do too
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
 
 
@@ -117,29 +118,32 @@ class Nuts(AbstractSampler):
         return rows
 
     def warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:
-        """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks."""
-        d = target.center.shape[0]
-        quarter = -(-self.warmup // (4 * _CHUNK))
+        """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks.
+
+        Where transitions still diverge at the end, covariance and step size are adapted again for a higher acceptance.
+        """
+        quarter, goal = -(-self.warmup // (4 * _CHUNK)), self.target_accept
         count = iter(range(10**6))
 
-        def adapt(target: Target, q: Array, size: float, rounds: int) -> tuple[Array, Array, np.ndarray]:
-            tuning, positions = Tuning.about(size), []
+        def adapt(target: Target, q: Array, size: float, rounds: int) -> tuple[Array, float, np.ndarray, bool]:
+            tuning, positions, diverging = Tuning.about(size), [], np.zeros(0)
             for _ in range(rounds):
-                out, tuning = _advance(target, q, tuning, jax.random.fold_in(key, next(count)), True, *settings)
-                q = out[0][-1]
+                fixed = (jnp.asarray(goal), self.max_depth)
+                out, tuning = _advance(target, q, tuning, jax.random.fold_in(key, next(count)), True, *fixed)
+                q, diverging = out[0][-1], np.asarray(out[2])
                 positions.append(np.asarray(out[0]))
-            return q, jnp.exp(tuning.average), np.concatenate(positions)
+            return q, float(jnp.exp(tuning.average)), np.concatenate(positions), bool(diverging.any())
 
-        settings = (jnp.asarray(self.target_accept), self.max_depth)
-        q, size, _ = adapt(target, _start(target, key), 0.5, quarter)
-        q, _, positions = adapt(target, q, float(size), 2 * quarter)
-        positions = positions[len(positions) // 10 :]
-        n, spread = len(positions), np.cov(positions.T).reshape(d, d)
-        shrunk = (n * spread + _PRIOR_DRAWS * np.eye(d)) / (n + _PRIOR_DRAWS)
-        inner = np.linalg.cholesky(shrunk)
-        better = eqx.tree_at(lambda t: t.factor, target, target.factor @ inner)
-        q, size, _ = adapt(better, jnp.asarray(np.linalg.solve(inner, np.asarray(q))), 0.7, quarter)
-        return {"q": np.asarray(q), "size": np.asarray(size), "factor": np.asarray(better.factor)}
+        q, size, _, _ = adapt(target, _start(target, key), 0.5, quarter)
+        q, _, positions, _ = adapt(target, q, size, 2 * quarter)
+        for _ in range(1 + _AGAIN):
+            inner = _spread(positions[len(positions) // 10 :])
+            target = eqx.tree_at(lambda t: t.factor, target, target.factor @ inner)
+            q, size, positions, diverges = adapt(target, jnp.asarray(np.linalg.solve(inner, q)), 0.7, quarter)
+            if not diverges:
+                break
+            goal = 0.5 * (1 + goal)
+        return {"q": np.asarray(q), "size": np.asarray(size), "factor": np.asarray(target.factor)}
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
         """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,).
@@ -156,6 +160,13 @@ class Nuts(AbstractSampler):
         return {
             k: np.asarray(v) for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True)
         }
+
+
+def _spread(positions: np.ndarray) -> np.ndarray:
+    """Square root of the covariance of positions, shape (n, d), shrunk towards that of the coordinates."""
+    n, d = positions.shape
+    covariance = np.cov(positions.T).reshape(d, d)
+    return np.linalg.cholesky((n * covariance + _PRIOR_DRAWS * np.eye(d)) / (n + _PRIOR_DRAWS))
 
 
 def _least(draws: np.ndarray) -> float:

@@ -191,7 +191,7 @@ class Posterior:
         """
         own = self.result.in_fitted_units(record)
         return self.result.to_unit_of(
-            record, _view("predictive:simulate_draws")(self.result, own, self.thinned(count, seed))
+            record, _view("predictive:simulate_draws")(self.result, own, self.thinned(count, seed), seed)
         )
 
     def bands(
@@ -204,8 +204,8 @@ class Posterior:
             level: of the pointwise band.
             count: draws used.
             seed: of their choice and of the noise.
-            kind: "credible" (of the model's curve) or "predictive" (of a measurement: see
-                `hystfit.sampling.predictive`).
+            kind: "credible" (of the model's curve) or "predictive" (of a measurement: `hystfit.sampling.predictive` says what
+                that includes, and what not).
 
         Raises:
             ParameterError: another kind, or a level outside (0, 1).

@@ -1,4 +1,9 @@
-"""Predictive draws: a further measurement, given what the fitted records determine of model and noise."""
+"""Predictive draws: a further measurement, given what the fitted records determine of model and noise.
+
+They include the spread of the parameters, of those that each record has for itself (an offset) over the fitted records where the record
+is not one of them, and of the noise: white and slow noise from their stationary distribution, an error that repeats as the residuals
+determine it. They do not include an error of the model at amplitudes, frequencies or levels that were not fitted.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +28,18 @@ from hystfit.sampling.posterior import Posterior
 
 
 @eqx.filter_jit
-def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, number: int) -> Array:
-    return each(lambda row: run(coordinates.assemble(row, number), u, dt)[0], x)
+def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbers: Array) -> Array:
+    return each(lambda row: run(coordinates.assemble(*row), u, dt)[0], (x, numbers))
 
 
-def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> Float[np.ndarray, "count T"]:
+def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) -> Float[np.ndarray, "count T"]:
     """Outputs over a record's input for many parameter vectors.
 
     Args:
         result: of the fit.
         record: provides the input.
         x: free parameters of the model, physical, shape (count, p).
+        seed: of the fitted record whose own parameters (its offset) a draw takes where `record` is not a fitted one.
 
     Raises:
         ModelError: no time for a model that needs it.
@@ -42,7 +48,10 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray) -> Float[np
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
-    return np.asarray(_simulate_all(result.problem.space.coordinates, *arrays, result.record_number(record)))
+    known = record.name in [fitted.name for fitted in result.data]
+    numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
+    numbers = np.full(len(x), result.record_number(record)) if known else numbers
+    return np.asarray(_simulate_all(result.problem.space.coordinates, *arrays, jnp.asarray(numbers)))
 
 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:
@@ -52,13 +61,13 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
         posterior: of the fit.
         record: provides the input.
         count: number of draws.
-        seed: of their choice and of the noise.
+        seed: of their choice, of the fitted record whose own parameters each takes, and of the noise.
     """
     result = posterior.result
     given, record = record, result.in_fitted_units(record)
     flat = posterior.draws.reshape(-1, len(posterior.names))
     rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
-    y = simulate_draws(result, record, rows[:, : len(result.free_names)])
+    y = simulate_draws(result, record, rows[:, : len(result.free_names)], seed)
     problem = result.problem.with_loss("linear").with_noise(NOISES.make(posterior.noise)).trimmed()
     inputs = np.concatenate([fitted.u for fitted in result.data])
     new = Setting.of(Batch.of(record), (float(inputs.min()), float(inputs.max())))

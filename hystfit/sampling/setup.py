@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.noise_refinement import refine
@@ -30,6 +32,9 @@ _RECURS = (
     "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
     "noise='discrepancy' widens the intervals for what recurs; a model with more terms removes it"
 )
+_PRIOR_SCALES = 10.0  # standard deviation in natural sizes that weights have before any data
+_OFF = 3.0  # factor in the length of an axis beyond which it is corrected
+_ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
@@ -120,11 +125,12 @@ def prepare(
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
-    target = Target.about(problem.density, jnp.asarray(z))
+    target = Target.about(problem.density, jnp.asarray(z), jnp.asarray(_widths(problem, refined.root)))
     center, factor, value = whiten_by_curvature(_mode(target))
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
-    return Setup(problem, NOISES.label(choice), target.whitened(jnp.asarray(center), jnp.asarray(factor)), tuple(notes))
+    target = checked(target.whitened(jnp.asarray(center), jnp.asarray(factor)))
+    return Setup(problem, NOISES.label(choice), target, tuple(notes))
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
@@ -134,6 +140,19 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
     kind = np.asarray(c.kinds)
     one = (kind == LOWER) | (kind == UPPER)
     return np.where(one, np.maximum(z, np.log(1e-4)), np.where(kind == BOTH, np.clip(z, -9, 9), z))
+
+
+def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
+    """Widths of the bends of weights with one bound: their standard deviations given the other parameters, in natural sizes.
+
+    Args:
+        problem: with its noise model.
+        root: square root of the information matrix of the model's parameters, shape (p, p).
+    """
+    scale, kind = (np.asarray(getattr(problem.space.coordinates, name)) for name in ("scale", "kinds"))
+    soft = np.array([info.linear for info in problem.space.infos], bool) & ((kind == LOWER) | (kind == UPPER))
+    precision = np.sum((root * scale) ** 2, axis=0) + _PRIOR_SCALES**-2
+    return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - scale.size))
 
 
 @eqx.filter_jit
@@ -148,3 +167,27 @@ def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
     curvature = np.where(np.isfinite(curvature), curvature, 0.0)
     size, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
     return np.asarray(mode.z), axes / np.sqrt(np.maximum(size, _WIDEST**-2)), float(mode.value)
+
+
+def checked(target: Target) -> Target:
+    """The target with axes as long as the log posterior takes to fall by about 1/2.
+
+    Curvature at a kink, or in a plateau that ends, says nothing about that: a mass matrix from it is wrong by many orders.
+    """
+    for _ in range(_ROUNDS):
+        fall = np.nan_to_num(np.asarray(_fall(target)), nan=np.inf)
+        times = np.clip(np.sqrt(0.5 / np.maximum(fall, 1e-12)), 0.1, 10.0)
+        times = np.where(np.maximum(times, 1 / times) > _OFF, times, 1.0)
+        factor = np.asarray(target.factor)
+        times = np.minimum(times, np.maximum(_WIDEST / np.linalg.norm(factor, axis=0), 1.0))
+        if np.all(times == 1.0):
+            break
+        target = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(factor * times))
+    return target
+
+
+@eqx.filter_jit
+def _fall(target: Target) -> Array:
+    """Fall of the log posterior from the center to the ends of each axis, mean of either side, shape (d,)."""
+    ends = jax.lax.map(target.log_density, target.center + jnp.concatenate([target.factor.T, -target.factor.T]))
+    return target.log_density(target.center) - ends.reshape(2, -1).mean(axis=0)

@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
-from hystfit.sampling.bend import bent, log_slope, unbent
+from hystfit.sampling.bend import Bend
 
 
 class Target(eqx.Module):
@@ -18,17 +18,27 @@ class Target(eqx.Module):
 
     Attributes:
         density: over z, the unconstrained parameters of model and noise.
-        center, factor: v = center + factor q, where v are the coordinates of `hystfit.sampling.bend`.
+        bend: between z and the coordinates v of `hystfit.sampling.bend`.
+        center, factor: v = center + factor q.
     """
 
     density: Density
+    bend: Bend
     center: Float[Array, " d"]
     factor: Float[Array, "d d"]
 
     @classmethod
-    def about(cls, density: Density, z: Float[Array, " d"]) -> Target:
-        """Centered on z, not whitened."""
-        return cls(density, bent(jnp.asarray(z), _both(density)), jnp.eye(z.shape[0]))
+    def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
+        """Centered on z, not whitened.
+
+        Args:
+            density: over z.
+            z: shape (d,).
+            widths: see `Bend`, shape (d,); None for 0.
+        """
+        kinds = (*density.objective.coordinates.kinds, *density.noise.kinds)
+        bend = Bend(jnp.asarray([kind == BOTH for kind in kinds]), jnp.zeros(z.shape) if widths is None else widths)
+        return cls(density, bend, bend.bent(jnp.asarray(z)), jnp.eye(z.shape[0]))
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
         """The same density in other coordinates q.
@@ -37,11 +47,11 @@ class Target(eqx.Module):
             center: v where q = 0, shape (d,).
             factor: dv/dq, shape (d, d).
         """
-        return Target(self.density, center, factor)
+        return Target(self.density, self.bend, center, factor)
 
     def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
         """z from q."""
-        return unbent(self.center + q @ self.factor.T, _both(self.density))
+        return self.bend.unbent(self.center + q @ self.factor.T)
 
     def physical(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
         """x from q."""
@@ -54,15 +64,13 @@ class Target(eqx.Module):
             v: shape (d,).
             lean: see `Density.log_density`.
         """
-        both = _both(self.density)
-        return self.density.log_density(unbent(v, both), lean) + log_slope(v, both)
+        return self.density.log_density(self.bend.unbent(v), lean) + self.bend.log_slope(v)
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
-        both = _both(self.density)
-        z, stretch = jax.jvp(lambda v: unbent(v, both), (v,), (jnp.ones_like(v),))
+        z, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
         total, gradient = self.density.slope(z)
-        change, by_change = jax.value_and_grad(log_slope)(v, both)
+        change, by_change = jax.value_and_grad(self.bend.log_slope)(v)
         return total + change, gradient * stretch + by_change
 
     def __call__(self, q: Float[Array, " d"]) -> Float[Array, ""]:
@@ -78,8 +86,3 @@ class Target(eqx.Module):
 
         value.defvjp(both, lambda gradient, cotangent: (cotangent * gradient,))
         return value(q)
-
-
-def _both(density: Density) -> Bool[Array, " d"]:
-    """Which parameters have two bounds."""
-    return jnp.asarray([kind == BOTH for kind in (*density.objective.coordinates.kinds, *density.noise.kinds)])

@@ -21,6 +21,7 @@ from hystfit.inference.information import Moments
 from hystfit.models.base import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table
 from hystfit.outcome.note import warn
+from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
 from hystfit.results.plots import grouped
 from hystfit.results.result import FitResult
@@ -226,6 +227,12 @@ def design(
         text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to that"
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
+    notes += [
+        dataclasses.replace(
+            note, text=f"{note.text}. The design takes the model as true and cannot ask for them to test it"
+        )
+        for note in coverage_notes(result.data)
+    ]
     notes += differences(
         result,
         present,

@@ -96,7 +96,7 @@ def metrics_table(result: FitResult) -> Table:
     columns = [
         Column("", "data"),
         Column(f"rms{suffix}", "rmse"),
-        Column("rms [%]", "nrmse_percent", ".3g"),
+        Column("rms [% of range]", "nrmse_percent", ".3g"),
         Column(f"max{suffix}", "max_error"),
         Column("max [%]", "max_error_percent", ".3g"),
         Column("R2", "r2", ".6g"),

@@ -1,0 +1,22 @@
+"""
+Magnetorheological damper: stops, a viscous and a saturating force
+==================================================================
+
+A damper on a shaking table. Its force depends on the displacement and on the velocity; terms are joined by ``+``. The first 6 s are
+fitted, the other 9 s are predicted.
+
+Data: ``mr_labcontrol/4.1``, labcontrol, MIT license.
+"""
+
+import hystfit as hf
+
+hf.enable_x64()
+data = hf.datasets.load("mr_labcontrol/4.1")
+fitted, later = data.window(0.0, 6.0), data.window(6.0, None)
+result = hf.fit("prandtl-ishlinskii-stop:degree=3:envelopes=3+viscous+saturating-rate", fitted, starts=1)
+result.plot("loop", data=later)
+print(f"rms error {result.train.nrmse_percent:.2f} % fitted, {result.metrics(later).nrmse_percent:.2f} % held out")
+
+# %%
+# The samples with the largest errors.
+result.plot("worst", data=later)

@@ -1,0 +1,76 @@
+"""The input with the opposite sign, before a model of rising loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
+from hystfit.models.bracketed import Root
+from hystfit.models.c_code import CPart, template
+from hystfit.models.parallel.associative import StateMap
+
+
+class Negate(AbstractHysteresis):
+    """The input with the opposite sign:  x = -u.  Before a hysteresis, for outputs that fall as the input rises."""
+
+    rate_independent: ClassVar[bool] = True
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
+    linear_in_input: ClassVar[bool] = True
+
+    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+        """No state."""
+        return jnp.zeros((0,), dtype=jnp.result_type(float))
+
+    def step(
+        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+        """The opposite of the input."""
+        return state, -u1
+
+    def sweep(
+        self,
+        state: Float[Array, " state"],
+        u0: Float[Array, ""],
+        u: Float[Array, " T"],
+        dt: Float[Array, " T"],
+        unroll: int = 1,
+    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+        """Without a scan."""
+        return state, -u
+
+    def start(self, records: Sequence[Record]) -> Negate:
+        """It has no parameters."""
+        return self
+
+    def inputs_between(self, low: float, high: float) -> tuple[float, float]:
+        """See the base class."""
+        return -high, -low
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """The opposite of the target."""
+        return NegateStep(self)
+
+    def c_part(self) -> CPart:
+        """One sign."""
+        return CPart(template("negate.c"), 0, {})
+
+
+class NegateStep(AbstractStepInverse):
+    """Inverse of `Negate`."""
+
+    model: Negate
+    needs_limits: ClassVar[bool] = False
+
+    @property
+    def sign(self) -> float:
+        """See the base class."""
+        return -1.0
+
+    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
+        """See the base class."""
+        return Root(-target, jnp.asarray(True))

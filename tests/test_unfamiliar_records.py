@@ -1,0 +1,212 @@
+"""Records of kinds that the bundled data do not have, simulated here: falling loops, butterflies, chirps, counts, sensor calibrations."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.batch.sources import sources_of
+from hystfit.cli import run
+from hystfit.errors import ParameterError
+from hystfit.fitting.candidates import candidates
+from hystfit.fitting.covariance import _ratio
+from hystfit.fitting.structure import search_structure
+from hystfit.models.registry import judged_as, model_name
+from hystfit.outcome import Code
+from hystfit.outcome.note import has
+from hystfit.quality.summary import summarize
+
+RNG = np.random.default_rng(5)
+NOISE = RNG.normal(0.0, 1.0, 4000)
+
+
+def plays(u: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Sum of plays at rest on zero."""
+    p, out = np.zeros(widths.size), []
+    for x in u:
+        p = np.clip(p, x - widths, x + widths)
+        out.append(p.sum())
+    return np.array(out)
+
+
+def sweep(count: int, cycles: float) -> np.ndarray:
+    """Triangles of decaying amplitude, from zero."""
+    phase = np.arange(count) / count * cycles
+    return 10 * (1 - 0.7 * np.arange(count) / count) * 2 / np.pi * np.arcsin(np.sin(2 * np.pi * phase))
+
+
+FALLING_INPUT = sweep(400, 4)
+FALLING = 3.0 - plays(FALLING_INPUT, np.array([0.3, 1.0, 2.5, 5.0]))
+
+
+@pytest.fixture(scope="module")
+def falling() -> hf.Record:
+    """An output that falls as the input rises, and lags: strain of a shape-memory wire against temperature."""
+    return hf.Record(FALLING_INPUT, FALLING + 0.01 * NOISE[:400])
+
+
+def test_falling_loops_that_lag_are_fitted_with_the_input_negated(falling: hf.Record) -> None:
+    report = hf.check(falling)
+    assert has(report.findings, Code.FALLING)
+    assert summarize(falling).circulation == "counter-clockwise"
+    assert report.verdict("preisach").verdict != "no"
+    assert report.verdict("prandtl-ishlinskii-stop").verdict == "no"
+    assert report.advice is not None
+    assert report.advice.model.startswith("negate+")
+    assert all(name.startswith("negate+") for name in candidates(hf.Dataset.of(falling)).names[1:])
+    found = search_structure(hf.Dataset.of(falling), plays=8)
+    assert model_name(found.model).startswith("negate+prandtl-ishlinskii")
+    assert found.score < 0.02 * np.ptp(falling.y)
+
+
+def test_force_loops_with_the_sign_of_the_reaction_lead(falling: hf.Record) -> None:
+    """A reaction force, negative under a positive displacement, leads as the force does."""
+    u = falling.u
+    force = -(2.0 * u + 6.0 * u - plays(u, np.array([0.3, 1.0, 2.5])))
+    assert summarize(hf.Record(u, force)).circulation == "clockwise"
+
+
+def test_a_loop_after_first_magnetization_has_a_shape() -> None:
+    """From zero to saturation, then once around: the outer loop closes, and the first curve is none of its branches."""
+    u = np.concatenate([np.linspace(0, 5, 60), np.linspace(5, -5, 120)[1:], np.linspace(-5, 5, 120)[1:]])
+    found = summarize(hf.Record(u, plays(u, np.array([0.5, 1.5, 3.0]))))
+    assert found.motion.closed_loops == 2
+    assert found.shape is not None
+    assert found.shape.circulation == "counter-clockwise"
+    assert found.shape.closure_percent == pytest.approx(0.0, abs=0.5)
+
+
+def test_the_first_curve_of_decaying_loops_is_no_loop_that_fails_to_close() -> None:
+    u = sweep(1200, 6)
+    assert not has(hf.check(hf.Record(u, plays(u, np.array([0.5, 1.5, 3.0])))).findings, Code.NOT_CLOSED)
+
+
+def test_rounding_noise_of_counts_is_seen_under_motion() -> None:
+    counts = np.round(127 + 120 * np.sin(0.03 * np.arange(1000)) + 0.4 * NOISE[:1000])
+    assert summarize(hf.Record(np.arange(1000.0), counts)).y.noise_rms == pytest.approx(0.4, abs=0.2)
+
+
+def test_a_lag_at_rising_frequency_is_no_damage() -> None:
+    t = np.arange(0, 16, 0.004)
+    u = 4 * np.sin(2 * np.pi * 0.2 * 16 / np.log(50) * (50 ** (t / 16) - 1))
+    still = plays(u, np.array([0.2, 1.0, 2.0]))
+    y = [0.0]
+    for value in still[1:]:
+        y.append(y[-1] + (value - y[-1]) * (1 - np.exp(-0.004 / 0.02)))
+    record = hf.Record(u, np.array(y) + 0.01 * NOISE[: t.size], t=t)
+    assert not has(hf.check(record).findings, Code.DEGRADING)
+
+
+def test_a_butterfly_is_neither_single_valued_nor_damaged() -> None:
+    u = 5 * np.sin(2 * np.pi * np.arange(800) / 200)
+    y = plays(u, np.array([0.5, 1.5, 3.0])) ** 2 + 0.1 * NOISE[:800]
+    found = hf.check(hf.Record(u, y))
+    assert has(found.findings, Code.CROSSING)
+    assert not has(found.findings, Code.SINGLE_VALUED)
+    assert not has(found.findings, Code.DEGRADING)
+    assert found.advice is None
+
+
+def test_a_hysteresis_of_a_thousandth_is_seen_above_less_noise() -> None:
+    u = np.concatenate([np.linspace(0, 600, 61), np.linspace(590, 0, 60)])
+    y = 0.04 * u
+    y[61:] += 0.05 * np.sin(np.pi * u[61:] / 600)
+    noisy = hf.Record(u, y + 0.003 * NOISE[:121])
+    assert not has(hf.check(noisy).findings, Code.SINGLE_VALUED)
+    assert has(hf.check(hf.Record(u, 0.04 * u + 0.003 * NOISE[:121])).findings, Code.SINGLE_VALUED)
+
+
+def test_the_advice_is_a_model_that_the_samples_determine() -> None:
+    """A sensor calibration of 11 points up and 11 down, and 22 weights of the model for longer records."""
+    u = np.concatenate([np.arange(0, 101, 10.0), np.arange(100, -1, -10.0)])
+    y = u + np.where(np.arange(22) > 10, 2.5 * np.sin(np.pi * u / 100), 0.0)
+    report = hf.check(hf.Record(u, y + 0.1 * NOISE[:22]))
+    assert report.advice is not None
+    assert report.verdict(judged_as(report.advice.model) or "").verdict != "no"
+
+
+def test_check_says_each_reason_once() -> None:
+    u = sweep(400, 4)
+    text = hf.check(hf.Record(u, 6 * u - plays(u, np.array([0.3, 1.0, 2.5])))).text()
+    assert text.count("the model describes loops that lag") == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "time", "columns"),
+    [
+        ("s,Input/V,Output/um", "s", (1, 2)),
+        ("ms,Input/V,Output/um", "ms", (1, 2)),
+        ("t_s,ch_a,ch_b", "s", (1, 2)),
+        ("time,Channel B,Channel D", "s", (1, 2)),
+    ],
+)
+def test_columns_named_by_a_unit_of_time_or_a_channel(
+    header: str, time: str, columns: tuple[int, int], tmp_path: Path
+) -> None:
+    u = sweep(60, 2)
+    table = np.column_stack([0.5 * np.arange(60), u, plays(u, np.array([0.3, 1.0]))])
+    path = tmp_path / "loop.csv"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.6f")
+    record = hf.read_csv(path)
+    assert record.t is not None
+    assert record.t_unit == time
+    np.testing.assert_allclose(record.u, table[:, columns[0]], atol=1e-6)
+    np.testing.assert_allclose(record.y, table[:, columns[1]], atol=1e-6)
+
+
+def test_clipped_samples_are_named_by_a_fit() -> None:
+    u = sweep(300, 3)
+    y = np.minimum(plays(u, np.array([0.3, 1.0, 2.5])) + 0.02 * NOISE[:300], 12.0)
+    result = hf.fit("prandtl-ishlinskii:plays=8", hf.Record(u, y))
+    assert has(result.notes, Code.CLIPPED)
+
+
+@pytest.mark.usefixtures("as_users_run")
+def test_swapped_arguments_are_named() -> None:
+    with pytest.raises(ParameterError, match="the model comes first"):
+        hf.fit({"u": FALLING_INPUT, "y": FALLING}, "bouc-wen")  # type: ignore[arg-type]
+
+
+def test_coarse_sampling_of_a_yielding_element_is_named_where_it_costs_accuracy() -> None:
+    """Beside 400 substeps a sample: no advice where the error is small, and the advised substeps make it small."""
+    u = np.sin(np.linspace(0, 6 * np.pi, 90))
+    error = lambda model, exact: float(np.ptp(hf.simulate(model, u)[0] - exact))
+    model = hf.BoucWenForce(kappa_x=0.0, kappa_w=1.0, rho=20.0, sigma=0.8, n=3.0)
+    exact = np.asarray(hf.simulate(dataclasses.replace(model, substeps=400), u)[0])
+    (advice,) = model.advice(u)
+    fine = dataclasses.replace(model, substeps=int(advice.split("substeps=")[1].split(";")[0]))
+    assert fine.advice(u) == ()
+    assert error(model, exact) > 0.02
+    assert error(fine, exact) < 0.004
+
+
+def test_a_spring_that_dissipates_nothing_shows_no_hysteresis() -> None:
+    """r_load = -r_unl is a nonlinear spring without loss; with both positive the loop of z dissipates."""
+    force = np.concatenate([0.5 * NOISE[:200], np.zeros(200)])
+    dt = np.full(400, 0.1)
+    model = hf.BoucWenOscillator(c=0.3, r_load=0.4, r_unl=-0.4, between="linear")
+    assert model.hysteretic_share(force, dt) == pytest.approx(0.0, abs=0.02)
+    lossy = dataclasses.replace(model, r_load=np.asarray(2.0), r_unl=np.asarray(2.0))
+    assert (lossy.hysteretic_share(force, dt) or 0.0) > 0.1
+
+
+def test_a_batch_takes_data_sets_by_name() -> None:
+    (source,) = sources_of(["stage-sweep"])
+    assert source.record is not None
+    assert source.name == "stage-sweep"
+
+
+def test_options_that_resemble_none_are_answered_by_those_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["sample", "fit", "--quick"]) == 2
+    assert "--draws, --chains" in capsys.readouterr().err
+    assert run(["sample", "fit", "--drawz", "3"]) == 2
+    assert "--draws?" in capsys.readouterr().err
+
+
+def test_ratios_of_errors_ignore_directions_that_the_data_leave_open() -> None:
+    """A column twice: rounding decides the share of each, and must not decide the ratio of errors under noise twice as large."""
+    columns = NOISE[:300].reshape(100, 3)
+    both = np.column_stack([columns, columns[:, :1]])
+    assert _ratio(both / 2.0, both * (1 + 1e-16 * NOISE[300:700].reshape(100, 4)), 1.0) == pytest.approx(2.0, rel=1e-6)
