@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, AbstractStepInverse
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.step_inverse import AbstractStepInverse
 
 
 class Negate(AbstractHysteresis):
@@ -22,24 +24,15 @@ class Negate(AbstractHysteresis):
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     linear_in_input: ClassVar[bool] = True
 
-    def init(self, u0: Float[Array, ""]) -> Float[Array, " state"]:
+    def init(self, u0: Scalar) -> State:
         """No state."""
         return jnp.zeros((0,), dtype=jnp.result_type(float))
 
-    def step(
-        self, state: Float[Array, " state"], u0: Float[Array, ""], u1: Float[Array, ""], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " state"], Float[Array, ""]]:
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The opposite of the input."""
         return state, -u1
 
-    def sweep(
-        self,
-        state: Float[Array, " state"],
-        u0: Float[Array, ""],
-        u: Float[Array, " T"],
-        dt: Float[Array, " T"],
-        unroll: int = 1,
-    ) -> tuple[Float[Array, " state"], Float[Array, " T"]]:
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without a scan."""
         return state, -u
 
