@@ -11,9 +11,8 @@ _GAP = 0.03  # of the input's range: between the ends of a period, and between i
 _INSIDE = 0.1  # of the input's range: least distance of the first input from the turning points, where the state is known anyway
 _BACK = 0.01  # of the input's range: a step back against the branch, by noise
 _LOCAL = 0.05  # of the input's range, over which the slope at the first sample is measured
-_CLOSED = (
-    0.25  # of the local width: largest change of the output over the period; a virgin branch begins half a width away
-)
+# Of the local width: largest change of the output over the period, without and with noise. A virgin branch begins half a width away.
+_CLOSED, _LOOSE = 0.1, 0.25
 _STANDS_OUT = 8.0  # times the noise: least local width
 _OPEN = 0.02  # of the output's range: least local width
 
@@ -22,7 +21,7 @@ def steady_period(record: Record) -> int | None:
     """Number of samples of the first period, where it spans the record, begins between its turning points and closes; else None.
 
     A device that rested before the first sample starts inside the loop, half its width away from the branch on which the period
-    ends. Where both outputs agree to a quarter of the width, the motion was steady before.
+    ends. Where both outputs agree to a small part of the width, the motion was steady before.
     """
     u, y = record.u, record.y
     span = float(np.ptp(u))
@@ -41,11 +40,10 @@ def steady_period(record: Record) -> int | None:
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     end = y[last] + (y[away] - y[0]) / (u[away] - u[0]) * (u[0] - u[last])
     width = abs(np.interp(-v[0], -v[first : second + 1], y[first : second + 1]) - 0.5 * (y[0] + end))
-    noise = float(np.std(np.diff(y[: last + 1], 2))) / np.sqrt(
-        6.0
-    )  # white noise has sqrt(6) times its own in second differences
-    closes = abs(end - y[0]) <= _CLOSED * width and width > max(_OPEN * np.ptp(y[: last + 1]), _STANDS_OUT * noise)
-    return last + (last == u.size - 1) if closes else None
+    noise = float(np.std(np.diff(y[: last + 1], 2)) / np.sqrt(6.0))  # second differences have sqrt(6) times white noise
+    closes = abs(end - y[0]) <= min(_CLOSED * width + 2 * noise, _LOOSE * width)
+    stands_out = width > max(_OPEN * np.ptp(y[: last + 1]), _STANDS_OUT * noise)
+    return last + (last == u.size - 1) if closes and stands_out else None
 
 
 def _turn(v: np.ndarray, span: float) -> int:

@@ -168,6 +168,10 @@ class Duhem(AbstractHysteresis):
             q = -(slope @ q) / kappa
         return total
 
+    def prepared(self, record: Record) -> Record:
+        """As it is: the first output is a parameter of the model."""
+        return record
+
     def start(self, records: Sequence[Record]) -> Duhem:
         """Integrated regression: at a given rate the simulated output is linear in f, g and w0; the best of several rates wins.
 

@@ -132,7 +132,7 @@ class BoucWenOscillator(AbstractHysteresis):
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
         """Work of z over all dissipated work; what the spring stores at the end is small beside many cycles."""
         force = jnp.asarray(u)
-        run = self._trajectory(self.init(force[0]), force[0], force, jnp.asarray(dt), 1)
+        run = self._trajectory(self.init(force[0]), force[0], force, jnp.asarray(dt))
         _, y, z = (np.asarray(values) for values in run)
         way, steps = np.diff(y), np.maximum(dt[1:], 1e-300)
         spring = float(np.sum(0.5 * (z[1:] + z[:-1]) * way))
