@@ -28,7 +28,8 @@ def steady_period(record: Record) -> int | None:
     middle = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
     if u.size < _FEWEST or not middle or not np.isfinite(y[0]):
         return None
-    rising = 1.0 if u[np.argmax(np.abs(u - u[0]) > _LOCAL * span)] > u[0] else -1.0
+    away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
+    rising = 1.0 if u[away] > u[0] else -1.0
     v = rising * u
     first = _turn(v, span)
     second = first + _turn(-v[first:], span)
@@ -37,7 +38,6 @@ def steady_period(record: Record) -> int | None:
     covers = v[first] > v.max() - _GAP * span and v[second] < v.min() + _GAP * span
     if not covers or abs(u[last] - u[0]) > _GAP * span or not np.isfinite(y[: last + 1]).all():
         return None
-    away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     end = y[last] + (y[away] - y[0]) / (u[away] - u[0]) * (u[0] - u[last])
     width = abs(np.interp(-v[0], -v[first : second + 1], y[first : second + 1]) - 0.5 * (y[0] + end))
     noise = float(np.std(np.diff(y[: last + 1], 2)) / np.sqrt(6.0))  # second differences have sqrt(6) times white noise
