@@ -23,6 +23,7 @@ from .models import BoucWenForce as BoucWenForce
 from .models import BoucWenOscillator as BoucWenOscillator
 from .models import Delay as Delay
 from .models import Duhem as Duhem
+from .models import JilesAtherton as JilesAtherton
 from .models import Lag as Lag
 from .models import LinearCreep as LinearCreep
 from .models import LogCreep as LogCreep

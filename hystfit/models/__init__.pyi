@@ -12,6 +12,7 @@ from .duhem import Duhem as Duhem
 from .dynamics import Delay as Delay
 from .dynamics import Lag as Lag
 from .dynamics import SecondOrder as SecondOrder
+from .jiles_atherton import JilesAtherton as JilesAtherton
 from .negate import Negate as Negate
 from .offset import Offset as Offset
 from .oscillator import BoucWenOscillator as BoucWenOscillator

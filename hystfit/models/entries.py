@@ -93,6 +93,11 @@ MODELS: dict[str, Entry] = {
         "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
         compared_on=("leading",),
     ),
+    "jiles-atherton": Entry(
+        "jiles_atherton:JilesAtherton",
+        "core",
+        "Jiles-Atherton M(H) or B(H) of magnetic materials; 6 parameters, and alpha",
+    ),
     "oscillator": Entry(
         "oscillator:BoucWenOscillator",
         "core",

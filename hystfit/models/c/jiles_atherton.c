@@ -1,0 +1,81 @@
+/* Jiles-Atherton. State: effective field He = H + alpha M, and irreversible magnetization over Ms. */
+static double @f@_langevin(double x)
+{
+    const double square = x * x;
+    if (fabs(x) < 1e-2)
+        return x * (1.0 / 3 - square * (1.0 / 45 - square * (2.0 / 945 - square / 4725)));
+    return 1 / tanh(x) - 1 / x;
+}
+
+/* Irreversible part at an effective field, with the anhysteretic curve straight on the way there. */
+static double @f@_irreversible(const double *s, double sign, double field)
+{
+    const double g0 = @f@_langevin(s[0] / @M@_A), g1 = @f@_langevin(field / @M@_A), ahead = s[1] - g0;
+    double resting = 0, begin = g0;
+    if (sign * ahead > 0) {
+        resting = g1 == g0 ? 1 : fmin(fmax(ahead / (g1 - g0), 0), 1);
+        begin = s[1];
+    }
+    if (resting >= 1 || field == s[0])
+        return s[1];
+    const double z = (1 - resting) * fabs(field - s[0]) / @M@_K, mean = z > 0 ? -expm1(-z) / z : 1;
+    return g1 - (g1 - begin) * mean - (begin - s[1]) * exp(-z);
+}
+
+static double @f@_total(const double *s, double sign, double field)
+{
+    return @M@_C * @f@_langevin(field / @M@_A) + (1 - @M@_C) * @f@_irreversible(s, sign, field);
+}
+
+/* The new effective field, where He - alpha M is the input: regula falsi with halving, in a bracket that cannot lose the root. */
+static double @f@_field(const double *s, double sign, double u)
+{
+    double low = fmin(u - @M@_FIELD, s[0]), high = fmax(u + @M@_FIELD, s[0]);
+    double below = low - @M@_FIELD * @f@_total(s, sign, low) - u, above = high - @M@_FIELD * @f@_total(s, sign, high) - u;
+    if (sign > 0)
+        low = s[0], below = s[0] - @M@_FIELD * @f@_total(s, sign, s[0]) - u;
+    else if (sign < 0)
+        high = s[0], above = s[0] - @M@_FIELD * @f@_total(s, sign, s[0]) - u;
+    else
+        return s[0];
+    for (int i = 0; i < 200 && high - low > 4e-16 * fmax(fabs(low), fabs(high)); i++) {
+        double middle = i % 3 == 2 || !(above > below) ? 0.5 * (low + high) : low - below * (high - low) / (above - below);
+        double miss;
+        if (!(middle > low && middle < high))
+            middle = 0.5 * (low + high);
+        miss = middle - @M@_FIELD * @f@_total(s, sign, middle) - u;
+        if (miss == 0)
+            return middle;
+        if (miss < 0)
+            low = middle, below = miss;
+        else
+            high = middle, above = miss;
+    }
+    return fabs(below) < fabs(above) ? low : high;
+}
+
+static void @f@_move(const double *s, double u0, double u1, double *next)
+{
+    const double sign = u1 > u0 ? 1 : u1 < u0 ? -1 : 0, field = @f@_field(s, sign, u1);
+    next[1] = @f@_irreversible(s, sign, field);
+    next[0] = field;
+}
+
+static void @f@_init(double *s, double u0)
+{
+    s[0] = s[1] = 0;
+    for (int i = 0; i < @M@_FIRST_CURVE; i++)
+        @f@_move(s, u0 * i / @M@_FIRST_CURVE, u0 * (i + 1) / @M@_FIRST_CURVE, s);
+}
+
+static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
+{
+    double moved[2];
+    (void)dt;
+    @f@_move(s, u0, u1, moved);
+    if (next) {
+        next[0] = moved[0];
+        next[1] = moved[1];
+    }
+    return @M@_OFFSET + @M@_SLOPE * u1 + @M@_MS * (@M@_C * @f@_langevin(moved[0] / @M@_A) + (1 - @M@_C) * moved[1]);
+}

@@ -1,0 +1,180 @@
+"""Jiles-Atherton hysteresis of magnetic materials (Jiles and Atherton 1986), integrated along its effective field."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.models.base import AbstractHysteresis, Derived, run
+from hystfit.models.bracketed import Root, solve_rising
+from hystfit.models.c_code import CPart, template
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.host_arrays import to_device
+from hystfit.params.param import param
+from hystfit.quality.needs import Needs
+
+MU0 = 4e-7 * np.pi  # [T m/A]
+FIRST_CURVE = 64  # steps from the demagnetized state to the first input
+_STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
+_SERIES = 1e-2  # argument below which the Langevin function is its series
+
+
+class JilesAtherton(AbstractHysteresis):
+    """Jiles-Atherton magnetization:  M = c Man + (1 - c) Mirr,  dMirr/dHe = max(s (Man - Mirr), 0) / k,  s = sign(dH).
+
+    The anhysteretic curve is Man = Ms L(He / a) with the Langevin function L, the effective field He = H + alpha M. The output is
+    offset + slope H + M: the polarization, or B where slope = mu0, which a fit sets where H is in A/m and B in T. Mirr stays where it
+    would move against the field, so that no susceptibility is negative (Deane 1994). A record begins on the first curve, from the
+    demagnetized state.
+
+    `coupling` = alpha Ms / (3 a) is the part of the anhysteretic slope that feeds back: below 1 that curve has no jump. A fit reports
+    `alpha` in units of H per unit of the output; with both H and M in A/m it is the dimensionless alpha of finite-element programs,
+    with the output in T it is that divided by mu0.
+
+    The law in He does not contain alpha. A step solves for the new He and is exact for an anhysteretic curve that is straight between
+    two samples: second order in the step of He.
+    """
+
+    rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2,
+        symmetry="symmetric",
+        direction="counter-clockwise",
+        too_few="a, coupling and k are nearly redundant below saturation",
+    )
+
+    Ms: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y", scale=2.0, doc="saturation magnetization", linear=True)
+    a: Scalar = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="shape of the anhysteretic curve")
+    coupling: Scalar = param(0.5, bounds=(0.0, 1.0), doc="mean field, alpha Ms / (3 a)")
+    k: Scalar = param(0.3, bounds=(0.0, np.inf), unit="u", scale=0.3, doc="pinning, nearly the coercive field")
+    c: Scalar = param(0.2, bounds=(0.0, 1.0), doc="reversible part of the magnetization")
+    slope: Scalar = param(0.0, bounds=(0.0, np.inf), unit="y/u", fixed=True, doc="output without material, mu0 in B(H)")
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="output of the demagnetized state", linear=True)
+
+    @property
+    def mean_field(self) -> Scalar:
+        """alpha Ms, the effective field of the saturated material without a field [u]."""
+        return 3.0 * self.a * self.coupling
+
+    def init(self, u0: Scalar) -> State:
+        """State: effective field and irreversible part of the magnetization over Ms, shape (2,), on the first curve."""
+        path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
+        begin = jnp.zeros(2) + 0.0 * u0
+        return jax.lax.scan(lambda s, ends: (self._moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """One sample: the effective field at u1, and what it magnetizes."""
+        new = self._moved(state, u0, u1)
+        return new, self.offset + self.slope * u1 + self.Ms * self.total(new)
+
+    def _moved(self, state: State, u0: Scalar, u1: Scalar) -> State:
+        """The state at u1, where He - alpha M = u1: differentiable by the implicit function theorem."""
+        s = jnp.sign(u1 - u0)
+        search = lambda function, start: solve_rising(function, start, *self.span(state, u1, u1)).x
+        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), _STEEPEST)
+        miss = lambda field: field - self.mean_field * self.total(self.at_field(state, s, field)) - u1
+        return self.at_field(state, s, jax.lax.custom_root(miss, state[0], search, steep))
+
+    def span(self, state: State, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
+        """Lowest and highest effective field on the way from a state to inputs between two limits [u].
+
+        Args:
+            state: before, shape (2,).
+            low, high: limits of the input [u].
+        """
+        return jnp.minimum(low - self.mean_field, state[0]), jnp.maximum(high + self.mean_field, state[0])
+
+    def at_field(self, state: State, s: Scalar, field: Scalar) -> State:
+        """The state at an effective field, with the anhysteretic curve straight on the way there.
+
+        Args:
+            state: before, shape (2,).
+            s: direction of the input, -1, 0 or 1.
+            field: new effective field [u].
+        """
+        before, irreversible = state
+        g0, g1 = langevin(before / self.a), langevin(field / self.a)
+        rise, ahead = g1 - g0, irreversible - g0  # Mirr rests until the curve has passed it
+        resting = jnp.clip(jnp.where(s * ahead > 0, ahead / jnp.where(rise == 0, 1.0, rise), 0.0), 0.0, 1.0)
+        begin = jnp.where(s * ahead > 0, irreversible, g0)
+        z = (1.0 - resting) * jnp.abs(field - before) / jnp.maximum(self.k, jnp.finfo(field.dtype).tiny)
+        mean = jnp.where(z > 0, -jnp.expm1(-z) / jnp.where(z > 0, z, 1.0), 1.0)
+        moved = g1 - (g1 - begin) * mean - (begin - irreversible) * jnp.exp(-z)
+        return jnp.stack([field, jnp.where(resting < 1.0, moved, irreversible)])
+
+    def total(self, state: State) -> Scalar:
+        """M / Ms."""
+        return self.c * langevin(state[0] / self.a) + (1.0 - self.c) * state[1]
+
+    def derived(self) -> tuple[Derived, ...]:
+        """The mean field parameter in the form of the literature."""
+        return (Derived("alpha", "u/y", "mean field parameter, He = H + alpha M", lambda m: m.mean_field / m.Ms),)
+
+    def start(self, records: Sequence[Record]) -> JilesAtherton:
+        """The best of a grid over a, coupling, k and c, with Ms and the offset by least squares."""
+        half, short = input_range(records).half, thinned(records, 300)
+        given = {(record.u_unit, record.y_unit) for record in records}
+        slope = MU0 if given == {("A/m", "T")} else float(self.slope)
+        grid = np.array(list(itertools.product((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))))
+        scale = np.array([half, 1.0, half, 1.0])
+        plain = JilesAtherton()
+        columns = np.concatenate([_over_grid(plain, grid * scale, record.u)[:, record.used].T for record in short])
+        y = np.concatenate([(record.y - slope * record.u)[record.used] for record in short])
+        offsets = offset_columns(short)
+        best = best_column(offsets, columns, y)
+        theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
+        values = (max(float(theta[0]), 1e-3 * float(np.ptp(y))), *(grid[best] * scale), slope, float(theta[1]))
+        where = lambda m: (m.Ms, m.a, m.coupling, m.k, m.c, m.slope, m.offset)
+        return eqx.tree_at(where, self, tuple(map(to_device, values)))
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """See `JilesAthertonStep`."""
+        return JilesAthertonStep(self)
+
+    def c_part(self) -> CPart:
+        """The same search in C."""
+        numbers = {"MS": self.Ms, "A": self.a, "FIELD": self.mean_field, "K": self.k, "C": self.c}
+        numbers |= {"SLOPE": self.slope, "OFFSET": self.offset, "FIRST_CURVE": FIRST_CURVE}
+        return CPart(template("jiles_atherton.c"), 2, numbers)
+
+
+class JilesAthertonStep(AbstractStepInverse):
+    """Inverse of `JilesAtherton`: one search for the effective field, as for a step of the model, after which H = He - alpha M."""
+
+    model: JilesAtherton
+    needs_limits: bool = eqx.field(static=True, default=True)
+
+    def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
+        """See the base class."""
+        ja = self.model
+        s = jnp.sign(target - (ja.offset + ja.slope * u0 + ja.Ms * ja.total(state)))
+        total = lambda field: ja.total(ja.at_field(state, s, field))
+        miss = lambda field: ja.slope * field + (ja.Ms - ja.slope * ja.mean_field) * total(field) + ja.offset - target
+        root = solve_rising(miss, state[0], *ja.span(state, low, high))
+        return Root(root.x - ja.mean_field * total(root.x), root.rising)
+
+
+def langevin(x: Scalar) -> Scalar:
+    """coth x - 1 / x, by its series near zero."""
+    near = jnp.abs(x) < _SERIES
+    far = jnp.where(near, 1.0, x)
+    square = jnp.where(near, x, 0.0) ** 2
+    series = x * (1.0 / 3.0 - square * (1.0 / 45.0 - square * (2.0 / 945.0 - square / 4725.0)))
+    return jnp.where(near, series, 1.0 / jnp.tanh(far) - 1.0 / far)
+
+
+@eqx.filter_jit
+def _over_grid(plain: JilesAtherton, grid: Signal, u: Signal) -> Signal:
+    """M / Ms of models with (a, coupling, k, c) in the rows of a grid, shape (grid, T)."""
+    where = lambda m: (m.a, m.coupling, m.k, m.c)
+    one = lambda row: run(eqx.tree_at(where, plain, tuple(row)), u, jnp.zeros_like(u))[0]
+    return jax.vmap(one)(jnp.asarray(grid))
