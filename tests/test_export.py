@@ -147,6 +147,18 @@ def test_c_of_a_yielding_force_equals_python(n: float, tmp_path: Path) -> None:
     assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.0)).all()
 
 
+def test_c_of_a_magnetization_equals_python(tmp_path: Path) -> None:
+    model = hf.JilesAtherton(Ms=1.4, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1)
+    program, u = build(model, tmp_path, limits=(-1.5, 1.5)), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u)[0])
+    np.testing.assert_allclose(run(program, "f", float(u[0]), u, 0.0)[:, 0], expected, atol=1e-12)
+    found = run(program, "i", float(u[0]), expected, 0.0)
+    np.testing.assert_allclose(found[:, 1], expected, atol=1e-6)
+    assert not found[:, 2].any()
+    extreme = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
+    assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.0)).all()
+
+
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 QUICK = ("bouc_wen_asymmetric", "duhem_explicit", "lag_plays_creep_rate", "preisach_creep")
 

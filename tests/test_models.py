@@ -61,6 +61,10 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "duhem, explicit": (Duhem(**CURVES, scheme="explicit"), {}),
     "duhem, exact": (Duhem(**CURVES, scheme="exact"), {}),
     "force": (hystfit.BoucWenForce(kappa_x=0.4, kappa_w=1.0, rho=2.0, sigma=0.9, n=2.0, w0=0.1), {}),
+    "jiles-atherton": (
+        hystfit.JilesAtherton(Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1),
+        {},
+    ),
     "relaxation": (hystfit.Relaxation(), {}),
     "oscillator": (BoucWenOscillator(m=0.01, c=0.05, r_unl=0.7, n=1.5, between="linear"), {}),
     "oscillator, hardening, held": (BoucWenOscillator(m=0.01, c=0.05, r_load=-0.5, r_unl=0.7, between="hold"), {}),

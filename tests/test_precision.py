@@ -82,6 +82,7 @@ INDEPENDENT = {
         "BoucWenOscillator",
         "Delay",
         "Duhem",
+        "JilesAtherton",
         "Lag",
         "LinearCreep",
         "LogCreep",

@@ -50,6 +50,7 @@ CASES = {
         SWEEP,
     ),
     "bouc-wen-force": (hf.BoucWenForce(kappa_x=0.4, kappa_w=1.0, rho=4.0, sigma=0.9, n=2.0, offset=0.1), SWEEP),
+    "jiles-atherton": (hf.JilesAtherton(Ms=1.5, a=0.2, coupling=0.7, k=0.15, c=0.25, offset=0.1), SWEEP),
     "oscillator": (
         hf.BoucWenOscillator(
             m=0.02, c=0.15, K=2.0, a=0.4, r_load=1.0, r_unl=0.2, Z=0.24, offset=0.05, between="linear"

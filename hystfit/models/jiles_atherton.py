@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived, run
@@ -127,7 +128,12 @@ class JilesAtherton(AbstractHysteresis):
         grid = np.array(list(itertools.product((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))))
         scale = np.array([half, 1.0, half, 1.0])
         plain = JilesAtherton()
-        columns = np.concatenate([_over_grid(plain, grid * scale, record.u)[:, record.used].T for record in short])
+        columns = np.concatenate(
+            [
+                np.asarray(_over_grid(plain, jnp.asarray(grid * scale), jnp.asarray(record.u)))[:, record.used].T
+                for record in short
+            ]
+        )
         y = np.concatenate([(record.y - slope * record.u)[record.used] for record in short])
         offsets = offset_columns(short)
         best = best_column(offsets, columns, y)
@@ -173,8 +179,8 @@ def langevin(x: Scalar) -> Scalar:
 
 
 @eqx.filter_jit
-def _over_grid(plain: JilesAtherton, grid: Signal, u: Signal) -> Signal:
+def _over_grid(plain: JilesAtherton, grid: Float[Array, "n 4"], u: Signal) -> Float[Array, "n T"]:
     """M / Ms of models with (a, coupling, k, c) in the rows of a grid, shape (grid, T)."""
     where = lambda m: (m.a, m.coupling, m.k, m.c)
     one = lambda row: run(eqx.tree_at(where, plain, tuple(row)), u, jnp.zeros_like(u))[0]
-    return jax.vmap(one)(jnp.asarray(grid))
+    return jax.vmap(one)(grid)
