@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -74,27 +72,15 @@ def test_the_inverse_gives_the_input_again() -> None:
     np.testing.assert_allclose(inverse.u, u, atol=1e-6)
 
 
-def test_derivatives_hold_where_the_steps_are_coarse() -> None:
-    """An implicit function: its derivative is that of the solution, not of the search."""
-    u = jnp.asarray(4000.0 * np.sin(np.arange(12)))
-
-    def output(k: float) -> jax.Array:
-        return hf.simulate(hf.JilesAtherton(**{**IRON, "k": k}), u)[0]
-
-    step = 1e-2
-    differences = (output(400.0 + step) - output(400.0 - step)) / (2 * step)
-    np.testing.assert_allclose(jax.jacfwd(output)(400.0), differences, rtol=1e-6, atol=1e-6)
-
-
 def test_a_fit_finds_the_parameters_and_takes_mu0_for_a_flux_density() -> None:
     truth = hf.JilesAtherton(Ms=1.9, a=900.0, coupling=0.7, k=350.0, c=0.15, slope=MU0)
     u = np.concatenate([a * np.sin(2 * np.pi * np.arange(120) / 120) for a in (5000.0, 1500.0)])
     noise = 0.003 * np.random.default_rng(0).normal(size=u.size)
     y = np.asarray(hf.simulate(truth, u)[0]) + noise
-    result = hf.fit("jiles-atherton", hf.Record(u=u, y=y, u_unit="A/m", y_unit="T"), starts=3)
+    result = hf.fit("jiles-atherton", hf.Record(u=u, y=y, u_unit="A/m", y_unit="T"), starts=1)
     assert float(result.model.slope) == MU0
     for name, true in {"Ms": 1.9, "a": 900.0, "coupling": 0.7, "k": 350.0, "c": 0.15}.items():
         row = next(p for p in result.parameters if p.name == name)
         assert abs(row.value - true) < 4 * row.stderr < 0.2 * true, name
-    alpha = next(p for p in result.parameters if p.name == "alpha")
+    (alpha,) = result.derived
     assert abs(alpha.value - 3 * 900.0 * 0.7 / 1.9) < 4 * alpha.stderr

@@ -79,7 +79,7 @@ CASES = (
         0.0,
     ),
     Case("damper", "mr_labcontrol/4.1", "bouc-wen-force+viscous", {}, 2, (0.0, 12.0), (12.0, 30.0)),
-    Case("magnetic", "mag_ja_bh/M130_27s", "prandtl-ishlinskii-generalized:plays=4", {}),
+    Case("magnetic", "mag_ja_bh/M130_27s", "jiles-atherton", {}),
 )
 
 
