@@ -20,7 +20,7 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.predictive import predictive_draws
 
-SETTINGS = {"chains": 4, "draws": 1000, "warmup": 500}
+SETTINGS = {"chains": 4, "draws": 2000, "warmup": 500}
 COUNT = 400  # predictive draws
 BAND = 0.9
 
