@@ -34,6 +34,7 @@ class Case:
         source: of the data, by name.
         model: README.md says how it was chosen.
         fix: parameters held.
+        free: initial states that the fit's verdict proposes to free.
         every: one sample in so many is used.
         train, held: windows in seconds; None where whole curves are held out.
         rest: input at which the device rested before the record; None where that is not known.
@@ -43,6 +44,7 @@ class Case:
     source: str
     model: str
     fix: dict[str, float]
+    free: tuple[str, ...] = ()
     every: int = 1
     train: tuple[float, float] | None = None
     held: tuple[float, float] | None = None
@@ -67,19 +69,29 @@ class Case:
         return hf.Record(t=t, u=record.u[:: self.every], y=record.y[:: self.every], name=record.name, **units)
 
 
+PIEZO, STEEL = "lag+bouc-wen-asymmetric+log-creep", "mag_ja_bh/M130_27s"
 CASES = (
     Case(
         "piezo",
         "piezo_dbo/model",
-        "lag+bouc-wen-asymmetric+log-creep",
+        PIEZO,
         {"rho": 0.5, "n": 1.0},
-        4,
-        (5.0, 25.0),
-        (25.0, 40.0),
-        0.0,
+        every=4,
+        train=(5.0, 25.0),
+        held=(25.0, 40.0),
+        rest=0.0,
     ),
-    Case("damper", "mr_labcontrol/4.1", "bouc-wen-force+viscous", {}, 2, (0.0, 12.0), (12.0, 30.0)),
-    Case("magnetic", "mag_ja_bh/M130_27s", "jiles-atherton", {}),
+    Case(
+        "damper",
+        "mr_labcontrol/4.1",
+        "bouc-wen-force+viscous",
+        {},
+        ("w0",),
+        every=2,
+        train=(0.0, 12.0),
+        held=(12.0, 30.0),
+    ),
+    Case("magnetic", STEEL, "jiles-atherton", {}),
 )
 
 
@@ -100,7 +112,7 @@ def _stored(results: Results, case: Case, data: hf.Record | Dataset, noise: str)
     file = results.out / "bands" / f"{case.name}-{noise}.json"
     if not file.exists():
         fitted, held = case.split(data)
-        made = one(case.name, hf.fit(case.model, fitted, fix=case.fix), held, noise)
+        made = one(case.name, hf.fit(case.model, fitted, fix=case.fix, free=case.free), held, noise)
         file.parent.mkdir(exist_ok=True)
         scratch = file.with_suffix(".part")
         scratch.write_text(json.dumps(made), encoding="utf-8")
