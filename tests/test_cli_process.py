@@ -249,3 +249,24 @@ def test_interrupt_from_the_keyboard(folder, tmp_path):
     assert "Traceback" not in err
     assert out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_ends_without_taking_modules_down():
+    code = """
+import atexit, sys
+from hystfit.cli import main
+class Kept:
+    def __del__(self): print("taken down")
+kept = Kept()
+atexit.register(print, "before the command")
+class Late:
+    def find_spec(self, *_):
+        atexit.register(print, "imported by it")
+        sys.meta_path.remove(self)
+sys.meta_path.insert(0, Late())
+sys.argv[1:] = ["data-sets"]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert (done.stdout, "hystfit:" in done.stderr) == ("imported by it\n", True)
