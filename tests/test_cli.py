@@ -9,6 +9,7 @@ import itertools
 import json
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.cli.options import Reading, bounds_of, command_words, named_values
+from hystfit.cli.options import Reading, bounds_of, named_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import show
 from hystfit.errors import HystfitError
@@ -320,7 +321,9 @@ def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, cap
     """The commands at its top can be pasted into a shell, wherever the fit and the loop are; without --out there is no fit to name."""
     out = tmp_path / "my fit"
     assert run(["fit", str(loop), "--time=0", "--model", "bouc-wen", "--out", str(out), "--starts", "1"]) == 0
-    assert f"hystfit predict '{out}' NEW_LOOP" in (out / "report.txt").read_text().replace("\n    ", " ")
+    predict = f"hystfit predict '{out}' NEW_LOOP --time=0"
+    assert f"      {predict}\n" in (out / "report.txt").read_text()
+    assert run([str(loop) if word == "NEW_LOOP" else word for word in shlex.split(predict)[1:]]) == 0
     rows = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", (out / "report.html").read_text(), re.DOTALL))
     assert html.unescape(rows["Next"]).splitlines()[1] == f"hystfit invert '{out}' REFERENCE"
     capsys.readouterr()
@@ -334,11 +337,20 @@ def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, cap
     )
     poor = dataclasses.replace(saved, status=Status.NOT_CONVERGED)
     assert f"hystfit check {loop}" in " ".join(text_report(poor).split())
-    text = text_report(poor, Wording(loop=command_words([str(loop)], Reading(time="0")), translate=as_options))
-    assert f"hystfit compare {loop} --time=0" in " ".join(text.split())
+    text = text_report(poor, Wording(split="--window=:2", translate=as_options))
+    assert f"      hystfit compare {loop} --time=0 --window=:2\n" in text
     page = html_report(poor, wording=Wording(translate=as_options))
     assert "--method trf" in page
     assert "method=" not in page
+
+
+def test_check_proposes_to_read_each_curve_as_a_record(tmp_path, capsys):
+    u = 5 * np.sin(np.linspace(0, 2 * np.pi, 60))
+    rows = [f"{k},{k * a:.4f},{k * bouc:.4f}" for k in (1, 2) for a, bouc in zip(u, bouc_wen(u), strict=True)]
+    (tmp_path / "two.txt").write_text("loop;H_A_per_m;B_T\n" + "\n".join(rows).replace(",", ";") + "\n")
+    assert run(["check", str(tmp_path / "two.txt"), "--delimiter=;"]) == 0
+    command = capsys.readouterr().out.strip().splitlines()[-1]
+    assert shlex.split(command)[2:5] == [str(tmp_path / "two.txt"), "--by=loop", "--delimiter=;"]
 
 
 def test_report_again(fitted, folder, capsys):
@@ -601,7 +613,7 @@ def test_messages_name_options_as_the_shell_does(capsys):
 
 
 def test_curves_of_one_file_are_split_into_fit_and_test(folder, loop):
-    from hystfit.cli.options import Reading, Split
+    from hystfit.cli.options import Split
     from hystfit.cli.records import train_and_test
 
     rows = [line.split(",")[1:] for line in loop.read_text().splitlines()[1:]]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
+import dataclasses
 from pathlib import Path
 
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, progress
@@ -42,8 +42,9 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         text += f"\n\n{properties.text()}"
         status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
     if report.advice is not None:
-        rest = "" if reading == DEFAULT_READING else "  (and the same options for reading the file)"
-        text += f"\n\nhystfit fit {shlex.join(loops)} --model {report.advice.model}{rest}"
+        proposed = dict(note.option for note in remarks if note.option is not None)
+        command = command_words(loops, dataclasses.replace(reading, **proposed))
+        text += f"\n\nhystfit fit {command} --model {report.advice.model}"
 
     def save(folder: Path) -> None:
         (folder / "check.txt").write_text(as_options(text) + "\n", encoding="utf-8")

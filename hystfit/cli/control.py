@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +45,8 @@ def invert(
     from hystfit.results.provenance import provenance
 
     sampled = (fitdir / "posterior.nc").is_file()
-    result = open_fit(fitdir / "fit" if sampled else fitdir, output, trust)
+    place = fitdir / "fit" if sampled else fitdir
+    result = open_fit(place, output, trust)
     target = result.in_fitted_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
@@ -85,10 +87,13 @@ def invert(
 
     def page() -> Page:
         from hystfit.cli.pages import inverse_figure, invert_page
+        from hystfit.results.report.answer import opened
 
         remarks = [lines[1], *(line for line in lines if line.startswith("  - "))]
         figure = inverse_figure(target, inverse, bands, units["input"] or "")
-        return invert_page(f"{result.name} inverted for {target.name}", content, remarks, figure)
+        folder, same = opened(result, shlex.quote(str(place))), f" --limits={limits}" if limits else ""
+        following = f"hystfit export {folder} --c code{same}"
+        return invert_page(f"{result.name} inverted for {target.name}", content, remarks, figure, following)
 
     return finish("\n".join(lines), content, output, save, page=page)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hystfit.cli.interrupts import INTERRUPTED
-from hystfit.cli.options import DEFAULT_READING, Loop, Reading, changed_reading, command_words, named_values
+from hystfit.cli.options import DEFAULT_READING, Loop, Reading, changed, command_words, named_values
 from hystfit.cli.records import load
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import progress
@@ -64,13 +64,13 @@ def _source(loop: str, record: Record, reading: Reading) -> Source:
     """How the record is read again at the shell and in Python."""
     from hystfit.explorer.session import Source
 
-    changed, shell = changed_reading(reading), command_words([loop], reading)
-    call = lambda names: ", ".join(f"{name}={changed[name]!r}" for name in changed if name in names)
+    options, shell = changed(reading), command_words([loop], reading)
+    call = lambda names: ", ".join(f"{name}={options[name]!r}" for name in options if name in names)
     if Path(loop).exists() or loop not in datasets.names():
-        arguments = ", ".join(filter(None, [repr(loop), call(changed)]))
+        arguments = ", ".join(filter(None, [repr(loop), call(options)]))
         return Source(shell, f"record = hf.read({arguments})")
-    whole = f"hf.datasets.load({loop!r})" + (f"[{record.name!r}]" if "only" in changed else "")
-    if treated := call(set(changed) - {"only"}):
+    whole = f"hf.datasets.load({loop!r})" + (f"[{record.name!r}]" if "only" in options else "")
+    if treated := call(set(options) - {"only"}):
         imported = "from hystfit.reading.treatment import Treatment\n"
         return Source(shell, f"{imported}record = Treatment({treated}).of({whole})")
     return Source(shell, f"record = {whole}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,6 +19,7 @@ from hystfit.cli.options import (
     Reading,
     SequentialSettings,
     Split,
+    changed,
     command_words,
     lists,
     named_values,
@@ -100,7 +102,7 @@ def fit(
 
     from hystfit.results.report import text_report
 
-    wording = _wording(loops, reading, output.out)
+    wording = _wording(loops, reading, split, output.out)
 
     def save(folder: Path) -> None:
         _save_fit(result, folder, test, split, wording)
@@ -108,11 +110,13 @@ def fit(
     return finish(text_report(result, wording), result.to_dict(), output, save)
 
 
-def _wording(loops: Sequence[str], reading: Reading, folder: Path | None) -> Wording:
+def _wording(loops: Sequence[str], reading: Reading, split: Split, folder: Path | None) -> Wording:
     """Places and options as the user wrote them; without a folder the fit is not saved."""
     from hystfit.results.report import Wording
+    from hystfit.results.report.answer import option_words
 
-    wording = Wording("fit", command_words(loops, reading), saved=False, translate=as_options)
+    samples = shlex.join(option_words(changed(split)))
+    wording = Wording("fit", command_words(loops, reading), samples, saved=False, translate=as_options)
     return wording if folder is None else wording.at(folder)
 
 
@@ -178,7 +182,7 @@ def compare(
     def save(folder: Path) -> None:
         (folder / "comparison.txt").write_text(text + "\n", encoding="utf-8")
         (folder / "winner").mkdir()
-        _save_fit(winner, folder / "winner", test, split, _wording(loops, reading, place / "winner"))
+        _save_fit(winner, folder / "winner", test, split, _wording(loops, reading, split, place / "winner"))
 
     def page() -> Page:
         from hystfit.cli.pages import compare_page

@@ -100,14 +100,15 @@ class Reading:
     encoding: Text = None
 
 
-def changed_reading(reading: Reading) -> dict[str, Any]:
+def changed(options: Reading | Split) -> dict[str, Any]:
     """Options that differ from their defaults."""
-    return {k: v for k, v in dataclasses.asdict(reading).items() if v != getattr(DEFAULT_READING, k)}
+    default = type(options)()
+    return {k: v for k, v in dataclasses.asdict(options).items() if v != getattr(default, k)}
 
 
 def command_words(loops: Iterable[str], reading: Reading) -> str:
     """LOOP arguments with the options for reading them, quoted for a shell."""
-    options = [f"--{k}" if v is True else f"--{k}={v}" for k, v in changed_reading(reading).items()]
+    options = [f"--{k}" if v is True else f"--{k}={v}" for k, v in changed(reading).items()]
     return shlex.join([*loops, *options])
 
 

@@ -15,7 +15,7 @@ from hystfit.params.units import axis_label
 from hystfit.results.labels import column_label
 from hystfit.results.plots import MEASURED, MODEL
 from hystfit.results.quantities import QUANTITIES
-from hystfit.results.report.answer import loops_of
+from hystfit.results.report.answer import Wording, loops_of, next_commands, opened
 from hystfit.results.webpage import Block, Page, Picture
 
 if TYPE_CHECKING:
@@ -102,12 +102,13 @@ def forc_page(
 
 def compare_page(comparison: Comparison, folder: Path) -> Page:
     """The page of `hystfit compare`, written into a folder: the ranking, and the loop of the winner."""
-    winner, best, fit = comparison.winner, comparison.rows[0], shlex.quote(str(folder / "winner"))
+    winner, best = comparison.winner, comparison.rows[0]
+    wording = Wording(translate=as_options).at(folder / "winner")
     answer = [
         ("Winner", best.name),
         ("Error on left-out data", f"{number(best.score_percent, '.3g')} % of the range"),
         ("Report on its fit", "winner/report.html"),
-        ("Next", f"hystfit predict {fit} NEW_LOOP\nhystfit invert {fit} REFERENCE"),
+        ("Next", "\n".join(next_commands(winner, wording))),
     ]
     figures = (
         ("loop", "Winner: measured loop and model"),
@@ -169,10 +170,11 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
     answer = [(QUANTITIES[row["name"]].label.capitalize(), interval(row)) for row in rows]
     chains, draws, _ = posterior.draws.shape
     answer += [("Draws", f"{chains} chains of {draws} by {posterior.sampler}, noise {posterior.noise}")]
-    commands = (
-        f"hystfit invert {shlex.quote(str(folder))} REFERENCE\nhystfit profile {shlex.quote(str(folder / 'fit'))}"
-    )
-    answer += [("Next", commands)]
+    at = lambda place: opened(posterior.result, shlex.quote(str(place)))
+    commands = [f"hystfit profile {at(folder / 'fit')}"]
+    if posterior.result.model.obstacle("inverse") is None:
+        commands.insert(0, f"hystfit invert {at(folder)} REFERENCE")
+    answer += [("Next", "\n".join(commands))]
     captions = {
         "corner": "Joint distributions: contours of 50 and 90 %",
         "bands": "The loop, and 90 % bands over time: of the model output (blue), of a measurement (orange)",
@@ -195,7 +197,7 @@ def profile_page(profiles: Profiles, fit: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
     answer = [(f"{p.name} ({level})", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
-    answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {shlex.quote(str(fit))}")]
+    answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {opened(profiles.result, shlex.quote(str(fit)))}")]
     figure = Picture(
         profiles.plot(), "Profiles with their limits; dashed: the quadratic of the standard error", wide=True
     )
@@ -230,8 +232,9 @@ def design_page(proposal: Design, folder: Path) -> Page:
     for name, members in list(aims.items())[:4]:
         now, then = proposal.median(proposal.present, members), proposal.median(best.stderr, members)
         answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
-    old = loops_of(proposal.result.data)
-    command = f"hystfit fit {old} NEW_LOOP --model {shlex.quote(proposal.result.name)} --out fit"
+    command = (
+        f"hystfit fit NEW_LOOP {loops_of(proposal.result.data)} --model {shlex.quote(proposal.result.name)} --out fit"
+    )
     answer.append(("Next", f"measure with {folder / 'input.csv'}, then fit both records:\n{command}"))
     figure = _sheet()
     ax = figure.subplots()
@@ -273,7 +276,7 @@ def _gains(proposal: Design) -> Figure:
     return figure
 
 
-def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], figure: Figure) -> Page:
+def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], figure: Figure, following: str) -> Page:
     """The page of `hystfit invert`.
 
     Args:
@@ -281,6 +284,7 @@ def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], fi
         content: of result.json.
         lines: what the verb prints, below its headline.
         figure: reference, output and input.
+        following: the next command.
     """
     unit, reach = content["units"]["input"] or "", content["input"]
     missed = {name: count for name, count in content["counts"].items() if count and name != "ok"}
@@ -288,7 +292,7 @@ def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], fi
         ("Input", f"{number(reach['lowest'])} to {number(reach['highest'])} {unit}".rstrip()),
         ("Samples met", f"{content['counts']['ok']} of {sum(content['counts'].values())}"),
         ("Not met", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
-        ("Next", f"hystfit export {shlex.quote(content['fit']['folder'])} --c code"),
+        ("Next", following),
     ]
     shown = [
         Picture(

@@ -37,8 +37,8 @@ VERBS = {
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
     "completion": ("completion:completion", "Complete verbs and options by the tabulator key in bash, zsh or fish."),
 }
-# A value that is not quoted is left alone: records are called by column=value, too.
-_ARGUMENT = re.compile(r"\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
+# A value that is not quoted is left alone: records are called by column=value, too; --name=value is an option already.
+_ARGUMENT = re.compile(r"(?<!-)\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
 _OPTIONS = re.compile(
     r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)"
 )  # options in parentheses, without other words

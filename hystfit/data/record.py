@@ -15,7 +15,7 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
 
 _OPEN = 0.03  # of the input's range: gap between the ends of one period
-_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma", "metadata")
+_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma", "reading", "metadata")
 
 
 def median_interval(steps: np.ndarray) -> float | None:
@@ -50,6 +50,7 @@ class Record:
         source: origin (a path, a data set, "simulated").
         sha256: checksum of the file that it was read from; None if it was not read from a file.
         sigma: standard deviation of the output of a sample of weight 1 [y_unit]; None if unknown (see `with_sigma`).
+        reading: options of `hystfit.read` other than the defaults, by name, as at the shell.
         metadata: properties of the sample as the header of its file states them, by name (size, mass, ...).
         notes: what was assumed, left out or changed when the record was read or prepared.
 
@@ -70,6 +71,7 @@ class Record:
     source: str = ""
     sha256: str | None = None
     sigma: float | None = None
+    reading: Mapping[str, str] = dataclasses.field(default_factory=dict)
     metadata: Mapping[str, str] = dataclasses.field(default_factory=dict)
     notes: tuple[Note, ...] = ()
 
@@ -171,7 +173,10 @@ class Record:
 
     def labels(self) -> dict[str, Any]:
         """All fields but the arrays, for JSON; `labels_of` reads them back."""
-        fields = {field: getattr(self, field) for field in _LABELS} | {"metadata": dict(self.metadata)}
+        fields = {field: getattr(self, field) for field in _LABELS} | {
+            "metadata": dict(self.metadata),
+            "reading": dict(self.reading),
+        }
         return fields | {"notes": [note.to_dict() for note in self.notes]}
 
     @staticmethod

@@ -452,11 +452,13 @@ class Note:
         code: what it is about.
         text: one sentence for people.
         severity: how much it matters.
+        option: of `hystfit.read`, which the note proposes: its name and value. It is not saved.
     """
 
     code: Code
     text: str
     severity: Severity = Severity.INFO
+    option: tuple[str, str] | None = dataclasses.field(default=None, compare=False)
 
     def __str__(self) -> str:
         return self.text

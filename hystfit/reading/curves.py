@@ -126,7 +126,8 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
             continue
         count = len(set(labels_of(table, position).tolist()))
         if 1 < count <= table.rows / 2:
-            notes.append(Note(Code.CURVES, f"column {name!r} has {count} values: by={name!r} reads each as a record"))
+            text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
+            notes.append(Note(Code.CURVES, text, option=("by", name)))
 
 
 def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:

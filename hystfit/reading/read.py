@@ -30,6 +30,12 @@ TEXT_SUFFIXES = frozenset(
     {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
 )
 Column = str | int
+# Options of `read` that say how the file is read, with their defaults.
+_OPTIONS: dict[str, Any] = {
+    **dict.fromkeys(("time", "input", "output", "sigma", "rate", "dt", "units")), "integrate": False, "smooth": None,
+    **dict.fromkeys(("by", "only", "where")), "gaps": "error",
+    **dict.fromkeys(("sheet", "delimiter", "decimal", "encoding")),
+}  # fmt: skip
 _UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
 _RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
@@ -91,7 +97,7 @@ def read(
         if file_options := [key for key, value in layout.items() if value is not None]:
             raise DataError(f"a data frame is not a file: leave out {file_options[0]}=")
         return assemble(frame_table(path), **columns, **options, name=name or "data")
-    return _read_all(path, lambda file: table_of(file, **layout), columns, options, name)
+    return _read_all(path, lambda file: table_of(file, **layout), columns, options, name, layout)
 
 
 def table_of(
@@ -148,7 +154,9 @@ def read_csv(
     columns = {"time": time, "input": input, "output": output}
     rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
     treatment = Treatment(rate, dt, units, integrate, smooth)
-    return _read_all(path, lambda file: read_table(file, **layout), columns, rows | {"treatment": treatment}, name)
+    return _read_all(
+        path, lambda file: read_table(file, **layout), columns, rows | {"treatment": treatment}, name, layout
+    )
 
 
 def _read_all(
@@ -157,17 +165,39 @@ def _read_all(
     columns: dict[str, Any],
     options: dict[str, Any],
     name: str | None,
+    layout: dict[str, Any],
 ) -> Record | Dataset:
-    """Every file of a path, list or pattern; `columns` and `options` are those of `assemble`."""
+    """Every file of a path, list or pattern; `columns` and `options` are those of `assemble`, `layout` those of `table_of`."""
     parts = []
+    reading = as_texts({**layout, **columns, **options, **vars(options["treatment"])})
     files = files_of(path)
     for file in files:
         pair = pair_of(file)
         table, chosen = (open_one(file), columns) if pair is None else pair_table(pair, open_one, columns)
         label = inner_name(file if pair is None else pair[0]).stem if name is None or len(files) > 1 else name
         parts.append((str(file if pair is None else pair[0]), assemble(table, **chosen, **options, name=label)))
+    read = lambda record: record.replace(reading=reading)
     data = combined(parts)
+    data = data.map(read) if isinstance(data, Dataset) else read(data)
     return data if name is None else dataclasses.replace(data, name=name)
+
+
+def as_texts(options: Mapping[str, Any]) -> dict[str, str]:
+    """Options for reading that are not the defaults, by name, as they are written at the shell: "V,um", "kind=forc", "true", "none".
+
+    Args:
+        options: of `read`, and others, which are left out.
+    """
+    changed = {name: options[name] for name in _OPTIONS if options.get(name) not in (None, _OPTIONS[name])}
+    return {name: _as_text(value) for name, value in changed.items()}
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "none"  # the only option that may be False is time
+    if isinstance(value, Mapping):
+        return ",".join(f"{key}={_as_text(item)}" for key, item in value.items())
+    return value if isinstance(value, str) else ",".join(map(str, value)) if isinstance(value, Sequence) else str(value)
 
 
 def assemble(

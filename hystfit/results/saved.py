@@ -125,6 +125,8 @@ def _labels_of(stored: Stored) -> dict[str, Any]:
     texts = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source")
     labels: dict[str, Any] = {name: stored.text(name) for name in texts}
     labels |= {"sha256": stored.optional_text("sha256"), "sigma": stored.optional_number("sigma")}
+    if "reading" in stored.content:  # fits of 0.1 and 0.2 have none
+        labels["reading"] = stored.words("reading")
     return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes")}
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from hystfit.data.record import Dataset, Record
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
 from hystfit.outcome.table import number, rounded
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
@@ -18,6 +19,7 @@ from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
 from hystfit.results.quantities import CREEP, QUANTITIES, Trade
 from hystfit.results.result import FitResult
+from hystfit.results.user_code import checksums
 
 _NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
@@ -32,12 +34,14 @@ class Wording:
     Attributes:
         fit: folder of the fit, quoted for a shell.
         loop: the file that was fitted, with the options for reading it, quoted; default: see `loops_of`.
+        split: options of the fit that choose its samples, quoted; for a comparison of models on the same samples.
         saved: whether `fit` exists, or will once the report is written.
         translate: from settings as in Python to the options of the reader.
     """
 
     fit: str = "FIT"
     loop: str = ""
+    split: str = ""
     saved: bool = True
     translate: Callable[[str], str] = str
 
@@ -47,10 +51,37 @@ class Wording:
 
 
 def loops_of(data: Dataset) -> str:
-    """Names of data sets and paths of the files that records came from, quoted for a shell; LOOP where there is none."""
+    """Names of data sets and paths of files that records came from, with the options for reading them, quoted for a shell.
+
+    LOOP stands where a record came from neither.
+    """
     known = datasets.names()
     places = [one.name if one.name in known else one.source if Path(one.source).is_file() else "LOOP" for one in data]
-    return shlex.join(dict.fromkeys(places))
+    return shlex.join([*dict.fromkeys(places), *option_words(data[0].reading)])
+
+
+def option_words(options: Mapping[str, object]) -> list[str]:
+    """Options by name as words of a command line; a flag is true."""
+    return [
+        f"--{k.replace('_', '-')}" if v is True or v == "true" else f"--{k.replace('_', '-')}={v}"
+        for k, v in options.items()
+    ]
+
+
+def new_loop(data: Dataset) -> str:
+    """NEW_LOOP with the options for reading a file like those of the records, but for the choice among its curves."""
+    return shlex.join(["NEW_LOOP", *option_words({k: v for k, v in data[0].reading.items() if k != "only"})])
+
+
+def opened(result: FitResult, folder: str) -> str:
+    """The folder of a fit as an argument, with --trust where opening it runs a file of the user's or accepts an edited one.
+
+    Args:
+        result: the fit.
+        folder: quoted for a shell.
+    """
+    own = checksums(result.models, result.noise.name) or has(result.notes, Code.CHANGED_FILES)
+    return f"{folder} --trust" if own else folder
 
 
 def answer(result: FitResult, wording: Wording | None = None) -> list[tuple[str, str]]:
@@ -123,15 +154,15 @@ def _undetermined(result: FitResult) -> str:
 
 def next_commands(result: FitResult, wording: Wording) -> list[str]:
     """Commands that make sense now; NEW_LOOP and REFERENCE are files that the user has."""
-    fit, loop = wording.fit, wording.loop or loops_of(result.data)
+    fit, loop = opened(result, wording.fit), wording.loop or loops_of(result.data)
     if result.status is Status.NO_LOOP:
         return [f"hystfit check {loop}"]
     if not result.usable:
-        return [f"hystfit compare {loop}", f"hystfit check {loop}"]
-    commands = [f"hystfit predict {fit} NEW_LOOP"]
+        return [" ".join(filter(None, ["hystfit compare", loop, wording.split])), f"hystfit check {loop}"]
+    commands = [f"hystfit predict {fit} {new_loop(result.data)}"]
     if result.model.obstacle("inverse") is None:
         commands.append(f"hystfit invert {fit} REFERENCE")
     if result.model.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
     commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
-    return commands if wording.saved else [f"the same command with --out {fit} keeps this fit; then", *commands]
+    return commands if wording.saved else [f"the same command with --out {wording.fit} keeps this fit; then", *commands]

@@ -126,7 +126,9 @@ def text_report(result: FitResult, wording: Wording | None = None) -> str:
     lines = [title, "=" * len(title)]
     if not result.usable:
         lines.append(_filled(result.advice))
-    lines += _section("Answer", (f"{name}: {', '.join(value.splitlines())}" for name, value in answer(result, wording)))
+    *values, (following, commands) = answer(result, wording)
+    lines += _section("Answer", (f"{name}: {value}" for name, value in values))
+    lines += [f"  - {following}:", *(f"      {command}" for command in commands.splitlines())]  # whole, to be copied
     lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
     lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
