@@ -346,6 +346,25 @@ def test_progress_is_called_with_what_will_be_tried():
     assert (fractions[0], fractions[-1]) == (0.0, 1.0)
 
 
+def test_progress_in_a_log_is_a_line_a_tenth_or_half_a_minute(capsys):
+    now = [0.0]
+    update = progress._in_a_log("sampling", lambda: now[0])
+    for second, fraction in (
+        (1, 0.2),
+        (6, 0.25),
+        (12, 0.3),
+        (13, 0.36),
+        (20, 0.37),
+        (36, 0.38),
+        (60, None),
+        (67, None),
+    ):
+        now[0] = float(second)
+        update("draws", fraction)
+    written = capsys.readouterr().err.splitlines()
+    assert written == ["sampling: 25 %, draws (6 s)", "sampling: 36 %, draws (13 s)", "sampling: draws (60 s)"]
+
+
 def test_progress_in_a_notebook_rewrites_one_line(monkeypatch, capsys):
     monkeypatch.setattr("rich.console.Console.is_jupyter", True, raising=False)
     monkeypatch.setattr("rich.console.Console.__init__", lambda self, **_: None)

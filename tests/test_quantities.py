@@ -170,6 +170,29 @@ def test_the_cycle_of_a_model_with_time_lasts_as_long_as_that_of_the_record():
     assert Excitation.of(hf.Dataset.of(data)).interval * 400 == pytest.approx(4.0)
 
 
+@pytest.mark.parametrize(("wave", "loss"), [(hf.signals.sine, np.pi**2 * 2), (hf.signals.triangle, 16.0)])
+def test_the_steady_loop_has_the_waveform_of_the_record(wave, loss):
+    """A dashpot c dissipates 2 pi^2 c A^2 / T in a cycle of a sine, and 16 c A^2 / T in one of a triangle."""
+    c, size, period = 0.3, 1.5, 2.0
+    t, u = wave(7.0, 200, frequency=1 / period, low=-size, high=size)
+    excitation = Excitation.of(hf.Dataset.of(hf.Record(u=u, y=np.zeros(u.size), t=t)))
+    rate = np.diff(excitation.loop.u, prepend=excitation.loop.u[0]) / excitation.interval
+    loops = excitation.loops(c * rate[None])
+    assert QUANTITIES["loop_area"].of_loops(loops)[0] == pytest.approx(loss * c * size**2 / period, rel=0.01)
+
+
+def test_a_viscous_model_has_no_creep():
+    t = np.arange(200) / 50.0
+    u = np.sin(2 * np.pi * t)
+    y = 2.0 * u + 0.1 * np.gradient(u, t)
+    model = hf.Sum(hf.BoucWen(c=2.0, mu=0.0, tau=0.0, rho=0.0), hf.Viscous(c=0.1))
+    fixed = [name for name in hf.ParameterSpace.of(model).names if "BoucWen" in name or name in ("mu", "tau", "rho")]
+    data = hf.Record(u=u, y=y, t=t, u_unit="V", y_unit="um")
+    result = hf.fit(model, data, fix=fixed, start="model", starts=1, noise="iid")
+    assert "stroke" in {q.name for q in result.quantities}
+    assert "creep_percent_per_decade" not in {q.name for q in result.quantities} | set(quantity_values(result))
+
+
 @pytest.mark.parametrize(
     ("u", "y", "trade"),
     [

@@ -169,3 +169,9 @@ def test_the_run_file_of_the_guide_is_valid(tmp_path):
     steps = {step.name: step for step in Study.read(file).steps}
     assert steps["sample"].arguments[:2] == ("sample", "study/fit")
     assert steps["other"].needs == ("fit",)
+
+
+def test_a_dry_run_refuses_a_step_without_its_loop(tmp_path, capsys):
+    (tmp_path / "study.toml").write_text('[steps.fit]\nmodel = "bouc-wen"\n')
+    assert run(["run", str(tmp_path / "study.toml"), "--dry-run"]) == 2
+    assert "LOOP is missing" in capsys.readouterr().err

@@ -53,7 +53,9 @@ def run(arguments: Sequence[str]) -> int:
         return status if isinstance(status, int) else 0
     except UnusedCliTokensError as error:
         extra = " ".join(error.unused_tokens or ())
-        return _refuse(f"unexpected argument {extra!r}: an option with several values is repeated (--aim rho --aim mu)")
+        return _refuse(
+            f"unexpected argument {extra!r}: an option with several values is repeated (--parameter rho --parameter mu)"
+        )
     except UnknownOptionError as error:
         message, verb = str(error), arguments[0]
         if verb in VERBS and "Did you mean" not in message:

@@ -185,6 +185,8 @@ def _words(
         resolve: replaces the names of steps in a text by their folders.
     """
     by_key = {argument.name.lstrip("-").lower(): argument for argument in arguments if not argument.children}
+    if "loops" in by_key and not table.get("loops"):
+        raise DataError(f'{where}: LOOP is missing: name the file of a measured loop, as loops = "loop.csv"')
     for option in _BY_STUDY:
         by_key.pop(option.lstrip("-"), None)
     any_name = by_key.pop("[keyword]", None) is not None  # parameters of a signal

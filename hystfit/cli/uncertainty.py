@@ -222,7 +222,7 @@ def design(
     low: float | None = None,
     high: float | None = None,
     samples: int = 1000,
-    aim: list[str] | None = None,
+    parameter: list[str] | None = None,
     method: Literal["families", "gradient"] = "gradient",
     seed: int = 0,
     trust: Trust = False,
@@ -236,7 +236,7 @@ def design(
         low: lowest input; default: that of the fit.
         high: highest input; default: that of the fit.
         samples: length of the input, at the sampling interval of the fit.
-        aim: parameter whose error is to be reduced; repeatable; default: all.
+        parameter: parameter whose error is to be reduced; repeatable; default: all free ones.
         method: families compares families of signals, gradient also optimizes the turning points.
         seed: random seed of the signals.
     """
@@ -244,7 +244,7 @@ def design(
 
     result = open_fit(fitdir, output, trust)
     with progress("designing"):
-        proposal = propose(result, low=low, high=high, samples=samples, aim=aim, method=method, seed=seed)
+        proposal = propose(result, low=low, high=high, samples=samples, aim=parameter, method=method, seed=seed)
     record, step, u = result.data[0], proposal.dt, proposal.best.u
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}

@@ -1,4 +1,4 @@
-"""Progress of long computations, where somebody can see it: on a terminal or in a notebook."""
+"""Progress of long computations on stderr: a line rewritten in place on a terminal or in a notebook, else a line now and then."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any
 
 Update = Callable[..., None]
 _LINE = 110  # characters of a line in a notebook
+_SHARE, _SOON, _LATE = 0.1, 5.0, 30.0  # a line in a log at each tenth, not before 5 s, and after 30 s at the latest
 
 
 @contextlib.contextmanager
 def progress(task: str) -> Iterator[Update]:
-    """A line on stderr that shows the task, on a terminal or in a notebook; yields a function that updates it.
+    """A line on stderr that shows the task; yields a function that updates it.
 
-    The function takes a text, and the fraction that is done (0 to 1) where it is known, which is shown as a bar.
+    The function takes a text, and the fraction that is done (0 to 1) where it is known, which is shown as a bar. Where stderr is
+    a file or a pipe, long tasks write a line at each tenth that is done, or every 30 s.
     """
     from rich.console import Console
 
@@ -28,7 +30,23 @@ def progress(task: str) -> Iterator[Update]:
         with _on_terminal(task, console) as update:
             yield update
     else:
-        yield lambda *_: None
+        yield _in_a_log(task)
+
+
+def _in_a_log(task: str, clock: Callable[[], float] = time.monotonic) -> Update:
+    """A function that writes some of its calls as lines."""
+    started = before = clock()
+    written = 0.0  # fraction of the last line
+
+    def update(text: str, fraction: float | None = None) -> None:
+        nonlocal before, written
+        now, done = clock(), written if fraction is None else fraction
+        if now - before >= _LATE or (done - written >= _SHARE - 1e-9 and now - before >= _SOON):
+            share = "" if fraction is None else f" {100 * fraction:.0f} %,"
+            print(f"{task}:{share} {text} ({now - started:.0f} s)", file=sys.stderr, flush=True)
+            before, written = now, done
+
+    return update
 
 
 @contextlib.contextmanager

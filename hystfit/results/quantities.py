@@ -1,7 +1,8 @@
 """Quantities of the trade that follow from a model: their definitions, and the inputs on which they are computed.
 
-The steady loop is the last of three triangular cycles over the input range of the fit, as long as the cycles of the record where time
-counts. The creep is that after a step over the same range, of a device that has rested at its lower end.
+The steady loop is the last of three cycles over the input range of the fit: where the record has a time, as long as its cycles and of
+their waveform, sine or triangle; else triangular. The creep is that after a step over the same range, of a device that has rested at
+its lower end.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ _GRID = 2001  # inputs of the branches of a measured cycle
 _GAP = 0.05  # of the output's range, between the two ends of a measured loop
 _TURN = 0.05  # of the input's range: smallest reversal that ends a measured branch
 _APART = 2.0  # standard errors between a model's quantity and the measured one that are worth a word
+_SINE = 0.5 * (
+    2**-0.5 + 3**-0.5
+)  # rms over half the range, about its middle: between that of a triangle and that of a sine
+_NO_CREEP = 1e-6  # % a decade
 _LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
@@ -281,24 +286,33 @@ class Excitation:
         low, high: range of the input.
         interval: between the samples of the cycles [s].
         trade: kind of the records.
+        sine: whether the cycles of the records are nearer to a sine than to a triangle.
     """
 
     low: float
     high: float
     interval: float
     trade: Trade
+    sine: bool = False
 
     @classmethod
     def of(cls, data: Dataset) -> Excitation:
         """The excitation over the range of the samples that count."""
         low = min(float(r.u[r.used].min()) for r in data)
         high = max(float(r.u[r.used].max()) for r in data)
-        return cls(low, high, _interval(data), Trade.of(data))
+        return cls(low, high, _interval(data), Trade.of(data), _sinusoidal(data))
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """Inputs of one branch, rising, shape (201,), evenly spaced in time."""
+        phase = np.linspace(0.0, 1.0, _POINTS // 2 + 1)
+        share = 0.5 * (1 - np.cos(np.pi * phase)) if self.sine else phase
+        return self.low + (self.high - self.low) * share
 
     @property
     def loop(self) -> Record:
-        """Three triangular cycles of 400 samples, of which the last shows the steady loop."""
-        inputs = np.linspace(self.low, self.high, _POINTS // 2 + 1)
+        """Three cycles of 400 samples, of which the last shows the steady loop."""
+        inputs = self.inputs
         u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), _CYCLES)
         return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
 
@@ -314,13 +328,17 @@ class Excitation:
         """The steady loops in outputs over `loop`, shape (count, T)."""
         half, y = _POINTS // 2, y[:, -_POINTS:]
         falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
-        inputs = np.linspace(self.low, self.high, half + 1)
-        return SteadyLoops(inputs, y[:, : half + 1], falling, self.trade is Trade.FORCE_DRIVEN)
+        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.trade is Trade.FORCE_DRIVEN)
 
     @staticmethod
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
         """Creep a decade in percent of the step, from outputs over `step`, shape (count, T)."""
         return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, 2] - y[:, 1])
+
+
+def creeps(percent: np.ndarray) -> bool:
+    """Whether a model has creep: it is not 0 at all parameter values, shape (count,), as that of a lag or a viscous term is."""
+    return not bool((np.abs(percent) < _NO_CREEP).all())
 
 
 def measured_quantities(data: Dataset) -> dict[str, float]:
@@ -365,10 +383,31 @@ def _branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.nda
     return np.interp(inputs, u, record.y[kept])
 
 
-def _interval(data: Dataset) -> float:
-    """Sampling interval of cycles as long as the large ones of the records; that of the records where they have none."""
+def _cycles(data: Dataset) -> tuple[Record | None, np.ndarray]:
+    """The first record with a time and large cycles, and these cycles; None and no cycle where there is none."""
     for record in data:
         found = np.empty((0, 3), int) if record.t is None else cycles(record.u, _LARGE * float(np.ptp(record.u)))
-        if len(found) and record.t is not None:
-            return float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / _POINTS
-    return data[0].sampling_interval or 1.0
+        if len(found):
+            return record, found
+    return None, np.empty((0, 3), int)
+
+
+def _interval(data: Dataset) -> float:
+    """Sampling interval of cycles as long as the large ones of the records; that of the records where they have none."""
+    record, found = _cycles(data)
+    if record is None or record.t is None:
+        return data[0].sampling_interval or 1.0
+    return float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / _POINTS
+
+
+def _sinusoidal(data: Dataset) -> bool:
+    """Whether the large cycles of the records are nearer to a sine than to a triangle, by their rms over time about their middle."""
+    record, found = _cycles(data)
+    if record is None or record.t is None:
+        return False
+    shares = []
+    for first, _, last in found:
+        t, u = record.t[first : last + 1], record.u[first : last + 1]
+        about = (u - 0.5 * (u.min() + u.max())) / (0.5 * np.ptp(u))
+        shares.append(np.sqrt(np.trapezoid(about**2, t) / (t[-1] - t[0])))
+    return bool(np.median(shares) > _SINE)

@@ -16,6 +16,7 @@ from hystfit.results.quantities import (
     QuantityEstimate,
     Unknown,
     applicable,
+    creeps,
     measured_quantities,
 )
 from hystfit.results.result import FitResult
@@ -80,7 +81,7 @@ def _estimate(
 
 
 def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str, np.ndarray]:
-    """Quantities by name, each shape (count,), NaN where a simulation fails.
+    """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
         result: the fit.
@@ -92,9 +93,10 @@ def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str
         loops = excitation.loops(_simulated_outputs(outputs, excitation.loop))
         for name in names:
             of_loops = QUANTITIES[name].of_loops
-            found[name] = (
-                Excitation.creep(_simulated_outputs(outputs, excitation.step)) if of_loops is None else of_loops(loops)
-            )
+            if of_loops is not None:
+                found[name] = of_loops(loops)
+            elif creeps(creep := Excitation.creep(_simulated_outputs(outputs, excitation.step))):
+                found[name] = creep
     return found
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import ParameterError
-from hystfit.results.quantities import CREEP, QUANTITIES, Excitation, applicable
+from hystfit.results.quantities import CREEP, QUANTITIES, Excitation, applicable, creeps
 from hystfit.sampling.posterior import Posterior
 
 
@@ -36,7 +36,9 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
     for name in names:
         of_loops = QUANTITIES[name].of_loops
         if of_loops is None:
-            values[name] = Excitation.creep(posterior.predict(excitation.step, count))
+            creep = Excitation.creep(posterior.predict(excitation.step, count))
+            if quantities or creeps(creep):
+                values[name] = creep
         elif loops is not None:
             values[name] = of_loops(loops)
     return values

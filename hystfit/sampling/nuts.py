@@ -76,6 +76,7 @@ class Nuts(AbstractSampler):
             f"nuts-{number}-warm.npz",
             lambda: self.warm(setup.target, jax.random.fold_in(jax.random.fold_in(key, number), 10**6)),
         )
+        report("compilation and warm-up", 0.0)
         first = warm(0)  # compiles what all chains run
 
         def chain(number: int) -> dict[str, np.ndarray]:

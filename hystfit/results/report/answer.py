@@ -17,7 +17,7 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
-from hystfit.results.quantities import CREEP, QUANTITIES, Trade
+from hystfit.results.quantities import QUANTITIES, Trade
 from hystfit.results.result import FitResult
 from hystfit.results.user_code import checksums
 
@@ -113,7 +113,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     trade, rows = Trade.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if trade not in one.leads or (q.name == CREEP and q.value == 0):
+        if trade not in one.leads:
             continue
         if q.value is None:
             rows.append((_capital(one.label), "unknown" if q.reason is None else q.reason.text))
