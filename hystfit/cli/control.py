@@ -200,7 +200,12 @@ def export(
     files = export_c(result, c, name=name, limits=span, s_function=s_function)
     print(written(c, [file.name for file in files]).lstrip())
     print(_limits_line(result, span).strip())
-    print(f"Try it: cc -std=c99 -O2 {files[1]} {files[2]} -lm -o {name}")
+    low, high = span or result.input_range
+    step = result.data.sampling_interval or 1.0
+    values = shlex.join([f"{low:.6g}", *(f"{u:.6g} {step:.6g}" for u in (0.5 * (low + high), high))])
+    print("Try it: the first input, then an input and a time step a line, give the outputs")
+    print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")
+    print(f"  printf '%s\\n' {values} | ./{name} f")
     if s_function:
         print(f"In MATLAB: mex {name}_sfun.c {name}.c")
     return 0

@@ -120,6 +120,16 @@ def _wording(loops: Sequence[str], reading: Reading, split: Split, folder: Path 
     return wording if folder is None else wording.at(folder)
 
 
+def _after_comparison(winner: FitResult, wording: Wording) -> list[str]:
+    """Commands that make sense after a comparison: with its winner, or one that fits it again where it was not saved."""
+    from hystfit.results.report.answer import next_commands
+
+    if wording.saved and winner.usable:
+        return next_commands(winner, wording)
+    options = " ".join(filter(None, [wording.loop, wording.split]))
+    return [f"hystfit fit {options} --model {shlex.quote(winner.name)} --out fit"]
+
+
 def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Split, wording: Wording) -> None:
     """Write a fit, its report and its pictures."""
     from hystfit.results.report import write_into
@@ -178,11 +188,13 @@ def compare(
         text += f"\nwinner on the test data, which were not used for the ranking: {metrics_words(winner.test)}"
 
     place = output.out or Path()
+    wording = _wording(loops, reading, split, output.out and place / "winner")
+    text += "\n\n" + "\n".join(_after_comparison(winner, wording))
 
     def save(folder: Path) -> None:
         (folder / "comparison.txt").write_text(text + "\n", encoding="utf-8")
         (folder / "winner").mkdir()
-        _save_fit(winner, folder / "winner", test, split, _wording(loops, reading, split, place / "winner"))
+        _save_fit(winner, folder / "winner", test, split, wording)
 
     def page() -> Page:
         from hystfit.cli.pages import compare_page

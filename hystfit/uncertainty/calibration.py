@@ -117,15 +117,17 @@ class Calibration:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.model}, noise {self.truth}, assumed {self.assumed}, {self.method}: {len(self.ranks)} replicates, "
-            f"{len(self.failures)} failed: {self.status}"
+            f"{self.model}, data simulated with noise {self.truth}, inference by {self.method} with noise {self.assumed}: "
+            f"{len(self.ranks)} replicates, {len(self.failures)} failed: {self.status}"
         ]
         if len(self.ranks):
             low, high = self.coverage_band()
             count = len(self.ranks)
             lines.append(
-                f"with {count} replicates, {100 * low:.1f} % to {100 * high:.1f} % coverage is consistent with 95 %"
+                f"coverage: share of the 95 % intervals that hold the true value; with {count} replicates, {100 * low:.1f} % to "
+                f"{100 * high:.1f} % is consistent with 95 %"
             )
+            lines.append("p: probability of ranks of the true values as uneven as these, where the errors are right")
             lines += self.table().lines()
         lines += [f"replicate {k} failed: {why}" for k, why in self.failures[:10]]
         if not self.usable:
