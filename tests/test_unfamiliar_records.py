@@ -13,7 +13,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.covariance import _ratio
 from hystfit.fitting.structure import search_structure
-from hystfit.models.registry import judged_as, model_name
+from hystfit.models.registry import judged_as, make_model, model_name
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.quality.summary import summarize
@@ -66,6 +66,51 @@ def test_force_loops_with_the_sign_of_the_reaction_lead(falling: hf.Record) -> N
     u = falling.u
     force = -(2.0 * u + 6.0 * u - plays(u, np.array([0.3, 1.0, 2.5])))
     assert summarize(hf.Record(u, force)).circulation == "clockwise"
+
+
+def _timed(delay: int = 0, lag: float = 0.0, viscosity: float = 0.0) -> hf.Record:
+    """Plays of a sweep of falling amplitude at 100 samples/s, late by whole samples, behind a first-order lag, or with viscosity."""
+    u = sweep(1200, 8)
+    y, behind = plays(u, np.array([0.3, 1.0, 2.5, 5.0])), np.zeros(u.size)
+    keep = np.exp(-1 / lag) if lag else 0.0
+    for k in range(1, u.size):
+        behind[k] = keep * behind[k - 1] + (1 - keep) * y[k]
+    y = behind + viscosity * np.gradient(u)
+    late = np.concatenate([np.full(delay, y[0]), y[: y.size - delay]])
+    return hf.Record(u, late + 0.01 * NOISE[: u.size], np.arange(u.size) / 100)
+
+
+@pytest.mark.parametrize("delay", [12, 35])
+def test_a_pure_delay_is_found_judged_without_and_put_in_front(delay: int) -> None:
+    record = _timed(delay)
+    found = summarize(record)
+    assert found.delay is not None
+    assert found.delay.samples == pytest.approx(delay, abs=1.0)
+    assert found.delay.seconds == pytest.approx(found.delay.samples / 100)
+    assert not found.lags
+    assert not found.speed_dependent
+    report = hf.check(record)
+    assert has(report.findings, Code.DELAY)
+    assert report.advice is not None
+    assert report.advice.model.startswith("delay+")
+    assert all(name.startswith("delay+") for name in candidates(hf.Dataset.of(record)).names[1:])
+    started = hf.Delay().start([record])
+    assert float(started.lag) == pytest.approx(delay, abs=1.0)
+    assert started.longest > delay
+    search = search_structure(hf.Dataset.of(record), plays=8)
+    assert model_name(search.model).startswith("delay:longest=")
+    assert search.score < 0.01 * np.ptp(record.y)
+
+
+@pytest.mark.parametrize("other", [{"lag": 12.0}, {"lag": 35.0}, {"viscosity": 3.0}, {}])
+def test_a_lag_and_viscosity_are_no_delay(other: dict[str, float]) -> None:
+    assert not has(hf.check(_timed(**other)).findings, Code.DELAY)
+
+
+def test_a_named_model_without_a_delay_gets_a_note_on_it() -> None:
+    assert has(hf.fit("prandtl-ishlinskii:plays=6", _timed(35), noise="iid").notes, Code.DELAY)
+    assert make_model("delay+prandtl-ishlinskii").delays
+    assert not make_model("lag+prandtl-ishlinskii").delays
 
 
 def test_a_loop_after_first_magnetization_has_a_shape() -> None:

@@ -7,7 +7,7 @@ import dataclasses
 from hystfit.data.record import Dataset
 from hystfit.models.data_check import data_kinds
 from hystfit.models.registry import SEARCH, DataKind, compared, make_model
-from hystfit.quality.determination import falling
+from hystfit.quality.determination import delayed, falling
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 
@@ -39,8 +39,11 @@ def candidates(data: Dataset) -> Candidates:
     if recognize_family(data) is not None:
         return Candidates(compared("reversal-curves"), "the records are first-order reversal curves")
     records = [summarize(record) for record in data]
-    kinds, falls = data_kinds(records), falling(records)
-    found = [_WORDS[kind] for kind in kinds] + ["an output that falls as the input rises"] * falls
-    names = (SEARCH, *(f"negate+{name}" if falls else name for name in compared(*kinds)))
+    kinds, falls, late = data_kinds(records), falling(records), delayed(records)
+    before = "delay+" * late + "negate+" * falls
+    found = (
+        [_WORDS[kind] for kind in kinds] + ["a pure delay"] * late + ["an output that falls as the input rises"] * falls
+    )
+    names = (SEARCH, *(before + name for name in compared(*kinds)))
     linear = lambda name: name == SEARCH or make_model(name).estimator is not None
     return Candidates(tuple(sorted(names, key=linear, reverse=True)), "the data have " + ", ".join(found))

@@ -19,7 +19,7 @@ from hystfit.fitting.convex import LinearSystem, block_of, fit_ridge
 from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis, simulate
 from hystfit.models.creep import LinearCreep
-from hystfit.models.dynamics import Lag
+from hystfit.models.dynamics import Delay, Lag
 from hystfit.models.negate import Negate
 from hystfit.models.play_columns import play_columns, rising_columns
 from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest, envelope
@@ -29,7 +29,7 @@ from hystfit.models.series import Series
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
-from hystfit.quality.determination import falling
+from hystfit.quality.determination import delayed, falling
 from hystfit.quality.summary import summarize
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
@@ -130,12 +130,16 @@ class Found:
 
 
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
-    """The search below, with the input of the opposite sign where the output falls as the input rises; arguments as there."""
-    if not falling([summarize(record) for record in data]):
+    """The search below; where the output has a delay or falls, of the delayed input or that of the opposite sign; arguments as there."""
+    records = [summarize(record) for record in data]
+    before = [Delay().start(list(data))] * delayed(records) + [Negate()] * falling(records)
+    if not before:
         return search_rising(data, plays=plays)
-    found = search_rising(Dataset(tuple(record.replace(u=-record.u) for record in data)), plays=plays)
+    for part in before:
+        data = data.map(lambda record, part=part: record.replace(u=_output(part, record)))
+    found = search_rising(data, plays=plays)
     parts = found.model.parts if isinstance(found.model, Series) else (found.model,)
-    return dataclasses.replace(found, model=Series(Negate(), *parts))
+    return dataclasses.replace(found, model=Series(*before, *parts))
 
 
 def search_rising(data: Dataset, *, plays: int | None = None) -> Found:

@@ -20,7 +20,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.summary import summarize
+from hystfit.quality.summary import delay_of, summarize
 from hystfit.results.accuracy import (
     accuracy_note,
     better_family_warning,
@@ -41,6 +41,7 @@ _FEWEST = 10  # samples, below which no fit is usable
 _LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
 _BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _DAMAGED = "the loop loses stiffness or strength from cycle to cycle (damage)"
+_VISIBLE_DELAY = 0.3  # percent of range, below which a delay does not matter
 _VISIBLE = 1.0  # percent of range, below which it does not matter
 _OFFSET = 0.5  # part of the test error that remains, below which a constant offset explains it
 
@@ -110,7 +111,12 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
     notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
-    found = (better_family_warning(fitted.train, fitted.baselines), _at_an_end(fitted), _clipped(fitted.data))
+    found = (
+        better_family_warning(fitted.train, fitted.baselines),
+        _at_an_end(fitted),
+        _clipped(fitted.data),
+        _delayed(fitted),
+    )
     notes += [note for note in found if note is not None]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
         notes += coverage_notes(fitted.data)
@@ -126,6 +132,22 @@ def _clipped(data: Dataset) -> Note | None:
         Code.CLIPPED,
         f"{count} samples of the output stay at its limit while the input moves, and were fitted: if the sensor was saturated, "
         "mark them as missing or fit a window without them (window=)",
+    )
+
+
+def _delayed(fitted: Fitted) -> Note | None:
+    """A warning where the output has a delay that the model has not."""
+    if fitted.percent < _VISIBLE_DELAY or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
+        return None
+    found = [(record, delay) for record in fitted.data if (delay := delay_of(record)) is not None]
+    if not found:
+        return None
+    record, delay = found[0]
+    clock = f"{delay.seconds:.3g} {record.t_unit}".rstrip()
+    return warn(
+        Code.DELAY,
+        f"the output of {record.name!r} comes {delay.samples:.1f} samples ({clock}) after the input, a pure delay that this model does "
+        "not have: put delay+ in front of it",
     )
 
 

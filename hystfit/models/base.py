@@ -155,6 +155,11 @@ class AbstractHysteresis(eqx.Module):
         return False
 
     @property
+    def delays(self) -> bool:
+        """Whether the model has a pure delay."""
+        return False
+
+    @property
     def causal(self) -> bool:
         """Whether the output depends on no later sample, so that `step` works and a simulation can be resumed."""
         return True

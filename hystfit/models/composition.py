@@ -74,6 +74,7 @@ class AbstractComposition(AbstractHysteresis):
     causal = _of_all("causal")
     associative = _of_all("associative")
     has_fast_run = _of_any("has_fast_run")
+    delays = _of_any("delays")
     has_rest = _of_any("has_rest")
     from_saturation = _of_any("from_saturation")
 

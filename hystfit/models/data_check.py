@@ -9,7 +9,7 @@ from typing import Any
 from hystfit.models.registry import MODELS, DataKind, judged, judged_as
 from hystfit.outcome.note import Code, has
 from hystfit.quality.check import Advice, QualityReport, examine
-from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict, falling
+from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict, delayed, falling
 from hystfit.quality.summary import RecordQuality
 from hystfit.reading.in_memory import records_of
 
@@ -38,6 +38,8 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
         advice = dataclasses.replace(
             advice, model=f"negate+{advice.model}", reason=f"the output falls, mirrored: {advice.reason}"
         )
+    if advice is not None and delayed(report.records):
+        advice = dataclasses.replace(advice, model=f"delay+{advice.model}", reason=f"a pure delay: {advice.reason}")
     first = set() if advice is None else {judged_as(part) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -23,6 +24,9 @@ from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
+from hystfit.quality.summary import delay_of
+
+_ROOM = 1.2  # length of the line of a delay over the delay with which a fit starts
 
 
 class Delay(AbstractHysteresis):
@@ -37,6 +41,7 @@ class Delay(AbstractHysteresis):
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
+    delays: ClassVar[bool] = True
 
     lag: Scalar = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
     longest: int = eqx.field(static=True, default=8)
@@ -70,8 +75,10 @@ class Delay(AbstractHysteresis):
         return line[-count:][::-1], y
 
     def start(self, records: Sequence[Record]) -> Delay:
-        """One sample."""
-        return type(self)(lag=1.0, longest=self.longest)
+        """The delay that the records show, one sample where they show none; the line becomes long enough for it."""
+        found = [delay.samples for record in records if (delay := delay_of(record)) is not None]
+        lag = float(np.median(found)) if found else 1.0
+        return type(self)(lag=lag, longest=max(self.longest, math.ceil(_ROOM * lag)))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""

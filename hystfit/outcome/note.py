@@ -407,6 +407,11 @@ class Code(enum.StrEnum):
         "the output keeps moving after the input has turned",
         "add `lag+` before the model",
     )
+    DELAY = (
+        "delay",
+        "the output comes a fixed time after the input",
+        "nothing: fits without `--model` put `delay+` in front; do the same in a model you name",
+    )
     SPEED_DEPENDENT = (
         "speed-dependent",
         "the output depends on the speed of the input",

@@ -85,6 +85,11 @@ def falling(records: Sequence[RecordQuality]) -> bool:
     return 2 * sum(record.falls for record in records) > len(records)
 
 
+def delayed(records: Sequence[RecordQuality]) -> bool:
+    """Whether the output has a pure delay in most records."""
+    return 2 * sum(record.delay is not None for record in records) > len(records)
+
+
 def few_samples(records: Sequence[RecordQuality]) -> Note | None:
     """The objection to records with too few samples, or too few between reversals; None where there are enough."""
     facts = _facts(records)

@@ -79,6 +79,13 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
     shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
     if record.dynamics is not None and record.dynamic:
         yield warn(Code.DYNAMICS, _resonance(record.dynamics, record.units["t"]))
+    if record.delay is not None:
+        clock = f"{record.delay.seconds:.3g} {record.units['t']}".rstrip()
+        yield Note(
+            Code.DELAY,
+            f"the output comes {record.delay.samples:.1f} samples ({clock}) after the input, a pure delay: loops are judged with the "
+            "input delayed by it, and models fitted with delay+ in front",
+        )
     if record.falls:
         yield Note(
             Code.FALLING,

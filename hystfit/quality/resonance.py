@@ -25,6 +25,7 @@ _EXPLAINED = 0.75  # least share of the unexplained variance that the resonance 
 _VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the range of y
 # Least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency.
 _GAIN, _PHASE = 1.25, 40.0
+_RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
@@ -96,7 +97,7 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
         return None
     stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // _LEAST))
-    columns = _Columns.of(*(part[::stride][:_MOST] for part in (x, bridged, used)))
+    columns = Regressors.of(*(part[::stride][:_MOST] for part in (x, bridged, used)))
     coarse = dataclasses.replace(response, frequency=response.frequency * stride)
     without = columns.error_without()
     error, frequency, damping = columns.best_resonance(coarse)
@@ -136,7 +137,7 @@ def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Columns:
+class Regressors:
     """Regressors: `hysteresis` (T, K) of the input, `beside` (T, M) (constant, trend, relaxations), `speed` (T, 3), and the output."""
 
     hysteresis: np.ndarray
@@ -146,11 +147,12 @@ class _Columns:
     used: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray, y: np.ndarray, used: np.ndarray) -> _Columns:
-        play = play_positions(x, np.geomspace(0.03, 0.8, 5))
+    def of(cls, x: np.ndarray, y: np.ndarray, used: np.ndarray, radii: np.ndarray = _RADII) -> Regressors:
+        """The regressors of an input in -1..1, shape (T,), with plays of these radii."""
+        play = play_positions(x, radii)
         speed = np.gradient(x)
         speed = speed / np.sqrt(np.mean(speed**2))
-        slow = [_lagged(x[:, None], part * x.size)[:, 0] for part in (0.01, 0.05, 0.25)]
+        slow = [lagged(x[:, None], part * x.size)[:, 0] for part in (0.01, 0.05, 0.25)]
         return cls(
             np.stack([x, x**2, x**3, *play.T], axis=1),
             np.stack([np.ones_like(x), np.linspace(-1, 1, x.size), *slow], axis=1),
@@ -159,19 +161,20 @@ class _Columns:
             used,
         )
 
-    def _error(self, *parts: np.ndarray) -> float:
+    def error(self, *parts: np.ndarray) -> float:
+        """Least rms error of the output by these columns."""
         return float(np.sqrt(unexplained(np.hstack(parts)[self.used], self.y[self.used], 1e-7)))
 
     def error_without(self) -> float:
         """Least rms error of hysteresis with velocity terms, over delays and lags of the input."""
         fixed = (self.beside, self.speed)
-        delayed = [self._error(_delayed(self.hysteresis, delay), *fixed) for delay in _DELAYS]
+        after = [self.error(delayed(self.hysteresis, delay), *fixed) for delay in _DELAYS]
         lags = np.geomspace(0.5, max(1.0, 0.02 * self.y.size), 8)
-        lagged = [self._error(_lagged(_lagged(self.hysteresis, lag), lag), *fixed) for lag in lags]
-        return min(*delayed, *lagged)
+        behind = [self.error(lagged(lagged(self.hysteresis, lag), lag), *fixed) for lag in lags]
+        return min(*after, *behind)
 
     def _error_with(self, frequency: float, damping: float) -> float:
-        return self._error(_filtered(self.hysteresis, frequency, damping), self.beside)
+        return self.error(_filtered(self.hysteresis, frequency, damping), self.beside)
 
     def best_resonance(self, response: _Response) -> tuple[float, float, float]:
         """Least rms error with a second-order filter, its natural frequency [1/interval] and its damping ratio."""
@@ -201,7 +204,7 @@ def _natural_frequency(response: _Response) -> float:
     return float(np.sqrt(stiffness / mass)) if stiffness > 0 and mass > 0 else float(response.frequency[-1])
 
 
-def _delayed(columns: np.ndarray, delay: float) -> np.ndarray:
+def delayed(columns: np.ndarray, delay: float) -> np.ndarray:
     """Columns delayed by a number of samples, linear between samples."""
     when = np.maximum(np.arange(len(columns)) - delay, 0.0)
     whole = np.floor(when).astype(int)
@@ -209,7 +212,7 @@ def _delayed(columns: np.ndarray, delay: float) -> np.ndarray:
     return columns[whole] * (1 - part) + columns[np.minimum(whole + 1, len(columns) - 1)] * part
 
 
-def _lagged(columns: np.ndarray, time: float) -> np.ndarray:
+def lagged(columns: np.ndarray, time: float) -> np.ndarray:
     """Columns behind a first-order lag of this time constant [samples], from rest."""
     from scipy.signal import lfilter
 

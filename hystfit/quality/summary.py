@@ -11,13 +11,16 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
 from hystfit.quality.chatter import chatter, smoothing_length
+from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import Drift, drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
-from hystfit.quality.resonance import Dynamics, estimate_dynamics
+from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
+_BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
+_UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
 
 
@@ -102,6 +105,7 @@ class RecordQuality:
     """Everything measured on one record; None where it is unknown.
 
     Attributes:
+        delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
         correlation: of output and input; 0 where one of them is constant.
     """
@@ -124,6 +128,7 @@ class RecordQuality:
     dynamics: Dynamics | None
     clipped: int
     spikes: int
+    delay: PureDelay | None = None
 
     @property
     def dynamic(self) -> bool:
@@ -158,7 +163,8 @@ class RecordQuality:
     @property
     def lags(self) -> bool:
         """Whether the output keeps moving after the input has turned."""
-        return self.lag is not None and self.lag.samples > 2 * self.lag.stderr
+        least = 0.0 if self.delay is None else _BESIDE_DELAY
+        return self.lag is not None and self.lag.samples > max(2 * self.lag.stderr, least)
 
     @property
     def leads(self) -> bool:
@@ -185,6 +191,22 @@ def summarize(record: Record) -> RecordQuality:
     """Measure one record; time stamps that repeat are no time."""
     if record.t is not None and CoarseClock.of(record.t):
         record = record.replace(t=None)
+    delay = delay_of(record)
+    if delay is not None:
+        record = record.replace(u=delayed(record.u[:, None], delay.samples)[:, 0])
+    return dataclasses.replace(_summarize(record), delay=delay)
+
+
+def delay_of(record: Record) -> PureDelay | None:
+    """Pure delay of the output; None without one or without even time steps."""
+    interval = record.sampling_interval
+    if interval is None or record.t is None or np.max(np.abs(np.diff(record.t) - interval)) > _UNEVEN * interval:
+        return None
+    turns = geometry.reversals(record.u, _threshold(_column(record.u)))
+    return estimate_delay(record.u, np.where(record.used, record.y, np.nan), interval, turns)
+
+
+def _summarize(record: Record) -> RecordQuality:
     u, y, t = record.u, record.y, record.t
     u_column, y_column = _column(u), _column(y)
     motion, turns, cycles, loops = _motion(record, u_column)
@@ -239,7 +261,7 @@ def _sampling(record: Record) -> Sampling:
     repeated, duration = int((steps == 0).sum()), float(record.t[-1] - record.t[0])
     if interval is None:
         return Sampling(*counts, duration, None, None, repeated, 0)
-    uniform = bool(np.max(np.abs(steps - interval)) <= 0.01 * interval)
+    uniform = bool(np.max(np.abs(steps - interval)) <= _UNEVEN * interval)
     return Sampling(*counts, duration, 1 / interval, uniform, repeated, int((steps > 1.5 * interval).sum()))
 
 

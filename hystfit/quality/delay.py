@@ -1,0 +1,106 @@
+"""Pure delay: an output that repeats, a fixed time later, what it would be at once, as distinct from a lag, viscosity and hysteresis.
+
+Hysteresis (plays and a cubic) of the input is fitted to the output by least squares for each of many delays. A delay is found
+where it explains most of what hysteresis leaves behind a lag of any time constant and beside velocity terms.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.quality.resonance import Regressors, delayed, lagged
+
+_FEWEST, _MOST = 200, 4000  # samples used; longer records are thinned
+_RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
+_LONGEST = 0.9  # of the median branch
+_GRID, _LAGS = 48, 7  # delays and time constants tried
+_SHORTEST = 1.5  # samples
+_VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y
+_REMAINS = 0.7  # largest error with the delay, as a part of that without
+_DESCRIBED = 0.05  # largest error with the delay, as a fraction of the range of y
+_EQUAL = (
+    1.1  # ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class PureDelay:
+    """Time by which the output comes after the input.
+
+    Attributes:
+        samples: the delay in samples.
+        seconds: the same in the unit of time.
+        error_without, error_with: rms error of hysteresis with a lag and velocity terms, and with the delay instead, as fractions of
+            the range of y.
+    """
+
+    samples: float
+    seconds: float
+    error_without: float
+    error_with: float
+
+
+def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.ndarray) -> PureDelay | None:
+    """Pure delay of y behind u.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,); missing values are omitted.
+        interval: time between the evenly spaced samples [unit of t].
+        reversals: turning points of u, see `loops.reversals`.
+
+    Returns:
+        None with fewer than 200 samples or two reversals, or where a delay does not explain most of what a lag and velocity terms leave.
+    """
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    used = np.isfinite(y)
+    if used.sum() < max(_FEWEST, 0.5 * y.size) or reversals.size < 2 or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+        return None
+    x = 2 * (u - u.min()) / np.ptp(u) - 1
+    y = (y - y[used].mean()) / np.ptp(y[used])
+    stride = -(-u.size // _MOST)
+    columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
+    branch = float(np.median(np.diff(reversals))) / stride
+    without = _error_of_lags(columns, branch)
+    if without < _VISIBLE:
+        return None
+    behind = np.hstack([columns.hysteresis, columns.beside])
+    error = lambda delay: columns.error(delayed(behind, delay))
+    found = _best(error, _LONGEST * branch)
+    if found is None:
+        return None
+    samples, remaining = found
+    if samples * stride < _SHORTEST or remaining > min(_REMAINS * without, _DESCRIBED):
+        return None
+    return PureDelay(samples * stride, samples * stride * interval, without, remaining)
+
+
+def _error_of_lags(columns: Regressors, branch: float) -> float:
+    """Least rms error of hysteresis beside velocity terms, behind no lag, one or two."""
+    fixed = (columns.beside, columns.speed)
+    errors = [columns.error(columns.hysteresis, *fixed)]
+    for time in np.geomspace(0.02 * branch, branch, _LAGS):
+        once = lagged(columns.hysteresis, time)
+        errors += [columns.error(once, *fixed), columns.error(lagged(once, time), *fixed)]
+    return min(errors)
+
+
+def _best(error: object, longest: float) -> tuple[float, float] | None:
+    """The shortest delay [samples] whose error is about the least, and its error; None where it is an end of the range."""
+    delays = np.linspace(0.0, longest, _GRID)
+    step = delays[1]
+    errors = np.array([error(delay) for delay in delays])  # type: ignore[operator]
+    inner = np.flatnonzero((errors[1:-1] <= errors[:-2]) & (errors[1:-1] <= errors[2:])) + 1
+    if not inner.size or step == 0:
+        return None
+    candidates = []
+    for start in inner[errors[inner] <= 3 * errors[inner].min()]:
+        at, size = delays[start], step
+        while size > 0.05:
+            near = at + size * np.array([-0.5, 0.0, 0.5])
+            at, size = near[int(np.argmin([error(delay) for delay in near]))], 0.5 * size  # type: ignore[operator]
+        candidates.append((float(at), float(error(at))))  # type: ignore[operator]
+    least = min(value for _, value in candidates)
+    return next(pair for pair in candidates if pair[1] <= _EQUAL * least)
