@@ -14,8 +14,9 @@ from hystfit.fitting.candidates import candidates
 from hystfit.fitting.covariance import _ratio
 from hystfit.fitting.structure import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
-from hystfit.outcome import Code
+from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
+from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.summary import summarize
 
 RNG = np.random.default_rng(5)
@@ -203,9 +204,20 @@ def test_columns_named_by_a_unit_of_time_or_a_channel(
 
 def test_clipped_samples_are_named_by_a_fit() -> None:
     u = sweep(300, 3)
-    y = np.minimum(plays(u, np.array([0.3, 1.0, 2.5])) + 0.02 * NOISE[:300], 12.0)
-    result = hf.fit("prandtl-ishlinskii:plays=8", hf.Record(u, y))
+    whole = plays(u, np.array([0.3, 1.0, 2.5])) + 0.02 * NOISE[:300]
+    result = hf.fit("prandtl-ishlinskii:plays=8", hf.Record(u, np.minimum(whole, 12.0)))
     assert has(result.notes, Code.CLIPPED)
+    assert result.status is Status.OK
+    assert not result.data[0].used[whole >= 12.0].any()
+    assert result.data[0].used[whole < 12.0].all()
+    assert np.abs(result.predict(result.data[0]) - whole).max() < 0.15 * np.ptp(whole)
+
+
+def test_backlash_and_a_device_in_saturation_are_not_clipped() -> None:
+    u = 5 * np.sin(np.linspace(0, 6 * np.pi, 400))
+    assert not clipped_samples(u, plays(u, np.array([1.0]))).any()
+    assert not saturated_samples(u, np.round(np.tanh(u), 3)).any()
+    assert not saturated_samples(u, np.clip(plays(u, np.array([1.0])), -0.5, 0.5)).any()
 
 
 @pytest.mark.usefixtures("as_users_run")

@@ -15,7 +15,15 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.covariance import Uncertainty, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.fit_setup import FitSetup, Start, check_settings, choose_method, set_up_fit, solve
+from hystfit.fitting.fit_setup import (
+    FitSetup,
+    Start,
+    check_settings,
+    choose_method,
+    set_up_fit,
+    solve,
+    without_saturated,
+)
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.structure import search_structure
@@ -72,7 +80,7 @@ def fit(
     if isinstance(model, str) and model == SEARCH and not is_sequential(method):
         if isinstance(start, Mapping):
             raise ParameterError(f"{SEARCH} chooses its terms on the data: leave out starting values by name")
-        found = search_structure(data)
+        found = search_structure(without_saturated(data))
         model, start, notes = found.model, "model", list(found.notes())
     model = make_model(model)
     watch = Stopwatch()

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import equinox as eqx
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
@@ -21,6 +21,7 @@ from hystfit.inference.problem import LOSSES, Problem, check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.faults import saturated_samples
 
 Start = Literal["data", "model"] | Mapping[str, float]
 _MANY = 4  # weights on a bound from which the convex solve is the default
@@ -65,6 +66,7 @@ def set_up_fit(
         notes: of choices made before.
     """
     check_fittable(model, data)
+    data = without_saturated(data)
     points: tuple[AbstractHysteresis, ...] = (model,)
     if start != "model":
         fix = _fixed_values(model, fix) if held else fix
@@ -80,6 +82,16 @@ def set_up_fit(
         problem, of_rest = _choose_rest(problem, fix, free, loss)
         notes = (*notes, *of_rest)
     return FitSetup(problem, name, points, notes)
+
+
+def without_saturated(data: Dataset) -> Dataset:
+    """Records in which the samples of a saturated sensor have no weight."""
+
+    def free(record: Record) -> Record:
+        found = saturated_samples(record.u, record.y) & record.used
+        return record.replace(weight=np.where(found, 0.0, record.weight)) if found.any() else record
+
+    return data.map(free)
 
 
 def started_problem(

@@ -17,7 +17,7 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
-from hystfit.quality.faults import clipped_samples
+from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import delay_of, summarize
@@ -124,8 +124,12 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
 
 
 def _clipped(data: Dataset) -> Note | None:
-    """A warning where samples that were fitted are the limit of the sensor."""
-    count = sum(clipped_samples(record.u[record.used], record.y[record.used]) for record in data)
+    """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit."""
+    saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
+    if saturated:
+        text = f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit"
+        return warn(Code.CLIPPED, text)
+    count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
     if not count:
         return None
     return warn(

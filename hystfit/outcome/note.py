@@ -365,7 +365,7 @@ class Code(enum.StrEnum):
     CLIPPED = (
         "clipped",
         "the output saturates",
-        "check for a saturated sensor, and leave these samples out (`--window`)",
+        "check for a saturated sensor; a fit leaves these samples out where the output reaches the limit at a slope",
     )
     SPIKES = (
         "spikes",

@@ -8,6 +8,11 @@ import math
 import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
+_MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
+_ARRIVING, _STEEP = (
+    6,
+    0.3,
+)  # samples before a limit, and their least slope beside the usual one, where a sensor is clipped
 
 
 def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
@@ -131,25 +136,49 @@ def _is_rest(values: list[float], start: int, stop: int, tolerance: float) -> bo
     return not (near(start - both) and near(stop - 1 + both)) and not (near(start - one) or near(stop - 1 + one))
 
 
-def clipped_samples(u: np.ndarray, y: np.ndarray) -> int:
-    """Number of samples at which the output stays at its largest or smallest value while the input moves.
+def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whether the output stays at its largest or smallest value while the input moves on, shape (T,).
 
-    Counted are runs of four samples or more that repeat this value exactly while u moves by more than 2 % of its range; slow or
-    rounded signals, which repeat values elsewhere too, are not counted.
+    Counted are runs of four samples or more that repeat this value exactly while u goes on in its direction by more than 2 % of its
+    range; slow or rounded signals, which repeat values elsewhere too, are not counted, nor is backlash, which begins at a reversal.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
     """
     y = np.asarray(y, dtype=float)
+    found = np.zeros(y.size, dtype=bool)
     span = np.ptp(u)
     if span == 0 or not np.isfinite(y).any():
-        return 0
+        return found
     same = np.concatenate([[False], y[1:] == y[:-1]])
     inner = same & (y < np.nanmax(y)) & (y > np.nanmin(y))
     usual = max([stop - start for start, stop in runs(inner)], default=0)
-    count = 0
     for end in (np.nanmax(y), np.nanmin(y)):
         for start, stop in runs(y == end):
-            if stop - start >= max(4, 2 * (usual + 1)) and np.ptp(u[start:stop]) > 0.02 * span:
-                count += int(stop - start)
-    return count
+            onward = np.sign(u[start] - u[start - 1]) if start else np.sign(u[stop - 1] - u[0])
+            if stop - start >= max(4, 2 * (usual + 1)) and np.max(onward * (u[start:stop] - u[start])) > 0.02 * span:
+                found[start:stop] = True
+    return found
+
+
+def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The clipped samples of a sensor at its limit, shape (T,): a device approaches saturation slowly, a sensor at a slope.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+    """
+    clipped = clipped_samples(u, y)
+    if not 0 < clipped.mean() < _MOST_CLIPPED:
+        return np.zeros_like(clipped)
+    slope = np.abs(np.diff(y)) / np.maximum(np.abs(np.diff(u)), 1e-3 * np.ptp(u) / u.size)
+    usual = float(np.nanmedian(slope[~clipped[1:] & ~clipped[:-1]]))
+    for start, stop in runs(clipped):
+        arriving = slope[max(start - _ARRIVING, 0) : max(start - 1, 0)]
+        if arriving.size and not np.nanmedian(arriving) > _STEEP * usual:
+            clipped[start:stop] = False
+    return clipped
 
 
 def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None) -> np.ndarray:

@@ -52,7 +52,8 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
     if record.clipped:
         yield warn(
             Code.CLIPPED,
-            f"{record.clipped} samples of the output stay at its limit while the input moves: check for a saturated sensor",
+            f"{record.clipped} samples of the output stay at its limit while the input moves: check for a saturated "
+            "sensor; fits leave them out where the output reaches this limit at a slope",
         )
     if record.spikes:
         yield warn(Code.SPIKES, f"outliers (spikes) in the output: {record.spikes}; fit with a robust loss")

@@ -236,7 +236,7 @@ def _summarize(record: Record) -> RecordQuality:
         stiffness_left=stiffness_left(u, y, t, cycles),
         strength_left=strength_left(u, y, cycles),
         dynamics=dynamics,
-        clipped=clipped_samples(u, y),
+        clipped=int(clipped_samples(u, y).sum()),
         spikes=int(spikes(y, y_column.noise_rms, turns).size),
     )
 
