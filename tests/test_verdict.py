@@ -122,6 +122,17 @@ def test_a_large_cross_validation_error_is_not_usable():
     assert with_left_out(fit, 0.02 * fit.baselines.span).status is Status.OK
 
 
+def test_more_weights_than_samples_are_judged_by_the_cross_validation_error():
+    """Drying and wetting curves of a soil: the fit of 68 samples has 231 weights."""
+    drying, wetting, scanning = np.linspace(0, 200, 30), np.linspace(193, 20, 24), np.linspace(25, 120, 14)
+    water = lambda head, scale: (1 + (scale * head) ** 2.6) ** -0.6
+    u = np.concatenate([drying, wetting, scanning])
+    y = np.concatenate([water(drying, 0.015), water(wetting, 0.035), np.linspace(0.75, 0.45, 14)])
+    result = hf.fit("negate+preisach:n=20", hf.Record(u, y, u_unit="cm"))
+    assert has(result.notes, Code.MANY_WEIGHTS)
+    assert not result.usable
+
+
 @pytest.mark.parametrize("failed", [False, True])
 def test_an_error_in_the_last_half_cycle_alone_is_said(failed):
     y = output()

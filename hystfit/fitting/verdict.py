@@ -14,7 +14,7 @@ from hystfit.inference.autocorrelation import is_correlated
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples, saturated_samples
@@ -22,6 +22,7 @@ from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import delay_of, summarize
 from hystfit.results.accuracy import (
+    Limits,
     accuracy_note,
     better_family_warning,
     exceeded_limits,
@@ -349,10 +350,18 @@ def worse(first: Status, second: Status) -> Status:
 
 
 def with_left_out(result: FitResult, rmse: float) -> FitResult:
-    """The result with its cross-validation error [y], which decides the status where it is far larger than that of the fit."""
-    result = dataclasses.replace(result, left_out=rmse)
-    span = result.baselines.span
+    """The result with its cross-validation error [y], which decides the status where it is far larger than that of the fit.
+
+    Where there are at least as many parameters as samples, the error of the fit tests nothing, and its limit holds for the
+    cross-validation error.
+    """
+    result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
     limit = max(_LEFT_OUT / 100 * span, _WORSE * result.train.rmse)
+    if len(result.free_names) >= result.train.n:
+        limit = Limits.of(result.baselines).error / 100 * span
+        text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
+        if not has(result.notes, Code.MANY_WEIGHTS):
+            result = result.with_notes(warn(Code.MANY_WEIGHTS, text))
     if not result.usable or not rmse > limit:
         return result
     text = (

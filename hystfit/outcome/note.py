@@ -62,6 +62,11 @@ class Code(enum.StrEnum):
         "the cross-validation error is above its limit",
         "choose a model with fewer parameters, or measure more loops",
     )
+    MANY_WEIGHTS = (
+        "many-weights",
+        "at least as many parameters as samples",
+        "judge the fit by its cross-validation error; measure more samples, or use fewer elements (`:n=10`)",
+    )
     OTHER_FAMILY = (
         "other-family",
         "plain plays fit the data far better than the model",
