@@ -267,3 +267,27 @@ def test_ratios_of_errors_ignore_directions_that_the_data_leave_open() -> None:
     columns = NOISE[:300].reshape(100, 3)
     both = np.column_stack([columns, columns[:, :1]])
     assert _ratio(both / 2.0, both * (1 + 1e-16 * NOISE[300:700].reshape(100, 4)), 1.0) == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("names", ["pressure_kPa,reading_up_kPa,reading_down_kPa", "T (C),loading R,unloading R"])
+def test_a_table_of_a_rising_and_a_falling_branch_is_one_loop(tmp_path: Path, names: str) -> None:
+    """Input, output on the way up, output on the way down, as on a sheet of a calibration."""
+    u = np.linspace(0.0, 10.0, 21)
+    path = tmp_path / "calibration.csv"
+    np.savetxt(path, np.column_stack([u, u**2, u**2 + u]), delimiter=",", header=names, comments="")
+    record = hf.read_csv(path)
+    assert isinstance(record, hf.Record)
+    np.testing.assert_allclose(record.u, [*u, *u[::-1]])
+    np.testing.assert_allclose(record.y, [*u**2, *(u**2 + u)[::-1]])
+    assert has(record.notes, Code.CURVES)
+
+
+def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    t = np.arange(50) / 10
+    path = tmp_path / "loop.parquet"
+    pandas.DataFrame({"t_s": t, "u_V": np.sin(t), "x_um": np.sin(t - 0.2)}).to_parquet(path, engine="pyarrow")
+    record = hf.read(path)
+    assert isinstance(record, hf.Record)
+    np.testing.assert_array_equal(record.u, np.sin(t))
+    assert (record.u_unit, record.y_unit) == ("V", "um")

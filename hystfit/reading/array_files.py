@@ -1,4 +1,4 @@
-"""Arrays in numpy, MATLAB and HDF5 files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
+"""Arrays in numpy, MATLAB, HDF5 and Parquet files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
 
 from __future__ import annotations
 
@@ -142,6 +142,15 @@ def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
     return arrays
 
 
+def _parquet(raw: bytes) -> dict[str, np.ndarray]:
+    """The columns of a Parquet file; needs the extra "frames"."""
+    parquet = optional("pyarrow.parquet", "frames", "reading Parquet files")
+    file = parquet.ParquetFile(io.BytesIO(raw))
+    check_size(_DOUBLE * file.metadata.num_rows * file.metadata.num_columns, raw)
+    table = file.read()
+    return {name: np.asarray(column.to_numpy()) for name, column in zip(table.column_names, table.columns, strict=True)}
+
+
 def _text(values: np.ndarray) -> np.ndarray:
     return np.array([v.decode(errors="replace") if isinstance(v, bytes) else str(v) for v in values.ravel()])
 
@@ -153,4 +162,5 @@ KINDS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
     ".h5": _hdf5,
     ".hdf5": _hdf5,
     ".nc": _hdf5,  # netCDF-4
+    ".parquet": _parquet,
 }

@@ -21,7 +21,7 @@ _MAGIC = {
     b"TDSm": "a TDMS file (export it as CSV)",
     b"%PDF": "a PDF document",
     b"\x89PNG": "a picture",
-    b"PAR1": "a parquet file (export it as CSV)",
+    b"PAR1": "a Parquet file (name it .parquet)",
 }
 
 # Words of column names and headers, by the encoding of files in that language.

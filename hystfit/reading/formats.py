@@ -1,4 +1,4 @@
-"""Files that are not text: numpy, MATLAB, Excel and HDF5; the last two need the extra "files"."""
+"""Files that are not text: numpy, MATLAB, Excel, HDF5 and Parquet; the last three need an extra."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SAMPLE = 2000  # rows of a sheet that show its layout
 
 
 def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
-    """All columns of a .npz, .npy, .mat, .xlsx or .h5 file.
+    """All columns of a .npz, .npy, .mat, .xlsx, .h5 or .parquet file.
 
     Raises:
         DataError: the kind is unknown, or the file is damaged or holds no columns.

@@ -25,6 +25,7 @@ from hystfit.reading.sentinels import replaced_notes, without_codes, without_inf
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
 from hystfit.reading.text import read_table
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
+from hystfit.reading.two_branches import unfolded
 
 TEXT_SUFFIXES = frozenset(
     {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
@@ -65,7 +66,7 @@ def read(
     """A record, or a data set where there are several curves or files, from files of any kind that hystfit reads.
 
     Args:
-        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5, also packed as .gz .bz2 .xz; or several of
+        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5 .parquet, also packed as .gz .bz2 .xz; or several of
             them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and
             its output in the second. Or a data frame (pandas, polars, a dictionary of columns).
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
@@ -231,6 +232,9 @@ def assemble(
     divider = None if by is None else find(table, by, "by")
     spread = None if sigma is None else find(table, sigma, "sigma")
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
+    if input is None and output is None and time in (None, False) and not others and (loop := unfolded(table)):
+        (table, input, output), time = loop, False
+        notes = [*table.notes]
     marked, dividers = marked_by_kind(table, others)
     choice = choose(table, time, input, output, [*others, *dividers])
     notes += choice.notes
