@@ -14,7 +14,7 @@ from hystfit.fitting.candidates import candidates
 from hystfit.fitting.covariance import _ratio
 from hystfit.fitting.structure import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.summary import summarize
@@ -291,3 +291,26 @@ def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:
     assert isinstance(record, hf.Record)
     np.testing.assert_array_equal(record.u, np.sin(t))
     assert (record.u_unit, record.y_unit) == ("V", "um")
+
+
+@pytest.mark.parametrize(
+    ("header", "driven"), [("I (A),U (V)", 0), ("I (A),U (V)", 1), ("U_V,I_mA", 0), ("U_V,I_mA", 1)]
+)
+def test_of_a_voltage_and_a_current_the_plainer_wave_is_the_input(tmp_path: Path, header: str, driven: int) -> None:
+    phase = np.linspace(0, 6 * np.pi, 300)
+    drive, answer = np.sin(phase), np.tanh(4 * np.sin(phase - 0.4))
+    path = tmp_path / "device.csv"
+    np.savetxt(path, np.column_stack([drive, answer][:: 1 - 2 * driven]), delimiter=",", header=header, comments="")
+    record = hf.read_csv(path)
+    assert isinstance(record, hf.Record)
+    np.testing.assert_allclose(record.u, drive)
+
+
+def test_a_voltage_and_a_current_of_equal_waves_are_called_ambiguous(tmp_path: Path) -> None:
+    phase = np.linspace(0, 6 * np.pi, 300)
+    path = tmp_path / "device.csv"
+    np.savetxt(
+        path, np.column_stack([np.sin(phase), np.sin(phase - 0.4)]), delimiter=",", header="I (A),U (V)", comments=""
+    )
+    notes = hf.read_csv(path).notes
+    assert any(note.code is Code.COLUMN_CHOICE and note.severity is Severity.WARNING for note in notes)

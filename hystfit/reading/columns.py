@@ -13,6 +13,7 @@ import numpy as np
 from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
@@ -97,6 +98,8 @@ _COMMON = (
     ("displacement", "moment"),
     *(("temperature", output) for output in ("displacement", "strain", "force", "stress", "current", "", "output")),
 )
+_EITHER = {"voltage", "current"}  # quantities of which either may drive the other
+_PLAINER = 2.0  # ratio of overtones from which a wave is the plainer one
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -121,7 +124,7 @@ def column_quantity(name: str, unit: str = "") -> str:
         return by_unit  # its letter is that of the channel
     if _TEMPERATURES.fullmatch(base):
         return "temperature"
-    if base in _UPPER and not by_unit:
+    if base in _UPPER and by_unit in ("", _UPPER[base]):
         return _UPPER[base]
     kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
     kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
@@ -305,6 +308,9 @@ def _guess_pair(
     inputs, outputs = ([given[role]] if role in given else candidates for role in ("input", "output"))
     pairs = [(i, o) for i in inputs for o in outputs if i != o]
     best = min(pairs, key=lambda pair: _preference(table, kinds, *pair))
+    if not given and {kinds[k] for k in best} == _EITHER:
+        best, note = _by_wave(table, *best)
+        notes.append(note)
     for role, position in zip(("input", "output"), best, strict=True):
         if role not in given:
             given[role] = position
@@ -322,6 +328,30 @@ def _guess_pair(
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _by_wave(table: Table, i: int, o: int) -> tuple[tuple[int, int], Note]:
+    """Input and output of two columns of which either may drive: the input is the plainer wave, else the first of the two; and a note."""
+    parts = [_overtones(table.columns[k]) for k in (i, o)]
+    names = [table.names[k] for k in (i, o)]
+    swap = f"if wrong, set --input and --output (input={names[1]!r}, output={names[0]!r})"
+    if parts[1] * _PLAINER < parts[0]:
+        text = f"{names[1]!r} is the plainer wave of the two and is taken for the input; if wrong, set --input and --output"
+        return (o, i), warn(Code.COLUMN_CHOICE, text)
+    if parts[0] * _PLAINER < parts[1]:
+        return (i, o), Note(
+            Code.COLUMN_CHOICE, f"{names[0]!r} is the plainer wave of the two and is taken for the input; {swap}"
+        )
+    text = f"either of {names[0]!r} and {names[1]!r} may be the input, and {names[0]!r} is taken; {swap}"
+    return (i, o), warn(Code.COLUMN_CHOICE, text)
+
+
+def _overtones(values: np.ndarray) -> float:
+    """Power of a column apart from its strongest frequency, as a part of the whole: small for a sine, 0.014 for a triangle."""
+    values = values[np.isfinite(values)]
+    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
+    peak, total = int(np.argmax(power)), float(power.sum())
+    return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
