@@ -845,3 +845,20 @@ def test_a_calibration_point_is_no_branch_of_a_loop():
     report = check(Dataset(tuple(curves)))
     assert [record.shape for record in report.records] == [None] * 3
     assert not any("clockwise" in reason for item in report.determines for reason in item.reasons)
+
+
+@pytest.mark.parametrize(("loss", "expected"), [(0.0, False), (0.5, True)])
+def test_stiffness_lost_at_growing_strokes_is_damage(loss, expected):
+    """No two cycles of one stroke: a yielding element whose stiffness falls with the dissipated energy, by a plain loop."""
+    part = np.linspace(0, 1, 900)
+    x = (0.1 + 0.9 * part) * np.sin(16 * np.pi * part)
+    z, energy, force = 0.0, 0.0, np.zeros(x.size)
+    for k in range(1, x.size):
+        dx = x[k] - x[k - 1]
+        rate = (1 - abs(z) ** 2 * (0.5 + 0.5 * np.sign(dx * z))) / (1 + loss * energy)
+        z = np.clip(z + 8 * rate * dx, -1, 1)
+        energy += abs(z * dx)
+        force[k] = 0.1 * x[k] + z
+    report = check(Record(x, force + 0.005 * np.random.default_rng(1).normal(size=x.size)))
+    assert has(report.findings, Code.DEGRADING) == expected
+    assert (report.advice is None) == expected

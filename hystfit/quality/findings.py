@@ -121,6 +121,8 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
             f"stiffness (damage or backlash): late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first stiffness at "
             "the same stroke"
         )
+        if record.softens:
+            loss = f"stiffness (damage): after late reversals {100 * (record.unloading_left or 0.0):.0f} % of the first stiffness is left"
         if record.weakens:
             loss = f"strength (damage): late loops reach {100 * (record.strength_left or 0.0):.0f} % of the output of shorter ones before"
         yield warn(

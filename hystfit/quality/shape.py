@@ -15,6 +15,7 @@ _CHANCE = 4.0  # standard errors by white noise that the area of an open loop ex
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
+_UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _CROSSING = 0.3  # net area over that between the branches below which these cross
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
@@ -233,6 +234,32 @@ def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | N
     longer = stroke[1:] > 1.02 * np.maximum.accumulate(stroke)[:-1]
     left = reached[1:][longer] / np.maximum.accumulate(reached)[:-1][longer]
     return float(np.median(left[-4:])) if left.size >= 4 else None
+
+
+def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
+    """Slope just after reversals of late branches over that of the first ones, of branches as long as all before.
+
+    Hysteresis without damage unloads with the stiffness that it had at first, however long the branches have become. Arguments as in
+    `stiffness_left`.
+
+    Returns:
+        The median of the last four slopes over that of the first two; None with fewer than five such branches.
+    """
+    turns = np.unique(cycles)
+    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
+    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
+    if stroke.size < 5:
+        return None
+    growing = (stroke > 0.1 * stroke.max()) & (stroke > 0.95 * np.maximum.accumulate(stroke))
+    reach = _UNLOADING * stroke[growing].min()
+    slopes = []
+    for a, b in itertools.compress(branches, growing):
+        near = slice(a, a + int(np.argmax(np.abs(u[a : b + 1] - u[a]) > reach)) + 1)
+        if near.stop - a < _FEWEST + 1:
+            return None
+        slopes.append(float(np.polyfit(u[near], y[near], 1)[0]))
+    first = float(np.median(slopes[:2]))
+    return float(np.median(slopes[-4:])) / first if len(slopes) >= 5 and first > 0 else None
 
 
 def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:

@@ -16,10 +16,11 @@ from hystfit.quality.drift import Drift, drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
-from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left
+from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left, unloading_left
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
 _BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
+_SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
 
@@ -125,6 +126,7 @@ class RecordQuality:
     rate_effect: float | None
     stiffness_left: float | None
     strength_left: float | None
+    unloading_left: float | None
     dynamics: Dynamics | None
     clipped: int
     spikes: int
@@ -153,7 +155,13 @@ class RecordQuality:
         if self.shape is None or self.dynamic or self.shape.crossing:
             return False
         left = 1.0 if self.stiffness_left is None else self.stiffness_left
-        return self.weakens or left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
+        return self.weakens or self.softens or left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
+
+    @property
+    def softens(self) -> bool:
+        """Whether a force unloads with less stiffness the later it is, at growing strokes."""
+        late = self.unloading_left
+        return late is not None and late < _SOFTER and self.circulation == "clockwise" and not self.dynamic
 
     @property
     def weakens(self) -> bool:
@@ -235,6 +243,7 @@ def _summarize(record: Record) -> RecordQuality:
         rate_effect=rate_effect(u, y, t, cycles),
         stiffness_left=stiffness_left(u, y, t, cycles),
         strength_left=strength_left(u, y, cycles),
+        unloading_left=unloading_left(u, y, cycles),
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(spikes(y, y_column.noise_rms, turns).size),
