@@ -1,5 +1,6 @@
 """Double precision for the whole session; measured data where they are."""
 
+import gc
 import os
 import shutil
 import sys
@@ -37,6 +38,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first: two workers that take whole files then end at about the same time."""
     place = {f"test_{name}": k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported out of every later garbage collection."""
+    gc.freeze()
 
 
 @pytest.fixture
