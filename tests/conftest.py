@@ -20,14 +20,18 @@ settings.load_profile("constant")
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST = (
-    "recovery",
-    "ukf",
     "sampling",
     "models",
-    "creep",
     "inverse",
+    "ukf",
+    "batch",
+    "cli",
+    "calibration",
+    "recovery",
     "noise",
     "stage",
+    "creep",
+    "bouc_wen",
     "nested",
     "convex",
     "duhem_remedies",

@@ -25,6 +25,7 @@ from hystfit.quality.check import examine
 from hystfit.quality.coverage import Coverage, coverage_notes
 from hystfit.quality.determination import Verdict
 from hystfit.quality.needs import Needs
+from hystfit.quality.shape import loop_shape, strength_left
 
 SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (SHARED / "piezo_dbo").is_dir(), reason="no measured data: set HYSTFIT_DATA")
@@ -549,21 +550,44 @@ def test_a_falling_amplitude_is_not_taken_as_lost_stiffness():
     assert report.advice is not None
 
 
-@settings(max_examples=25)
-@given(data=st.data())
-def test_any_record_gets_a_report_that_json_can_hold(data):
-    count = data.draw(st.integers(2, 120))
-    values = st.floats(-1e3, 1e3, allow_nan=False)
-    u = data.draw(st.lists(values, min_size=count, max_size=count))
-    y = data.draw(st.lists(values | st.just(math.nan), min_size=count, max_size=count))
-    if np.isnan(y).all():
-        y[0] = 1.0
-    t = data.draw(st.none() | st.just(np.arange(count) / 10))
-    report = check(Record(np.array(u), np.array(y), t=t))
+@pytest.mark.parametrize("seed", range(25))
+def test_any_record_gets_a_report_that_json_can_hold(seed):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 121))
+    kinds = (
+        lambda: rng.uniform(-1e3, 1e3, count),
+        lambda: rng.integers(-2, 3, count).astype(float),  # ties, and pieces that are constant
+        lambda: np.full(count, rng.normal()),
+        lambda: rng.normal(size=count) * 10.0 ** rng.integers(-200, 3, count),
+    )
+    u, y = kinds[seed % 4](), kinds[seed // 4 % 4]()
+    if seed % 3 == 0:
+        y[1 + np.flatnonzero(rng.uniform(size=count - 1) < rng.uniform())] = math.nan
+    report = check(Record(u, y, t=None if seed % 2 else np.arange(count) / 10))
     stored = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert stored["records"][0]["sampling"]["n"] == count
     assert [(note["code"], note["text"]) for note in stored["findings"]] == [(n.code, n.text) for n in report.findings]
     assert all(item.model in report.text() for item in report.determines)
+
+
+def test_an_output_that_is_constant_at_first_has_a_shape_and_no_division_by_zero():
+    t = np.linspace(0, 8, 801)
+    u = (1 + t) * np.sin(2 * np.pi * t)
+    stuck = piezo(u) * (t > 3.0)
+    left = strength_left(u, stuck, geometry.cycles(u))
+    assert left is not None
+    assert left == pytest.approx(strength_left(u, piezo(u), geometry.cycles(u)))  # the median of the last four
+    assert strength_left(u, np.zeros_like(u), geometry.cycles(u)) is None
+
+
+def test_a_last_loop_of_constant_output_has_no_closure():
+    u = np.tile(np.concatenate([np.linspace(0, 1, 20), np.linspace(1, 0, 20)[1:-1]]), 4)
+    u = np.append(u, 0.0)
+    y = piezo(u) * (np.arange(u.size) < 2.9 * 38)
+    loops = [loop for loop in geometry.closed_loops(u) if loop.stop <= 4 * 38]
+    found = loop_shape(u, y, loops, geometry.cycles(u))
+    assert found is not None
+    assert found.closure_percent is None
 
 
 NOISE = np.random.default_rng(3).normal(size=260)

@@ -286,7 +286,7 @@ def test_stages_run_vectorized():
     grouped = jax.tree.map(lambda leaf: leaf.reshape(4, 3, *leaf.shape[1:]), devices)
     repeated = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (4, *jnp.shape(leaf))), Stage.of())
     many = eqx.tree_at(lambda stage: stage.actuators, repeated, grouped)
-    together = jax.vmap(lambda stage: stage.run(u, dt))(many)
+    together = eqx.filter_jit(jax.vmap(lambda stage: stage.run(u, dt)))(many)
     one = jax.tree.map(lambda leaf: leaf[2], many)
     np.testing.assert_allclose(together[2], one.simulate(u, 1e-4), atol=1e-10)
     assert not np.allclose(together[0], together[2], rtol=1e-3)

@@ -11,6 +11,7 @@ import pytest
 from hystfit import (
     BoucWen,
     Duhem,
+    Lag,
     LogCreep,
     Offset,
     PrandtlIshlinskii,
@@ -422,7 +423,7 @@ def test_any_model_with_a_step(model):
 
 def test_parameters_of_rate_independent_parts_are_fixed_while_the_input_rests():
     slow = datasets.load("stage-step")
-    start = Series(bouc_wen(1.1, 0.9), LogCreep(gamma=(0.01,)))
+    start = Series(bouc_wen(1.1, 0.9), LogCreep(gamma=(0.01,), tau=(0.3, 3.0), weights=(0.9, 0.8)))
     ukf = Ukf.of(start, slow, start="model")
     resting = dict(zip(ukf.names, np.asarray(ukf.resting)[ukf.states :], strict=True))
     gamma = next(name for name in ukf.names if name.startswith("gamma"))
@@ -471,7 +472,7 @@ def test_irregular_time_is_integrated_as_it_is():
     rng = np.random.default_rng(2)
     t = np.cumsum(rng.uniform(0.002, 0.02, 1500))
     u = 50 * (1 - np.cos(2 * np.pi * 0.7 * t)) * (0.6 + 0.4 * np.cos(t / 2))
-    truth = Series(TRUTH, LogCreep(gamma=(0.0175,)))
+    truth = Series(TRUTH, Lag(tau=0.02))
     record = Actuator(model=truth, sensor=Sensor(0.005, 0.0)).record(t, u, seed=0)
     ukf = Ukf.of(truth, record, start="model", noise=0.005, caution=0.0, prior=0.01)
     _, info = run_stream(ukf, ukf.init(), Sample.stream([record]))

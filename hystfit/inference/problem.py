@@ -261,10 +261,6 @@ class Problem:
         """Log prior density over z."""
         return float(self.density.log_prior(jnp.asarray(z)))
 
-    def log_posterior(self, z: Any) -> float:
-        """Log posterior density over z, up to a constant."""
-        return float(_run(self.density, "log_density", to_device(z)))
-
 
 @eqx.filter_jit
 def _run(traced: Any, method: str, argument: Array) -> Any:

@@ -164,14 +164,19 @@ def outline(u: np.ndarray) -> np.ndarray:
     return np.flatnonzero(x == best)
 
 
-def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float:
-    """Output where the input is back, less that at the start, in percent: along the slope of the last 2 % of u."""
+def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float | None:
+    """Output where the input is back, less that at the start, in percent: along the slope of the last 2 % of u.
+
+    None where the output is constant.
+    """
+    if (largest := np.ptp(y[start : stop + 1])) == 0:
+        return None
     near = 0.02 * np.ptp(u[start : stop + 1])
     far = np.flatnonzero(np.abs(u[start:stop] - u[stop]) > near)
     back = start + int(far[-1]) if far.size else stop - 1
     slope = (y[stop] - y[back]) / (u[stop] - u[back]) if u[stop] != u[back] else 0.0
     end = y[stop] + slope * (u[start] - u[stop])
-    return float(100 * (end - y[start]) / np.ptp(y[start : stop + 1]))
+    return float(100 * (end - y[start]) / largest)
 
 
 def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
@@ -231,8 +236,9 @@ def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | N
         return None
     stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
     reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
-    longer = stroke[1:] > 1.02 * np.maximum.accumulate(stroke)[:-1]
-    left = reached[1:][longer] / np.maximum.accumulate(reached)[:-1][longer]
+    before = np.maximum.accumulate(reached)[:-1]
+    longer = (stroke[1:] > 1.02 * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
+    left = reached[1:][longer] / before[longer]
     return float(np.median(left[-4:])) if left.size >= 4 else None
 
 
