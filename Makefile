@@ -33,7 +33,10 @@ setup: $(VENV)/.installed  ## create .venv with hystfit and all test dependencie
 fit: setup  ## fit a bundled record and print the report
 	$(BIN)/hystfit fit stage-sweep --out fit
 
-test: lint types tests package notebooks experiments smoke  ## all checks, in the quick form
+# Types, wheel and benchmarks use one core each; the others use two.
+test: lint  ## all checks, in the quick form
+	$(MAKE) -j 2 types package smoke
+	$(MAKE) tests notebooks experiments
 
 lint: setup
 	$(BIN)/ruff check .

@@ -165,7 +165,7 @@ def test_a_fit_that_ends_on_a_bound_is_that_of_fit():
 
 @pytest.mark.parametrize("model", ["prandtl-ishlinskii:plays=4", hf.Preisach.of(n=6)], ids=["convex", "preisach"])
 def test_models_with_another_estimator_are_fitted_one_by_one(model):
-    record = measured(1, 200)
+    record = measured(1, 150)
     row = hf.fit_many(model, [record])[record.name]
     alone = hf.fit(model, record)
     np.testing.assert_allclose(list(row.values.values()), alone.x, rtol=1e-9)
@@ -173,7 +173,7 @@ def test_models_with_another_estimator_are_fitted_one_by_one(model):
 
 
 def test_settings_reach_the_fit():
-    record = measured(2, 200)
+    record = measured(2, 150)
     fits = hf.fit_many(hf.BoucWen, [record], fix={"rho": 0.3}, free=["h0"], noise="iid", loss="huber", **QUICK)
     alone = hf.fit(hf.BoucWen(), record, fix={"rho": 0.3}, free=["h0"], noise="iid", loss="huber", **QUICK)
     assert list(fits.names) == list(alone.free_names)
@@ -183,7 +183,7 @@ def test_settings_reach_the_fit():
 def test_auto_compares_models_on_each_loop(monkeypatch):
     seen = []
     monkeypatch.setattr(work, "fit", lambda model, record, **options: seen.append(model) or _bouc_wen(record))
-    fits = hf.fit_many("auto", [measured(1, 200)])
+    fits = hf.fit_many("auto", [measured(1, 150)])
     assert seen == ["auto"]
     assert fits.rows[0].model == "bouc-wen"
     fits.result("loop 1")
@@ -246,7 +246,7 @@ def test_a_loop_that_breaks_the_numerics_does_not_end_the_batch(monkeypatch, rec
 
 
 def test_loops_are_converted_to_the_units_of_the_first():
-    first = measured(1, 200)
+    first = measured(1, 150)
     milli = first.replace(u=1e3 * first.u, u_unit="mV", name="in mV")
     force = first.replace(u_unit="N", name="force")
     fits = hf.fit_many("bouc-wen", [first, milli, force], **QUICK)
@@ -504,7 +504,7 @@ def test_the_overview_is_one_page_that_needs_nothing_else(fits):
 
 
 def test_names_of_loops_cannot_break_the_page():
-    named = measured(1, 200).replace(name="<b>&", y_unit="<i>")
+    named = measured(1, 150).replace(name="<b>&", y_unit="<i>")
     page = overview(hf.fit_many("bouc-wen", [named], **QUICK))
     assert "<b>&" not in page
     assert "<i>" not in page
