@@ -60,8 +60,7 @@ class Plan(eqx.Module):
         """The plan for a fit."""
         problem, x = result.problem, result.x
         c, infos = problem.space.coordinates, problem.space.infos
-        sides = problem.at_bound(x)
-        held = np.array([info.linear and side is not None for info, side in zip(infos, sides, strict=True)])
+        held = problem.on_bound(x) & np.array([info.linear for info in infos])
         inputs = np.concatenate([record.u for record in problem.data])
         return cls(
             coordinates=c,

@@ -215,7 +215,7 @@ def covariance(
     r, J = problem.linearize(x)
     root = np.sqrt(np.asarray(problem.objective.batch.weight))
     r, J = r * root, J * root[..., None]
-    live = np.array([side is None for side in problem.at_bound(x)])
+    live = ~problem.on_bound(x)
     rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, problem.used, strict=True) if on.any()]
     span = _block(problem.data, rows) if block is None else block
     back = _orthonormal([slope for _, slope in rows])
