@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
     source, site = chosen.out / "source", chosen.out / "site"
     shutil.rmtree(source, ignore_errors=True)
     shutil.rmtree(site, ignore_errors=True)
-    skip = shutil.ignore_patterns("__pycache__", "*.py", "gallery", "generate", "models.toml")
+    skip = shutil.ignore_patterns("__pycache__", "*.py", "gallery", "generate", "models.toml", "codes.toml")
     shutil.copytree(HERE, source, ignore=skip)
     shutil.copy2(HERE / "conf.py", source)
     copy_gallery(source / "gallery_scripts", chosen.quick, chosen.download)

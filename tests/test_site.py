@@ -16,6 +16,7 @@ import socketserver
 import subprocess
 import sys
 import threading
+import tomllib
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -152,11 +153,12 @@ def test_links_of_the_repository_resolve(name):
 
 
 def test_remedies_use_options_that_exist():
-    known = known_options()
-    for code in Code:
-        assert code.meaning
-        assert code.remedy
-        assert [option for option in OPTION.findall(code.remedy) if option not in known] == []
+    known, about = known_options(), tomllib.loads((DOCS / "codes.toml").read_text(encoding="utf-8"))
+    assert list(about) == [str(code) for code in Code]
+    for one in about.values():
+        assert one["meaning"]
+        assert [option for option in OPTION.findall(one["remedy"]) if option not in known] == []
+        assert one["remedy"]
 
 
 def test_options_in_the_documents_exist():

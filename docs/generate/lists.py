@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -44,9 +45,18 @@ def codes() -> str:
     return "\n\n".join(f"### {heading}\n\n{_codes(members)}" for heading, members in _code_groups().items())
 
 
+def code_meanings() -> dict[str, dict[str, str]]:
+    """Meaning and remedy of each note code, from `docs/codes.toml`."""
+    return tomllib.loads((ROOT / "docs" / "codes.toml").read_text(encoding="utf-8"))
+
+
 def _codes(members: Iterable[Code]) -> str:
     """Each code under an anchor of its own, so that a report can link to it."""
-    rows = [(f'<a id="{code}"></a>`{code}`', plain(code.meaning), plain(code.remedy)) for code in members]
+    about = code_meanings()
+    rows = [
+        (f'<a id="{code}"></a>`{code}`', plain(about[code]["meaning"]), plain(about[code]["remedy"]))
+        for code in members
+    ]
     return table(["code", "meaning", "what to do"], rows)
 
 
