@@ -407,6 +407,20 @@ def test_the_answer_stands_at_the_top_of_the_page_and_the_text(result):
     assert "hystfit compare LOOP" in report.html_report(poor)
 
 
+def test_a_wide_table_is_whole_on_paper(browser, tmp_path, result):
+    (tmp_path / "page.html").write_text(report.html_report(result))
+    page = browser.new_page(viewport={"width": 720, "height": 1000})
+    page.goto((tmp_path / "page.html").as_uri())
+    page.emulate_media(media="print")
+    assert (
+        page.evaluate(
+            "Math.max(...[...document.querySelectorAll('td, th')].map((e) => e.getBoundingClientRect().right))"
+        )
+        < 720
+    )
+    page.close()
+
+
 def test_a_picture_is_enlarged_in_data_coordinates(browser, tmp_path):
     """The point under the pointer stays, marks keep to the labels of the new ticks, linked axes follow, and named ticks stay."""
     from matplotlib.figure import Figure

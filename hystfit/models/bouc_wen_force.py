@@ -85,7 +85,7 @@ class BoucWenForce(AbstractHysteresis):
         if needed <= self.substeps:
             return ()
         return (
-            f"the input moves by up to {way:.2g} yield displacements in one sample, and {self.substeps} substeps are trusted to "
+            f"the input moves by up to {way:.2g} yield displacements in one sample, and {self.substeps} substeps are accurate up to "
             f"{_TRUSTED * self.substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
             "the model's name)",
         )
