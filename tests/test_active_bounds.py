@@ -16,7 +16,7 @@ U = (20 + 12 * T) * np.sin(2 * np.pi * T)
 START = hf.PrandtlIshlinskii.of(6).start([hf.Record(u=U, y=U)])
 
 
-def pulls_of(seed: int, scale: float, noise: str) -> list[float]:
+def pulls_of(seed: int, scale: float, noise: str, method: str = "lm") -> list[float]:
     """Errors of plays with random weights, over their standard errors; about half of the weights end on zero."""
     rng = np.random.default_rng(seed)
     weights = (rng.exponential(scale, START.w.shape), rng.exponential(2.0, START.rise.shape), rng.normal())
@@ -24,7 +24,7 @@ def pulls_of(seed: int, scale: float, noise: str) -> list[float]:
     white = rng.normal(size=U.size)
     slow = scipy.signal.lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], white) + 0.3 * rng.normal(size=U.size)
     y = np.asarray(hf.simulate(truth, jnp.asarray(U))[0]) + 0.3 * (white if noise == "iid" else slow)
-    fit = hf.fit(START, hf.Record(u=U, y=y, t=T), start="model", starts=1, method="lm", noise=noise)
+    fit = hf.fit(START, hf.Record(u=U, y=y, t=T), start="model", starts=1, method=method, noise=noise)
     true = fit.problem.space.vector(truth)
     return [(p.value - t) / p.stderr for p, t in zip(fit.parameters, true, strict=False) if p.stderr is not None]
 
@@ -43,6 +43,12 @@ def test_errors_beside_weights_on_zero_are_calibrated(scale: float, noise: str, 
     pulls = np.concatenate([pulls_of(seed, scale, noise) for seed in range(count)])
     assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=slack)
     assert np.abs(pulls).max() < 4.0  # errors that held the weights on zero gave 9
+
+
+def test_a_ridge_counts_as_knowledge_only_as_far_as_the_weights_bear_it_out() -> None:
+    pulls = np.concatenate([pulls_of(seed, 1.0, "iid", "convex") for seed in range(12)])
+    assert pulls.size > 30
+    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=0.2)  # 1.47 where the whole ridge was prior information
 
 
 def test_moments_are_those_of_a_plain_sample() -> None:
@@ -69,5 +75,6 @@ def test_a_steep_slope_leaves_an_exponential_density() -> None:
 def test_without_a_bound_the_moments_are_the_covariance() -> None:
     A = np.random.default_rng(1).normal(size=(5, 3))
     P = A.T @ A
-    far = about_estimate(P, np.zeros(3), np.array([np.inf, 1e3, np.inf]), np.ones(3))
+    mean, far = about_estimate(P, np.zeros(3), np.array([np.inf, 1e3, np.inf]), np.ones(3))
     np.testing.assert_allclose(far, np.linalg.inv(P), rtol=1e-6)
+    np.testing.assert_allclose(mean, 0, atol=1e-5)

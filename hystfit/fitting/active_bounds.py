@@ -20,8 +20,8 @@ def about_estimate(
     slope: Float[np.ndarray, " p"],
     room: Float[np.ndarray, " p"],
     side: Float[np.ndarray, " p"],
-) -> Float[np.ndarray, "p p"]:
-    """Second moments E[d d'] of the density exp(-d'I d / 2 - s'd) of deviations d from the estimate, within bounds.
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
+    """Mean E[d] and second moments E[d d'] of the density exp(-d'I d / 2 - s'd) of deviations d from the estimate, within bounds.
 
     Args:
         information: I, about all parameters.
@@ -41,7 +41,7 @@ def about_estimate(
     mean = follow @ mean + free
     moments = follow @ covariance @ follow.T + np.outer(mean, mean)
     moments[np.ix_(others, others)] += inverse
-    return moments
+    return mean, moments
 
 
 def truncated_moments(
@@ -54,6 +54,8 @@ def truncated_moments(
         slope: s.
         low: lower limits.
     """
+    if not slope.size:
+        return slope, precision
     scale = 1 / np.maximum(np.sqrt(np.maximum(np.diag(precision), 1e-300)), slope)
     P, s, low = precision * scale * scale[:, None] + 1e-8 * np.eye(slope.size), slope * scale, low / scale
     width = np.ones(s.size)  # of the factors that stand for the bounds: precision, and that times mean

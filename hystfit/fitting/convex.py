@@ -273,7 +273,9 @@ class Convex(AbstractEstimator):
             note += "; it is the largest tried: the model hardly helps to predict what was left out"
         cost = 0.5 * fit.rss / size**2
         chosen = (Note(Code.CHOICE, note),)
-        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, chosen, fit.score)
+        return Estimate(
+            x, cost, converged, message, evaluations, np.array([cost]), penalty, chosen, fit.score, toward_zero=True
+        )
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
         strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength

@@ -23,6 +23,7 @@ _RANK = 1e-7  # or when its singular value, of columns of unit length, is below 
 _REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar;
 _MOVED = 0.5  # where two bounds limit the direction: standard error that it adds, over the parameter's size, above which it has none
+_ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 _PART = 0.25  # components of a direction that its description includes
 
 
@@ -76,7 +77,8 @@ def uncertainty(
         correlated: allow for autocorrelated residuals.
         root: square root R of the information R'R about x under a noise model, shape (p, p), which is then used instead.
     """
-    x, y, ridge = estimate.x, problem.scales.y, _ridge(estimate)
+    x, y = estimate.x, problem.scales.y
+    ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
     residual, jacobian = problem.linearize_misfit(x)
     used = problem.used.reshape(-1)
     # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
@@ -100,8 +102,14 @@ def uncertainty(
     inside = None
     if live.any() and plain > 0:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(at_bound, 0.0 if refined else residual @ jacobian + ridge * x, 0.0)
-        inside = _near_bounds(problem, estimate, rows, information, slope, plain, acts)
+        slope = np.where(at_bound & (not refined), residual @ jacobian, -ridge * x)
+        near = _NearBounds.of(problem, x, rows, information, slope, ridge, acts)
+        if near is not None:
+            share = np.ones(x.size)
+            if estimate.toward_zero and not refined:
+                share[acts] = near.share(np.unique(_arrays(problem)[acts], return_inverse=True)[1])
+            inside = near.moments(share, acts)
+            information = information._replace(ridge=share * information.ridge)
     determined = _determined(problem, x, information, live, inside)
     determined["joint"][at_bound], determined["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(
@@ -128,8 +136,9 @@ class _Information(NamedTuple):
     ridge: np.ndarray
 
 
-def _ridge(estimate: Estimate) -> np.ndarray:
-    return np.zeros(estimate.x.size) if estimate.penalty is None else estimate.penalty
+def _arrays(problem: Problem) -> np.ndarray:
+    """Name of the array that each parameter belongs to, shape (p,)."""
+    return np.array([name.split("[")[0] for name in problem.space.names])
 
 
 def _acting(problem: Problem, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -229,45 +238,108 @@ def _touched(open_axes: np.ndarray, spreads: np.ndarray, two_sided: np.ndarray) 
     return (largest(np.abs(open_axes[:, ~limited])) > _TOUCHED) | (largest(moved) > _MOVED)
 
 
-def _near_bounds(
-    problem: Problem,
-    estimate: Estimate,
-    rows: np.ndarray,
-    information: _Information,
-    slope: np.ndarray,
-    plain: float,
-    acts: np.ndarray,
-) -> np.ndarray | None:
-    """Second moments about an estimate near bounds (`active_bounds`), shape (p, p); None where no bound is near, or too many are.
+class _NearBounds(NamedTuple):
+    """A linear model with bounds and a ridge about an estimate, on centered columns of unit length.
 
-    Args:
-        problem: what was fitted.
-        estimate: where it ended.
-        rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
-        information: about the parameters.
-        slope: of the cost at the estimate, shape (p,).
-        plain: variance of the residuals.
-        acts: parameters with influence, shape (p,), bool.
+    A ridge that was chosen for its predictions can be far stronger than what is known about the weights: as prior information it
+    would then say that they are smaller than the estimate of their own size. The share of it that counts is the one of largest
+    evidence, one for each array of weights: number of determined weights over their power (MacKay 1992, Bayesian
+    interpolation, eq. 21), at most 1. The rest of the ridge is a known error of the estimate.
+
+    Attributes:
+        x: estimate, shape (k,).
+        normal: information of independent noise, which decides where the unconstrained optimum is, shape (k, k).
+        ridge: added to it, diagonal, shape (k,).
+        slope: of the cost without the ridge, shape (k,).
+        known: information about the parameters, shape (k, k).
+        prior: what the ridge adds to it, diagonal, shape (k,).
+        room: distances to the bounds, infinite without one, shape (k,).
+        sides: 1 for a lower bound, -1 for an upper bound, shape (k,).
+        back: takes these parameters to physical ones, shape (k, k).
     """
-    space, x = problem.space, estimate.x
-    below, above = _rooms(problem, x)
-    room = np.where(space.linear, np.minimum(below, above), np.inf)
-    room = np.where(problem.on_bound(x), 0.0, room)[acts]
-    if not 0 < np.isfinite(room).sum() <= FEW:
-        return None
-    centered, back = _centered(rows[:, acts], space.offsets[acts])
-    size = np.linalg.norm(centered, axis=0)
-    back = back / size
-    normal = ((centered / size).T @ (centered / size) + np.diag(_ridge(estimate)[acts] / size**2)) / plain
-    root = information.root[:, acts] @ back
-    known = (root.T @ root + np.diag(information.ridge[acts] / size**2)) / information.variance
-    # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
-    away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (slope[acts] / plain / size)
-    sides = np.where(below < above, 1.0, -1.0)[acts]
-    moments = back @ about_estimate(known, known @ away, room * size, sides) @ back.T
-    inside = np.zeros((x.size, x.size))
-    inside[np.ix_(acts, acts)] = 0.5 * (moments + moments.T)  # a saved fit keeps one half
-    return inside
+
+    x: np.ndarray
+    normal: np.ndarray
+    ridge: np.ndarray
+    slope: np.ndarray
+    known: np.ndarray
+    prior: np.ndarray
+    room: np.ndarray
+    sides: np.ndarray
+    back: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        x: np.ndarray,
+        rows: np.ndarray,
+        information: _Information,
+        slope: np.ndarray,
+        ridge: np.ndarray,
+        acts: np.ndarray,
+    ) -> _NearBounds | None:
+        """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
+
+        Args:
+            problem: what was fitted.
+            x: where it ended, physical, shape (p,).
+            rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
+            information: about the parameters.
+            slope: of the cost without the ridge at the estimate, shape (p,).
+            ridge: added to the normal matrix of the cost, shape (p,).
+            acts: parameters with influence, shape (p,), bool.
+        """
+        space = problem.space
+        below, above = _rooms(problem, x)
+        room = np.where(space.linear, np.minimum(below, above), np.inf)
+        room = np.where(problem.on_bound(x), 0.0, room)[acts]
+        near = np.isfinite(room).sum()
+        if near > FEW or not (near or ridge.any()):
+            return None
+        centered, back = _centered(rows[:, acts], space.offsets[acts])
+        size = np.linalg.norm(centered, axis=0)
+        back = back / size
+        root = information.root[:, acts] @ back
+        return cls(
+            x[acts] * size,
+            (centered / size).T @ (centered / size),
+            ridge[acts] / size**2,
+            slope[acts] / size,
+            root.T @ root / information.variance,
+            information.ridge[acts] / size**2 / information.variance,
+            room * size,
+            np.where(below < above, 1.0, -1.0)[acts],
+            back,
+        )
+
+    def deviation(self, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and second moments of the deviation from the estimate (`active_bounds`), with some share of the ridge known."""
+        # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
+        normal, slope = self.normal + np.diag(share * self.ridge), self.slope + share * self.ridge * self.x
+        known = self.known + np.diag(share * self.prior)
+        away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ slope
+        return about_estimate(known, known @ away, self.room, self.sides)
+
+    def share(self, array: np.ndarray) -> np.ndarray:
+        """Share of the ridge of largest evidence, shape (k,); `array` has the number of the array of each parameter."""
+        share, held = np.ones(self.x.size), self.prior > 0
+        for _ in range(_ROUNDS if held.any() else 0):
+            mean, moments = self.deviation(share)
+            power = self.prior * (self.x + mean) ** 2
+            determined = held - share * self.prior * (np.diag(moments) - mean**2)
+            number, size = (np.bincount(array, part) for part in (determined, power))
+            before, share = share, np.clip(number / np.maximum(size, 1e-300), 0.0, 1.0)[array]
+            if np.all(np.abs(share - before) <= _SETTLED * share):
+                break
+        return share
+
+    def moments(self, share: np.ndarray, acts: np.ndarray) -> np.ndarray:
+        """Second moments about the estimate in physical units, shape (p, p); zero for parameters without influence."""
+        moments = self.back @ self.deviation(share[acts])[1] @ self.back.T
+        inside = np.zeros((acts.size, acts.size))
+        inside[np.ix_(acts, acts)] = 0.5 * (moments + moments.T)  # a saved fit keeps one half
+        return inside
 
 
 def _centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ class Estimate:
             without regularization.
         notes: what was chosen on the way.
         left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
+        toward_zero: the penalty is a ridge: nothing but its diagonal, toward zero.
     """
 
     x: np.ndarray
@@ -38,6 +39,7 @@ class Estimate:
     penalty: np.ndarray | None = None
     notes: tuple[Note, ...] = ()
     left_out: float | None = None
+    toward_zero: bool = False
 
     @property
     def in_best_basin(self) -> int:
