@@ -104,6 +104,12 @@ def test_headers_behind_a_comment_mark(header: str, mark: str, tmp_path: Path) -
     assert (record.u_name, record.y_name) == ("u", "y")
 
 
+def test_a_unit_row_that_begins_with_percent_is_no_comment(tmp_path: Path) -> None:
+    record = _read(tmp_path, "strain Temperature stress\n% - MPa\n" + _rows(" ", U, T, Y))
+    _check(record, t=None)
+    assert (record.u_unit, record.y_unit) == ("%", "MPa")
+
+
 def test_output_first_behind_a_comment_mark(tmp_path: Path) -> None:
     _check(_read(tmp_path, "#y,u\n" + _rows(",", Y, U)), t=None)
 
@@ -199,6 +205,18 @@ def test_a_word_in_the_input_is_a_gap(tmp_path: Path) -> None:
     _check(dropped, t=np.delete(T, 2), u=np.delete(U, 2), y=np.delete(Y, 2))
     assert _warned(dropped, Code.LEFT_OUT)
     assert len(read(tmp_path / "file.csv", gaps="split")) == 2
+
+
+def test_commas_of_thousands_in_bare_numbers_do_not_fill_an_empty_column(tmp_path: Path) -> None:
+    rows = [f'"1,{k}00.5",{k}.25,' for k in range(1, 9)] + [f"1,{k}00.5-,{k}.25," for k in range(1, 5)]
+    with pytest.raises(DataError, match="4 rows do not have the 3 cells"):
+        _read(tmp_path, "u,y,\n" + "\n".join(rows))
+
+
+def test_comments_do_not_part_rows_of_different_states(tmp_path: Path) -> None:
+    rows = _rows(";", T, ["off"] * 2 + ["on"] * 4, U, Y).splitlines()
+    text = "\n".join(["t;state;u;y", rows[0], "% note", rows[1], "// checked", *rows[2:]])
+    _check(_read(tmp_path, text))
 
 
 def test_many_rows_that_cannot_be_read_are_refused(tmp_path: Path) -> None:

@@ -110,8 +110,10 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
             parts = _cut(text, mark)
             while len(parts) > width and not parts[-1]:
                 parts.pop()
-            if len(parts) == width and any(parts) and not re.fullmatch(_COMMENT, parts[0]):
-                return parts
+            if len(parts) == width and any(parts):
+                units = parts[0] == "%" and all(is_unit(part) or part in ("", "-", "1") for part in parts)
+                if units or not re.fullmatch(_COMMENT, parts[0]):
+                    return parts
     return None
 
 

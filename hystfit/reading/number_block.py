@@ -105,7 +105,7 @@ def _of_width(rows: list[list[str]], layout: Layout) -> tuple[list[int], list[in
                 filled -= 1
             if filled == 0:
                 continue
-            if filled > width or filled < last:
+            if filled != last:
                 ragged.append(k)
                 continue
             rows[k] = row[:width] + [""] * (width - len(row))
@@ -173,7 +173,8 @@ def _main_runs(rows: list[list[str]], index: np.ndarray, layout: Layout, lines: 
     if not tags or index.size < 2:
         return keep
     starts = np.flatnonzero(np.diff(index, prepend=-2) > 1)
-    starts = np.array([s for s in starts if s == 0 or any(lines[k].strip() for k in range(index[s - 1] + 1, index[s]))])
+    apart = lambda line: bool(line.strip()) and not is_comment(line)
+    starts = np.array([s for s in starts if s == 0 or any(map(apart, lines[index[s - 1] + 1 : index[s]]))])
     ends = np.append(starts[1:], index.size)
     column = np.array([cells.clean(rows[k][tags[0]]) for k in index])
     longest = int(np.argmax(ends - starts))
