@@ -314,3 +314,15 @@ def test_a_voltage_and_a_current_of_equal_waves_are_called_ambiguous(tmp_path: P
     )
     notes = hf.read_csv(path).notes
     assert any(note.code is Code.COLUMN_CHOICE and note.severity is Severity.WARNING for note in notes)
+
+
+@pytest.mark.parametrize(
+    "header", ["time_s,T_C,strain_pct", "t_ms,DAC_counts,LVDT_counts", "time_s,heater_pct,temp_C", "t_s,pwm,ADC_counts"]
+)
+def test_drives_of_heaters_counts_and_degrees_are_inputs(tmp_path: Path, header: str) -> None:
+    t = np.arange(100.0)
+    path = tmp_path / "device.csv"
+    np.savetxt(path, np.column_stack([t, np.sin(t), np.sin(t - 0.3)]), delimiter=",", header=header, comments="")
+    record = hf.read_csv(path)
+    assert isinstance(record, hf.Record)
+    np.testing.assert_array_equal(record.u, np.sin(t))

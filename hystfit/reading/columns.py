@@ -22,8 +22,8 @@ _WORDS: dict[str, str] = {}
 for _kind, _list in {
     "time": "t time times sec secs second seconds zeit temps timestamp datetime date elapsed tout clock tiempo x_value "
     "时间 時間 время",
-    "input": "input in command cmd excitation reference ref setpoint drive stimulus u eingang",
-    "output": "output out response y reading ausgang",
+    "input": "input in command cmd dac pwm duty heater excitation reference ref setpoint drive stimulus u eingang",
+    "output": "output out adc response y reading ausgang",
     "voltage": "voltage volt volts vin spannung potential vdrive vcmd tension_v 电压 電圧 電壓 напряжение",
     "field": "h hfield field feld applied_field 磁场 磁場",
     "electric field": "efield e_field electric_field 电场 電場",
@@ -117,6 +117,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
+    if base == "T" and by_unit == "charge":
+        return "temperature"  # degrees Celsius without their sign
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column
