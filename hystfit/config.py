@@ -8,6 +8,7 @@ from hystfit.errors import ParameterError, PrecisionError
 # XLA compiles a scan on a CPU into one native loop only while its body is below a threshold of about 1 kB, and dispatches every
 # operation of every step otherwise: 3 to 10 times slower for the larger models, measured on their fits.
 _whole_loops_wanted = True
+PROGRAM_FOLDER = "HYSTFIT_PROGRAM_FOLDER"  # variable with the folder of traced programs; the command sets it
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 

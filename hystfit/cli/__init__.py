@@ -17,7 +17,7 @@ from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCl
 
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
 from hystfit.cli.verbs import VERBS, as_options, place, verb_options
-from hystfit.config import compile_whole_loops
+from hystfit.config import PROGRAM_FOLDER, compile_whole_loops
 from hystfit.errors import HystfitError
 from hystfit.version import __version__
 
@@ -80,9 +80,10 @@ def _refuse(message: str) -> int:
 
 
 def keep_programs() -> None:
-    """Have JAX keep compiled programs in the user's cache folder, so that the next command need not compile them again.
+    """Keep compiled and traced programs in the user's cache folder, so that the next command need not make them again.
 
-    Most of the time of a first fit is compilation. A folder that the user has chosen (JAX_COMPILATION_CACHE_DIR) is respected.
+    Most of the time of a first fit is compilation, and half of the rest tracing. A folder that the user has
+    chosen (JAX_COMPILATION_CACHE_DIR) is respected.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -93,6 +94,7 @@ def keep_programs() -> None:
     except OSError:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+    os.environ[PROGRAM_FOLDER] = str(folder / "traced")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_CACHE_BYTES))
 

@@ -19,6 +19,7 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
+from hystfit.params.host_arrays import compiled
 
 
 def _jaxopt() -> Any:
@@ -76,7 +77,7 @@ def projected_gradient() -> BoundedDescent:
     return BoundedDescent(method="projected-gradient")
 
 
-@eqx.filter_jit
+@compiled
 def _descend(
     settings: BoundedDescent, objective: Objective, v0: Array, size: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -106,7 +107,7 @@ def _cost(v: Array, objective: Objective, size: Array, first: Array) -> Array:
     return 0.5 * jnp.log(_squares(v, objective, size) / first + 1e-12)
 
 
-@eqx.filter_jit
+@compiled
 def _cost_and_slope(v: Array, objective: Objective, size: Array, first: Array) -> tuple[Array, Array]:
     return jax.value_and_grad(_cost)(v, objective, size, first)
 

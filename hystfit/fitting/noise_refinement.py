@@ -10,7 +10,6 @@ import dataclasses
 import functools
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +25,7 @@ from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened, restricted
 from hystfit.params.coordinates import BOTH
+from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
 _ROUNDS = 4
@@ -149,7 +149,7 @@ def _z_of(space: ParameterSpace, problem: Problem) -> np.ndarray:
     return space.unconstrained(space.vector(problem.noise))
 
 
-@eqx.filter_jit
+@compiled
 def _restricted_slope(density: Density, r: Array, J: Array, moving: Array, z: Array) -> tuple[Array, Array]:
     """Negative of the criterion for the parameters of the noise, and its gradient."""
     priors = density.priors[density.p :]
@@ -177,14 +177,14 @@ def _fit_noise(criterion: Callable[[Array], tuple[Array, Array]], starts: np.nda
     return solution.x, bool(np.max(np.abs(gradient)) < 0.05)
 
 
-@eqx.filter_jit
+@compiled
 def _fit_model(whitened: Whitened, x: Array, moving: Array) -> tuple[Array, Array, Array]:
     c = whitened.objective.coordinates
     z, value, done = descend(whitened.cost_at, whitened.normal_at, c.unconstrained(x), moving)
     return jnp.where(moving, c.physical(z), x), value, done
 
 
-@eqx.filter_jit
+@compiled
 def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> Optimum:
     """Parameters of model and noise by their joint likelihood and the priors of the noise."""
     p, priors = density.p, density.priors[density.p :]
@@ -200,7 +200,7 @@ def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> Optimum
     return maximize(value, z)
 
 
-@eqx.filter_jit
+@compiled
 def _rows(whitened: Whitened, r: Array, J: Array) -> Array:
     return whitened.rows(r, J)
 

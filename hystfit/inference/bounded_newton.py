@@ -10,7 +10,6 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
@@ -19,6 +18,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
+from hystfit.params.host_arrays import compiled
 
 _LONGEST = 2.0  # step of an unconstrained coordinate
 _EDGE = 8.0  # |z| beyond which a parameter counts as lying on its bound: within 3e-4 of the scale or the interval
@@ -197,6 +197,6 @@ def _step(point: Point, damping: float, low: np.ndarray, high: np.ndarray, movin
     return step
 
 
-@eqx.filter_jit
+@compiled
 def _normal(whitened: Whitened, r: Float[Array, "R T"], J: Float[Array, "R T p"]) -> tuple[Array, Array, Array]:
     return whitened.normal_of(r, J)

@@ -210,7 +210,7 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
     return misfit, rows if slope is None else slope[:, None] * rows
 
 
-@eqx.filter_jit
+@compiled
 def bend_slope(r: Array, at: Array, loss: Loss) -> tuple[Array, Array]:
     """`bend` and its derivative with respect to r."""
     return jax.jvp(lambda r: bend(r, at, loss), (r,), (jnp.ones_like(r),))

@@ -28,7 +28,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.one_device import check_one_device
 from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import BOTH
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 
 LOSSES: tuple[str, ...] = get_args(Loss)
@@ -262,7 +262,7 @@ class Problem:
         return float(self.density.log_prior(jnp.asarray(z)))
 
 
-@eqx.filter_jit
+@compiled
 def _run(traced: Any, method: str, argument: Array) -> Any:
     """A method of an objective or density, compiled once for each method and shape."""
     return getattr(traced, method)(argument)

@@ -28,6 +28,7 @@ from hystfit.models.parallel.kernel import scan
 from hystfit.models.parallel.route import Route, route
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.params.host_arrays import compiled
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
@@ -356,7 +357,7 @@ def _solvable(bounds: tuple[float, float]) -> bool:
     return bounds[1] == np.inf and bounds[0] in (0.0, -np.inf)
 
 
-@eqx.filter_jit
+@compiled
 def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
     """Output with the leaves `at` set to zero, and its derivatives in them."""
     leaves, treedef = jax.tree_util.tree_flatten(model)
@@ -438,7 +439,8 @@ def simulate(
     u, dt = _checked_drive(model, u, dt)
     # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
     try:
-        return _compiled(model)(model, u, dt, resume)
+        y, *end = _run(model, u, dt, resume)
+        return y, Resume(*end)
     except (TypeError, ValueError):
         check_one_device(model)
         raise
@@ -503,11 +505,8 @@ def run(model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = 
     return y, Resume(state, u[-1])
 
 
-_run_arrays = jax.jit(run)
-_run_any = eqx.filter_jit(run)
-
-
-def _compiled(model: AbstractHysteresis) -> Callable[..., tuple[Array, Resume]]:
-    """`run`, compiled. Models whose leaves are all arrays skip the filtering of leaves at every call."""
-    arrays = all(isinstance(leaf, (jax.Array, np.ndarray)) for leaf in jax.tree_util.tree_leaves(model))
-    return _run_arrays if arrays else _run_any
+@compiled
+def _run(model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None) -> tuple[Array, ...]:
+    """`run`, compiled."""
+    y, end = run(model, u, dt, resume)
+    return y, *end

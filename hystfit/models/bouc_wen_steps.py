@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
+
+from hystfit.params.host_arrays import compiled
 
 
 def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:
@@ -29,7 +30,7 @@ def initial_hysteresis(part: Array, lowest: Array, highest: Array) -> Array:
     return part * jnp.where(jnp.isfinite(side), side, 0.0)
 
 
-@eqx.filter_jit
+@compiled
 def initial_state(model: Any) -> Array:
     """State of a model at zero input, by one program; its operations one by one would each compile one."""
     return model.init(jnp.zeros(()))

@@ -19,7 +19,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -178,7 +178,7 @@ def langevin(x: Scalar) -> Scalar:
     return jnp.where(near, series, 1.0 / jnp.tanh(far) - 1.0 / far)
 
 
-@eqx.filter_jit
+@compiled
 def _over_grid(plain: JilesAtherton, grid: Float[Array, "n 4"], u: Signal) -> Float[Array, "n T"]:
     """M / Ms of models with (a, coupling, k, c) in the rows of a grid, shape (grid, T)."""
     where = lambda m: (m.a, m.coupling, m.k, m.c)

@@ -22,6 +22,7 @@ from hystfit.models.oscillator_start import oscillator_starts
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.outcome import Code
+from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -302,7 +303,7 @@ def _first_power(x: Array, n: Array) -> Array:
     return x * zeroth_power(x, n)
 
 
-@eqx.filter_jit
+@compiled
 def _hysteretic_force(model: BoucWenOscillator, u: Array, dt: Array) -> Array:
     """z at each sample."""
     return model._trajectory(model.init(u[0]), u[0], u, dt)[2]

@@ -17,6 +17,7 @@ from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
 from hystfit.models.base import AbstractHysteresis, run
 from hystfit.models.starting import output_range
+from hystfit.params.host_arrays import compiled
 
 _EXCITED = 1e-3  # part of the largest power of the input from which a spectral line counts as excited
 _SHAPES = tuple(itertools.product((0.2, 0.5, 0.8), (-0.6, 0.0, 0.6), (0.0, 0.6, 1.5)))
@@ -60,7 +61,7 @@ def _placed(model: Any, values: Started) -> Any:
     return eqx.tree_at(fields, model, tuple(jnp.asarray(value, dtype=jnp.result_type(float)) for value in values))
 
 
-@eqx.filter_jit
+@compiled
 def _costs(model: AbstractHysteresis, table: Array, batch: Batch) -> tuple[Array, Array]:
     """Sum of squared residuals less the mean of each record, and that mean of the first record, for each row of the table."""
 

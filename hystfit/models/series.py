@@ -23,6 +23,7 @@ from hystfit.models.composition import AbstractComposition, check_parts, join_c_
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.params.host_arrays import compiled
 
 
 class Series(AbstractComposition):
@@ -214,7 +215,7 @@ def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarra
     return DesignMatrix(tuple(blocks), out[:, 0], design.index)
 
 
-@eqx.filter_jit
+@compiled
 def _filtered(part: Any, signals: Array, dt: Array) -> Array:
     """Outputs for each column of signals, shape (T, p); of all but the first less the response of the initial state."""
     outputs = jax.vmap(lambda signal: run(part, signal, dt)[0], in_axes=1, out_axes=1)(signals)

@@ -12,6 +12,7 @@ import numpy as np
 from jax import dtypes
 
 from hystfit.config import compile_whole_loops
+from hystfit.params.kept_programs import kept
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -34,8 +35,10 @@ def to_device(values: Any, dtype: Any = None) -> jax.Array:
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """`equinox.filter_jit`, at half its cost for each call where all leaves of the arguments are arrays or numbers of NumPy.
 
+    The command line keeps its programs on disk (`hystfit.params.kept_programs`).
+
     Args:
-        function: of positional arguments, all of them trees.
+        function: of a module, of positional arguments, all of them trees.
     """
     of_arrays, of_any = jax.jit(function), eqx.filter_jit(function)
 
@@ -44,4 +47,4 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         arrays = all(isinstance(leaf, (jax.Array, np.ndarray, np.generic)) for leaf in jax.tree_util.tree_leaves(trees))
         return (of_arrays if arrays else of_any)(*trees, **none)
 
-    return call
+    return kept(function, call)

@@ -17,6 +17,7 @@ from hystfit.models.preisach.everett import Place, accumulate, grid
 from hystfit.models.preisach.plane import AbstractPlane
 from hystfit.models.preisach.staircase import Staircase, compile_input
 from hystfit.models.shapes import Signal
+from hystfit.params.host_arrays import compiled
 
 
 class Terms(eqx.Module):
@@ -174,7 +175,7 @@ def locate(levels: np.ndarray, u: np.ndarray) -> Place:
 # -- weights to outputs ----------------------------------------------------------------------------------------------------
 
 
-@eqx.filter_jit
+@compiled
 def respond(model: AbstractPlane, compiled: Compiled) -> Signal:
     """Output of a model on an input compiled for it, shape (T,): what `hystfit.simulate` returns, by look-ups.
 

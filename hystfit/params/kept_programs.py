@@ -1,0 +1,179 @@
+"""Traced and lowered programs, kept on disk between processes: half the time of a first fit whose programs are compiled.
+
+JAX keeps compiled programs, but finds one only after it has traced and lowered it again. Here a program is kept as `jax.export`
+serializes it: StableHLO, which computes and can do nothing else. It is found by the source of hystfit, the versions and settings of
+what traces it, and the arguments: arrays by their shapes, all else by value. What no text describes by value, such as a class of the
+user, is traced in every process.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+import types
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jaxlib
+import numpy as np
+
+from hystfit.config import PROGRAM_FOLDER
+
+_MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed first
+_CHECK = hashlib.sha256().digest_size
+_VERSIONED = ("hystfit", "equinox", "jax", "numpy", "builtins")  # packages whose classes a name and a version describe
+_BY_VALUE = (bool, int, float, complex, str, bytes, type(None), type(...))
+
+
+class _NotByValueError(Exception):
+    """What is traced depends on more than its text."""
+
+
+def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that calls the kept program for its arguments where there is a folder for programs, and `otherwise` without one.
+
+    Args:
+        function: of a module of hystfit, of trees; returns arrays in tuples, lists and dictionaries.
+        otherwise: the same function, compiled by JAX.
+    """
+    programs: dict[Any, Callable[..., Any] | None] = {}
+
+    def call(*trees: Any) -> Any:
+        traced, rest = eqx.partition(trees, lambda leaf: isinstance(leaf, (jax.Array, np.ndarray, np.generic)))
+        arrays, places = jax.tree_util.tree_flatten(traced)
+        if any(isinstance(array, jax.core.Tracer) for array in arrays):
+            return otherwise(*trees)
+        fixed, structure = jax.tree_util.tree_flatten(rest)
+        shapes = tuple((np.shape(array), jax.dtypes.canonicalize_dtype(array.dtype)) for array in arrays)
+        key = (places, shapes, structure, tuple((type(leaf), leaf) for leaf in fixed))
+        if key not in programs:
+            flat = lambda *arrays: function(*eqx.combine(places.unflatten(arrays), rest))
+            programs[key] = _program(flat, (_name(function), *key), [jax.ShapeDtypeStruct(*shape) for shape in shapes])
+        program = programs[key]
+        return otherwise(*trees) if program is None else program(*arrays)
+
+    return functools.wraps(function)(lambda *trees: (call if PROGRAM_FOLDER in os.environ else otherwise)(*trees))
+
+
+def _program(
+    flat: Callable[..., Any], key: tuple[Any, ...], shapes: list[jax.ShapeDtypeStruct]
+) -> Callable[..., Any] | None:
+    """A compiled function of arrays, from the folder or exported into it; None where it cannot be kept."""
+    try:
+        from jax import export
+
+        name = hashlib.sha256("\n".join((_setting(), _text(key))).encode()).hexdigest()
+        path = Path(os.environ[PROGRAM_FOLDER]) / name
+        exported = None
+        if (content := _read(path)) is not None:
+            with suppress(Exception):  # of another version of the form, though the versions agree
+                exported = export.deserialize(bytearray(content))
+        if exported is None:
+            exported = export.export(jax.jit(flat))(*shapes)
+            _write(path, bytes(exported.serialize()))
+        return jax.jit(exported.call)
+    except (
+        Exception
+    ):  # not exportable, not by value, a folder that cannot be written; an error of the function itself comes again
+        return None
+
+
+# -- what a program depends on ---------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _setting() -> str:
+    """Source of hystfit, versions, platform, and settings of JAX."""
+    package = Path(sys.modules["hystfit"].__path__[0])
+    source = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        source.update(str(path.relative_to(package)).encode() + b"\0" + path.read_bytes())
+    versions = (jax.__version__, jaxlib.__version__, eqx.__version__, np.__version__, sys.version)
+    variables = sorted(f"{name}={value}" for name, value in os.environ.items() if name.startswith(("JAX_", "XLA_")))
+    return repr((source.hexdigest(), versions, jax.default_backend(), jax.config.jax_enable_x64, variables))  # type: ignore[attr-defined]
+
+
+def _text(value: Any) -> str:
+    """A text that is the same for values that are traced alike, and for no others.
+
+    Raises:
+        _NotByValueError: there is none.
+    """
+    if type(value) in _BY_VALUE or isinstance(value, np.dtype):
+        return f"{type(value).__name__} {value!r}"
+    if isinstance(value, jax.tree_util.PyTreeDef):
+        return f"tree {_text(value.node_data())} [{' '.join(map(_text, value.children()))}]"
+    if isinstance(value, (type, types.FunctionType)):
+        return _name(value)
+    if isinstance(value, enum.Enum):
+        return f"{_name(type(value))} {value.name}"
+    if isinstance(value, (tuple, list)):
+        parts = list(value)
+    elif isinstance(value, dict):
+        parts = list(value.items())
+    elif dataclasses.is_dataclass(value):
+        parts = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
+    elif getattr(value, "__dict__", None) == {}:
+        parts = []
+    else:
+        raise _NotByValueError(type(value))
+    return f"{_name(type(value))} [{' '.join(map(_text, parts))}]"
+
+
+def _name(thing: Any) -> str:
+    """Where a class or function is found; its package's version determines what it does.
+
+    Raises:
+        _NotByValueError: it belongs to another package, or is not found under its name.
+    """
+    module, name = thing.__module__, thing.__qualname__
+    if module.partition(".")[0] not in _VERSIONED:
+        raise _NotByValueError(thing)
+    if module != "builtins":
+        place = sys.modules[module]
+        for part in name.split("."):
+            place = getattr(place, part, None)
+        if getattr(place, "__wrapped__", place) is not thing and place is not thing:
+            raise _NotByValueError(thing)
+    return f"{module}.{name}"
+
+
+# -- the folder ------------------------------------------------------------------------------------------------------------------
+
+
+def _read(path: Path) -> bytes | None:
+    """The content of a file that is whole, else None."""
+    try:
+        check, content = (text := path.read_bytes())[:_CHECK], text[_CHECK:]
+        if hashlib.sha256(content).digest() != check:
+            return None
+        os.utime(path)
+    except OSError:
+        return None
+    return content
+
+
+def _write(path: Path, content: bytes) -> None:
+    """A file at once or not at all; those unused for longest go where the folder is full."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+        file.write(hashlib.sha256(content).digest() + content)
+    os.replace(file.name, path)
+    used = sorted(
+        ((entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in os.scandir(path.parent)), reverse=True
+    )
+    total = 0
+    for _, size, name in used:
+        total += size
+        if total > _MOST_BYTES:
+            with suppress(OSError):
+                os.unlink(name)

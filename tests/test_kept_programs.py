@@ -1,0 +1,95 @@
+"""Programs kept between processes: found again, never executed when damaged, never mixed up."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import export
+
+import hystfit as hf
+from hystfit.config import PROGRAM_FOLDER
+from hystfit.models import base
+from hystfit.params import kept_programs
+from hystfit.params.kept_programs import kept
+
+U, DT = np.sin(np.arange(9.0)), np.ones(9)
+
+
+class Mine(hf.BoucWen):
+    """A class of the user: its source is not part of hystfit."""
+
+
+def never(*_):
+    raise AssertionError("traced without the folder")
+
+
+def afresh(otherwise=never):
+    """The program of `simulate` as a new process finds it."""
+    run = kept(base._run.__wrapped__, otherwise)
+    return lambda model, u=U: np.asarray(run(model, u, DT[: u.size], None)[0])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(PROGRAM_FOLDER, str(tmp_path / "programs"))
+    return tmp_path / "programs"
+
+
+@pytest.fixture
+def only(folder):
+    """The file of the one program."""
+    afresh()(hf.BoucWen())
+    (path,) = folder.iterdir()
+    return path
+
+
+def by_scan(model):
+    return np.asarray(base.run(model, jnp.asarray(U), jnp.asarray(DT))[0])
+
+
+def test_another_process_traces_nothing(only, monkeypatch):
+    monkeypatch.setattr(export, "export", never)
+    for model in (hf.BoucWen(), hf.BoucWen(mu=0.7, tau=2.0)):
+        np.testing.assert_allclose(afresh()(model), by_scan(model), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda c: b"", lambda c: c[:-1], lambda c: c[:40] + b"\0" + c[41:], lambda c: b"cos\nsystem\n"]
+)
+def test_a_damaged_file_is_written_again(damage, only, monkeypatch):
+    whole = only.read_bytes()
+    only.write_bytes(damage(whole))
+    opened = []
+    deserialize = export.deserialize
+    monkeypatch.setattr(export, "deserialize", lambda content: opened.append(content) or deserialize(content))
+    np.testing.assert_allclose(afresh()(hf.BoucWen()), by_scan(hf.BoucWen()), rtol=1e-14)
+    assert not opened
+    afresh()(hf.BoucWen())
+    assert len(opened) == 1
+
+
+def test_what_changes_the_trace_changes_the_file(only, folder, monkeypatch):
+    run = afresh()
+    exact = hf.BoucWen(scheme="exact")
+    np.testing.assert_allclose(run(exact), by_scan(exact), rtol=1e-14)
+    run(hf.BoucWen(), U[:5])
+    assert len(list(folder.iterdir())) == 3
+    monkeypatch.setattr(kept_programs, "_setting", lambda: "another version")
+    afresh()(hf.BoucWen())
+    assert len(list(folder.iterdir())) == 4
+
+
+def test_classes_of_the_user_are_traced(folder):
+    assert afresh(lambda *_: [1.0])(Mine()) == 1.0
+    assert not folder.exists()
+
+
+def test_a_folder_that_cannot_be_written_is_done_without(folder):
+    folder.write_text("a file")
+    assert afresh(lambda *_: [1.0])(hf.BoucWen()) == 1.0
+
+
+def test_the_folder_keeps_what_was_used_last(only, folder, monkeypatch):
+    monkeypatch.setattr(kept_programs, "_MOST_BYTES", int(1.5 * only.stat().st_size))
+    afresh()(hf.BoucWen(scheme="exact"))
+    (left,) = folder.iterdir()
+    assert left != only
