@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from hystfit.params.units import axis_label
@@ -44,11 +45,24 @@ def write(target: Text, text: str, instead: str) -> None:
 
 def use_available_fonts(figure: Any) -> None:
     """Give every text of a figure a font that has its characters; without one, a question mark takes their place."""
-    from matplotlib.text import Text
-
-    for text in figure.findobj(Text):
+    for text in _texts(figure):
         if not text.get_text().isascii():
             write(text, text.get_text(), substitute_missing_glyphs(text.get_text()))
+
+
+def _texts(artist: Any) -> Iterator[Text]:
+    """Texts of an artist; of ticks those that exist, for making all ticks takes as long as the rest of a picture."""
+    from matplotlib.axis import Axis
+    from matplotlib.text import Text
+
+    if isinstance(artist, Text):
+        yield artist
+    if isinstance(artist, Axis):
+        parts = [artist.label, *(label for tick in artist.majorTicks for label in (tick.label1, tick.label2))]
+    else:
+        parts = artist.get_children()
+    for part in parts:
+        yield from _texts(part)
 
 
 def substitute_missing_glyphs(text: str) -> str:
