@@ -137,7 +137,7 @@ class BoucWen(AbstractHysteresis):
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
         numbers = {"C": self.c, "MU": self.mu, "TAU": self.tau, "RHO": self.rho, "OFFSET": self.offset}
-        numbers |= {"H0": initial_state(self)[0], "EXACT": int(self.scheme == "exact")}
+        numbers |= {"H0": np.asarray(initial_state(self))[0], "EXACT": int(self.scheme == "exact")}
         return CPart(template("bouc_wen.c"), 1, numbers)
 
 

@@ -145,6 +145,6 @@ class AsymmetricBoucWen(AbstractHysteresis):
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
         names = ("c", "mu", "tau", "rho", "n", "skew", "offset", "center", "half")
-        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": initial_state(self)[0]}
+        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": np.asarray(initial_state(self))[0]}
         numbers |= {"B": int(self.b.shape[0]) + 2, "EXACT": int(self.scheme == "exact")}
         return CPart(template("bouc_wen_asymmetric.c"), 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(self.b))})

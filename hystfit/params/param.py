@@ -93,7 +93,7 @@ def _number(value: float, sign: float, dtype: Any) -> jax.Array:
         dtype: of the array.
     """
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(np.asarray(value, dtype=dtype))
+        return to_device(value, dtype)
 
 
 def _as_vector(value: Any) -> Any:

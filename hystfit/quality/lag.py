@@ -8,10 +8,15 @@ the lag is the delay at which all turns fit best.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from hystfit.quality.baselines import play_positions
+from hystfit.quality.spline import cubic_spline
+
+Spline = Callable[[Any], Any]  # of positions, numbers of samples, with any shape
 
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
 # Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
@@ -55,7 +60,7 @@ def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
     return np.asarray(savgol_filter(u, 7, 2))
 
 
-def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
+def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
     knots = np.concatenate([[0], reversals, [u.size - 1]])
     found = []
     for before, turn, after in zip(knots[:-2], knots[1:-1], knots[2:], strict=True):
@@ -72,17 +77,17 @@ def _turns(u: np.ndarray, spline: object, reversals: np.ndarray, reach: int, nea
             continue
         upper = bool(u[turn] > u[before])
         grid = np.linspace(turn - 1, turn + 1, 41)
-        at = float(grid[np.argmax(spline(grid) * (1 if upper else -1))])  # type: ignore[operator]
+        at = float(grid[np.argmax(spline(grid) * (1 if upper else -1))])
         found.append(_Turn(index, at, upper, far))
     keep = np.unique(np.linspace(0, len(found) - 1, min(len(found), MOST_TURNS)).round().astype(int))
     return [found[k] for k in keep]
 
 
-def _misfit(turn: _Turn, y: np.ndarray, spline: object, delays: np.ndarray) -> np.ndarray:
+def _misfit(turn: _Turn, y: np.ndarray, spline: Spline, delays: np.ndarray) -> np.ndarray:
     """Residual sum of squares of the two polynomials at every delay, shape (D,)."""
     value = y[turn.index]
     when = turn.index - delays[:, None]
-    s = (spline(when) - spline(turn.at)) / turn.scale  # type: ignore[operator]
+    s = (spline(when) - spline(turn.at)) / turn.scale
     before, after = np.where(when > turn.at, 0.0, s), np.where(when > turn.at, s, 0.0)
     columns = [
         np.ones_like(s),
@@ -123,15 +128,13 @@ def estimate_lag(
         None with fewer than three usable turns, where branches are too short or hold at the turn, or without a best delay
         within a quarter of a branch and 20 samples.
     """
-    from scipy.interpolate import CubicSpline
-
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     if reversals.size < 3 or u.size < 40:
         return None
     reach = int(min(20, np.median(np.diff(reversals)) // 4))
     if reach < 2:
         return None
-    spline = CubicSpline(np.arange(u.size), _smooth(u, u_noise))
+    spline = cubic_spline(_smooth(u, u_noise))
     delays = np.arange(-reach, reach + 0.25, 0.5)
     estimates = []
     for near in NEAR:
@@ -151,7 +154,7 @@ def estimate_lag(
 
 
 def _over_turns(
-    turns: list[_Turn], y: np.ndarray, spline: object, delays: np.ndarray
+    turns: list[_Turn], y: np.ndarray, spline: Spline, delays: np.ndarray
 ) -> tuple[float, float, int] | None:
     """Best delay over all turns, its jackknife standard error, and the number of turns."""
     misfit = np.array([_misfit(turn, y, spline, delays) for turn in turns])
