@@ -18,12 +18,12 @@ import tempfile
 import types
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
-import jaxlib
 import numpy as np
 
 from hystfit.config import PROGRAM_FOLDER
@@ -97,7 +97,7 @@ def _setting() -> str:
     source = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source.update(str(path.relative_to(package)).encode() + b"\0" + path.read_bytes())
-    versions = (jax.__version__, jaxlib.__version__, eqx.__version__, np.__version__, sys.version)
+    versions = (jax.__version__, version("jaxlib"), eqx.__version__, np.__version__, sys.version)
     variables = sorted(f"{name}={value}" for name, value in os.environ.items() if name.startswith(("JAX_", "XLA_")))
     return repr((source.hexdigest(), versions, jax.default_backend(), jax.config.jax_enable_x64, variables))  # type: ignore[attr-defined]
 
