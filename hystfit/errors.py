@@ -35,7 +35,7 @@ def optional(package: str, extra: str, purpose: str) -> Any:
     """An optional package, imported now.
 
     Args:
-        package: its name.
+        package: its name, or that of a module in it.
         extra: of hystfit that installs it.
         purpose: what needs it, as the subject of a message.
 
@@ -45,4 +45,4 @@ def optional(package: str, extra: str, purpose: str) -> Any:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        raise MissingExtraError(package, extra, purpose) from error
+        raise MissingExtraError(package.partition(".")[0], extra, purpose) from error

@@ -21,7 +21,7 @@ from hystfit.cli import run
 from hystfit.cli.options import Reading, bounds_of, named_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import show
-from hystfit.errors import HystfitError
+from hystfit.errors import HystfitError, optional
 from hystfit.outcome import Status
 from hystfit.results.report import Wording, html_report, text_report
 from hystfit.results.saved import load_fit
@@ -315,6 +315,11 @@ def test_a_verb_names_the_extra_that_it_lacks_and_leaves_nothing(
     assert run([str(names.get(word, word)) for word in words]) == 2
     assert f"{package!r}: pip install 'hystfit[{extra}]'" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "a.xlsx"]
+
+
+def test_a_missing_module_is_named_by_its_package():
+    with pytest.raises(HystfitError, match="package 'absent': pip install"):
+        optional("absent.part", "frames", "reading")
 
 
 def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, capsys):
