@@ -63,11 +63,12 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 mutations: setup  ## put faults into library and surrogates, and see that the experiments notice each (experiments/MUTATIONS.md)
 	$(BIN)/python experiments/mutations.py
 
-hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, full disks, interrupts, NIST
+hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, full disks, interrupts, NIST, random devices
 	$(BIN)/python -m tests.hard.reading --files 0:20000 --mutations 0:20000
 	$(BIN)/python -m tests.hard.fits
 	$(BIN)/python -m tests.hard.faults
 	$(BIN)/python -m tests.hard.strd
+	$(BIN)/python -m tests.hard.devices --out build/hard/devices
 
 benchmarks: setup  ## speed beside other programs: one table of ratios, which fails below the recorded floors
 	$(BIN)/python benchmarks/run.py

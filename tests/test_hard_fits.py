@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 import hystfit as hf
 from hystfit.outcome import Status
 
-from .hard import strd
+from .hard import devices, strd
 
 # -- NIST's reference problems (`python -m tests.hard.strd` runs all, from both starts, alone and with seven others) ------------------
 
@@ -84,3 +86,15 @@ def test_more_weights_than_samples_of_which_most_are_at_zero_are_reported_as_poo
     assert len(result.x) > 60
     assert sum(p.at_bound is not None for p in result.parameters) > 60
     assert result.status is Status.POOR
+
+
+# -- random devices (`python -m tests.hard.devices` runs 1000 of every model) ----------------------------------------------------
+
+
+def test_random_devices_are_found_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts, bad = devices.run("prandtl-ishlinskii", range(3), tmp_path)
+    assert (counts, bad) == ({"right": 3}, [])
+    monkeypatch.setattr(devices, "SLACK", {"prandtl-ishlinskii": 0.5})
+    assert devices.run("prandtl-ishlinskii", range(3), tmp_path)[0] == {
+        "wrong": 3
+    }  # read from the folder, and judged again

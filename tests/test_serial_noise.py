@@ -67,7 +67,7 @@ def test_even_samples_have_the_dense_covariance_in_cosine_coordinates(ratio, tim
     gap, rows = np.append(np.inf, np.full(n - 1, step)), np.random.default_rng(1).normal(size=(n, 3))
     apart = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     dense = weight * np.exp(-apart / time) + ratio * np.eye(n)
-    even = EvenRows.of(rows, gap, np.full(n, weight))
+    even = EvenRows.of([rows], gap, np.full(n, weight))
     gram, log_det = even.at(ratio, time)
     np.testing.assert_allclose(gram, rows.T @ np.linalg.solve(dense, rows), rtol=1e-9)
     assert log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
@@ -75,12 +75,12 @@ def test_even_samples_have_the_dense_covariance_in_cosine_coordinates(ratio, tim
 
 def test_only_one_even_record_of_one_weight_has_cosine_coordinates():
     gap, rows, weight = np.append(np.inf, np.ones(9)), np.ones((10, 1)), np.ones(10)
-    assert EvenRows.of(rows, gap, weight) is not None
+    assert EvenRows.of([rows], gap, weight) is not None
     for at, value in ((4, np.inf), (4, 1.001)):
         uneven = gap.copy()
         uneven[at] = value
-        assert EvenRows.of(rows, uneven, weight) is None
-    assert EvenRows.of(rows, gap, np.append(weight[1:], 2.0)) is None
+        assert EvenRows.of([rows], uneven, weight) is None
+    assert EvenRows.of([rows], gap, np.append(weight[1:], 2.0)) is None
 
 
 def test_the_restricted_likelihood_is_that_of_the_filter():

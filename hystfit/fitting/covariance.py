@@ -85,12 +85,14 @@ def uncertainty(
     rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
     at_bound, acts = problem.on_bound(x), _acting(problem, x, rows)
     live, relative = acts & ~at_bound, relative_size(problem.space, x)
-    columns = lambda: (chosen(jacobian, used) * relative)[:, live]
+    columns = lambda: chosen(jacobian, used)[:, live] * relative[live]
     analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if live.sum() <= FEW else None)
     plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
-        part = least_squares_root(analysis.of_errors, jacobian[used][:, acts] * y, overwrite=True)
+        measured = chosen(jacobian, used)[:, acts]
+        measured *= y
+        part = least_squares_root(analysis.of_errors, measured, overwrite=True)
         root = np.zeros((len(part), x.size))
         root[:, acts] = part
     time = analysis.correlation_time if correlated or refined else 1.0

@@ -135,7 +135,8 @@ def run(part: str, seeds: range, out: Path | None = None) -> tuple[collections.C
     return counts, state["bad"]
 
 
-def _range(text: str) -> range:
+def seeds_of(text: str) -> range:
+    """The range that \"0:1000\" stands for."""
     start, _, stop = text.partition(":")
     return range(int(start), int(stop))
 
@@ -143,8 +144,8 @@ def _range(text: str) -> range:
 def main() -> int:
     """Run the seeds of the command line; 1 where a file was read wrong in silence, crashed the reader or took too long."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=_range, default=range(20_000))
-    parser.add_argument("--mutations", type=_range, default=range(20_000))
+    parser.add_argument("--files", type=seeds_of, default=range(20_000))
+    parser.add_argument("--mutations", type=seeds_of, default=range(20_000))
     parser.add_argument("--out", type=Path)
     parser.add_argument("--show", type=int, default=10, help="number of bad files that are shown")
     options = parser.parse_args()

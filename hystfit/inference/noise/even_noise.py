@@ -8,6 +8,7 @@ at other parameters then needs a few sums over frequencies in place of a tridiag
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used
@@ -36,11 +37,11 @@ class EvenRows:
     weight: float
 
     @classmethod
-    def of(cls, rows: Float[np.ndarray, "n k"], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:
+    def of(cls, columns: Sequence[np.ndarray], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:
         """The transforms; None where several records, uneven steps or weights have no such form.
 
         Args:
-            rows: columns.
+            columns: arrays of shapes (n, k_i), side by side.
             gap: time since the sample before, infinite at the first of a record, shape (n,).
             weight: of each sample, shape (n,).
         """
@@ -50,7 +51,9 @@ class EvenRows:
         angle = np.pi * np.arange(n) / n
         first = np.sqrt(np.where(angle > 0, 2.0, 1.0) / n) * np.cos(angle / 2)
         last = np.where(np.arange(n) % 2, -first, first)
-        transformed = scipy.fft.dct(rows.T, norm="ortho", axis=1)
+        transformed = np.empty((sum(part.shape[1] for part in columns), n))  # no second copy of long columns
+        for row, column in zip(transformed, (column for part in columns for column in part.T), strict=True):
+            row[:] = scipy.fft.dct(column, norm="ortho")
         return cls(
             transformed, np.stack([first, last]), 4 * np.sin(angle / 2) ** 2, float(steps.mean()), float(weight[0])
         )

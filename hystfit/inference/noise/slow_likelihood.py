@@ -158,13 +158,8 @@ class Contrasts:
     length: float = 1.0
 
     @functools.cached_property
-    def rows(self) -> np.ndarray:
-        """[basis, residual, shapes]."""
-        return np.asfortranarray(np.column_stack([self.basis, self.residual, self.shapes]))
-
-    @functools.cached_property
     def _even(self) -> EvenRows | None:
-        return EvenRows.of(self.rows, self.samples.gap, self.samples.weight)
+        return EvenRows.of([self.basis, self.residual[:, None], self.shapes], self.samples.gap, self.samples.weight)
 
     @functools.cached_property
     def expected(self) -> float:
