@@ -101,3 +101,13 @@ def test_a_cycle_is_measured_from_its_turning_point():
             measured_quantities(hf.Dataset.of(from_peak))["loop_area"], rel=1e-3
         )
     assert from_turning_point(from_peak) is from_peak
+
+
+def test_a_free_initial_state_of_a_steady_record_is_where_it_starts():
+    record = steady(0.0, model=hf.BoucWen(c=1.0, mu=0.4, tau=3.0, rho=0.5))
+    assert steady_period(record) is not None
+    held, freed = hf.Problem(hf.BoucWen(), record), hf.Problem(hf.BoucWen(), record, free=["h0"])
+    assert len(held.data[0]) > len(record)
+    assert len(freed.data[0]) == len(record)
+    at = lambda h0: freed.predict(freed.space.vector(hf.BoucWen(h0=h0)))[0]
+    assert abs(at(0.9)[0] - at(-0.9)[0]) > 0.01  # the state matters at the first sample

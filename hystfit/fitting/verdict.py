@@ -311,7 +311,7 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
         HystfitError: the model cannot predict the records.
     """
     try:
-        records = [result.in_fitted_units(result.model.prepared(record)) for record in records]
+        records = [result.in_fitted_units(result.problem.prepared(record)) for record in records]
         runs = [result.predict(record, refit_offset=refit_offset) for record in records]
     except HystfitError as error:
         raise type(error)(f"test data: {error}") from error

@@ -84,6 +84,7 @@ class Problem:
         self.scales = scales_of(self.data)
         records = [record.name for record in self.data]
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
+        self.data = Dataset.of(data).map(self.prepared)
         batch = Batch.of(self.data)
         # Smooth weights are many, and their number is not a measure of what the data must determine.
         if batch.count < len(self.space) and model.estimator != "preisach":
@@ -95,6 +96,14 @@ class Problem:
         self.noise: AbstractNoise | None = None
         self.noise_space: ParameterSpace | None = None
         self.priors: tuple[AbstractPrior, ...] = ()
+
+    def prepared(self, record: Record) -> Record:
+        """The record as it is fitted: see the model; where its initial state is free, it starts there and not in a steady period."""
+        ready, count = self.model.prepared(record), len(record)
+        if len(ready) == count or not any(info.per_record and info.fixed for info in self.space.infos):
+            return ready
+        t = None if ready.t is None else ready.t[-count:]
+        return record.replace(u=ready.u[-count:], y=ready.y[-count:], t=t, weight=ready.weight[-count:])
 
     # -- variants ------------------------------------------------------------------------------------------------------
 

@@ -270,7 +270,7 @@ class FitResult:
             y = self._simulated[fitted]
         else:
             model = self.models[self.record_number(record)]
-            driven = model.prepared(record)
+            driven = self.problem.prepared(record)
             # Equinox makes a module for a bound method, which takes longer than a short run.
             y = type(model).free_run(model, driven.u, None if driven.t is None else driven.dt)[-len(record) :]
         if refit_offset:
@@ -281,7 +281,7 @@ class FitResult:
 
     def metrics(self, data: Any, *, refit_offset: bool = False) -> Metrics:
         """Metrics of the prediction on the samples that count, in the units of the fit: of records or a data frame."""
-        records = [self.in_fitted_units(self.model.prepared(record)) for record in records_of(data)]
+        records = [self.in_fitted_units(self.problem.prepared(record)) for record in records_of(data)]
         predicted = [self.predict(record, refit_offset=refit_offset)[record.used] for record in records]
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
