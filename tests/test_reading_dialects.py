@@ -208,9 +208,13 @@ def test_a_word_in_the_input_is_a_gap(tmp_path: Path) -> None:
 
 
 def test_commas_of_thousands_in_bare_numbers_do_not_fill_an_empty_column(tmp_path: Path) -> None:
-    rows = [f'"1,{k}00.5",{k}.25,' for k in range(1, 9)] + [f"1,{k}00.5-,{k}.25," for k in range(1, 5)]
+    bare = [f"1,{k}00.5-,{k}.25," for k in range(1, 5)]
+    rows = [f'"1,{k}00.5",{k}.25,' for k in range(1, 9)] + bare
     with pytest.raises(DataError, match="4 rows do not have the 3 cells"):
         _read(tmp_path, "u,y,\n" + "\n".join(rows))
+    # As many bare numbers as quoted ones: the other rows are no metadata above these.
+    with pytest.raises(DataError, match="4 rows do not have the 4 cells"):
+        _read(tmp_path, "u,y,\n" + "\n".join(rows[:4] + bare))
 
 
 def test_comments_do_not_part_rows_of_different_states(tmp_path: Path) -> None:

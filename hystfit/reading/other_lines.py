@@ -111,7 +111,7 @@ def left_out(text: Text, block: Block, header: Header) -> LeftOut:
             )
         )
     groups, unread = _grouped(text, block, header.names)
-    odd, good, layout = groups["cells"], block.index.size, text.layout
+    odd, good, layout = _directly_above(text, block, header) + groups["cells"], block.index.size, text.layout
     if len(odd) > 2 and len(odd) > 0.25 * good:
         raise DataError(
             f"{text.source}, line {odd[0] + 1}: {len(odd)} rows do not have the {layout.width} cells that {good} "
@@ -124,6 +124,20 @@ def left_out(text: Text, block: Block, header: Header) -> LeftOut:
             first = f"line {numbers[0] + 1}: {text.lines[numbers[0]].strip()[:40]!r}"
             notes.append(Note(Code.LEFT_OUT, f"left out: {len(numbers)} x {words}, first in {first}"))
     return LeftOut(count, notes, np.searchsorted(np.array(groups["header"]), block.index), unread)
+
+
+def _mostly_numbers(row: Sequence[str], text: Text) -> tuple[bool, list[str]]:
+    """Whether more than half of the cells are numbers, and the kind of each."""
+    kinds = [cells.kind(cell, text.layout.decimal) for cell in row]
+    return kinds.count(cells.NUMBER) > len(kinds) / 2, kinds
+
+
+def _directly_above(text: Text, block: Block, header: Header) -> list[int]:
+    """Rows of numbers of another width that end where the header, or the first row, begins: they are no metadata."""
+    end = start = int(block.index[0]) - header.used
+    while start and len(row := block.rows[start - 1]) != text.layout.width and _mostly_numbers(row, text)[0]:
+        start -= 1
+    return list(range(start, end))
 
 
 def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list[int]], int]:
@@ -142,8 +156,7 @@ def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list
         elif is_comment(line):
             groups["comment"].append(k)
         else:
-            kinds = [cells.kind(cell, text.layout.decimal) for cell in row]
-            mostly = kinds.count(cells.NUMBER) > len(kinds) / 2
+            mostly, kinds = _mostly_numbers(row, text)
             groups["cells" if k in ragged and mostly else "text"].append(k)
             unread += int((mostly or (k not in ragged and cells.NUMBER in kinds)) and k < index[-1])
     return groups, unread
