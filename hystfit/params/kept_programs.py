@@ -81,9 +81,7 @@ def _program(
             exported = export.export(jax.jit(flat))(*shapes)
             _write(path, bytes(exported.serialize()))
         return jax.jit(exported.call)
-    except (
-        Exception
-    ):  # not exportable, not by value, a folder that cannot be written; an error of the function itself comes again
+    except Exception:  # it cannot be exported, described or written; an error of the function itself comes again
         return None
 
 

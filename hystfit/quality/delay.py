@@ -7,6 +7,7 @@ where it explains most of what hysteresis leaves behind a lag of any time consta
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,9 +21,8 @@ _SHORTEST = 1.5  # samples
 _VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y
 _REMAINS = 0.7  # largest error with the delay, as a part of that without
 _DESCRIBED = 0.05  # largest error with the delay, as a fraction of the range of y
-_EQUAL = (
-    1.1  # ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike
-)
+# Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
+_EQUAL = 1.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,11 +87,11 @@ def _error_of_lags(columns: Regressors, branch: float) -> float:
     return min(errors)
 
 
-def _best(error: object, longest: float) -> tuple[float, float] | None:
+def _best(error: Callable[[float], float], longest: float) -> tuple[float, float] | None:
     """The shortest delay [samples] whose error is about the least, and its error; None where it is an end of the range."""
     delays = np.linspace(0.0, longest, _GRID)
     step = delays[1]
-    errors = np.array([error(delay) for delay in delays])  # type: ignore[operator]
+    errors = np.array([error(delay) for delay in delays])
     inner = np.flatnonzero((errors[1:-1] <= errors[:-2]) & (errors[1:-1] <= errors[2:])) + 1
     if not inner.size or step == 0:
         return None
@@ -100,7 +100,7 @@ def _best(error: object, longest: float) -> tuple[float, float] | None:
         at, size = delays[start], step
         while size > 0.05:
             near = at + size * np.array([-0.5, 0.0, 0.5])
-            at, size = near[int(np.argmin([error(delay) for delay in near]))], 0.5 * size  # type: ignore[operator]
-        candidates.append((float(at), float(error(at))))  # type: ignore[operator]
+            at, size = near[int(np.argmin([error(delay) for delay in near]))], 0.5 * size
+        candidates.append((float(at), float(error(at))))
     least = min(value for _, value in candidates)
     return next(pair for pair in candidates if pair[1] <= _EQUAL * least)
