@@ -22,7 +22,6 @@ from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import delay_of, summarize
 from hystfit.results.accuracy import (
-    Limits,
     accuracy_note,
     better_family_warning,
     exceeded_limits,
@@ -352,13 +351,11 @@ def worse(first: Status, second: Status) -> Status:
 def with_left_out(result: FitResult, rmse: float) -> FitResult:
     """The result with its cross-validation error [y], which decides the status where it is far larger than that of the fit.
 
-    Where there are at least as many parameters as samples, the error of the fit tests nothing, and its limit holds for the
-    cross-validation error.
+    Where there are at least as many parameters as samples, a warning states that only this error tests the fit.
     """
     result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
     limit = max(_LEFT_OUT / 100 * span, _WORSE * result.train.rmse)
     if len(result.free_names) >= result.train.n:
-        limit = Limits.of(result.baselines).error / 100 * span
         text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
         if not has(result.notes, Code.MANY_WEIGHTS):
             result = result.with_notes(warn(Code.MANY_WEIGHTS, text))
