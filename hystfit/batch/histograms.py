@@ -17,7 +17,6 @@ def histogram(values: np.ndarray, heading: str) -> str:
 
     Args:
         values: shape (n,), finite, not empty.
-        heading: what they are, with the unit.
     """
     bars = int(np.clip(np.sqrt(values.size) * 1.5, _FEWEST, _MOST))
     counts, edges = np.histogram(values, bins=bars if np.ptp(values) > 0 else 1)

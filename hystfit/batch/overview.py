@@ -18,7 +18,6 @@ def overview(fits: Fits, reports: Mapping[str, str] | None = None) -> str:
     """One self-contained HTML page.
 
     Args:
-        fits: the fits.
         reports: address of the report of a loop, by the name of the loop; for some of the loops.
     """
     reports = reports or {}

@@ -77,10 +77,7 @@ def row_of(name: str, file: str, record: Record, result: FitResult) -> Row:
     """The row of a fitted loop.
 
     Args:
-        name: of the loop.
         file: that it was read from; "" for a record.
-        record: as it was read, with its notes.
-        result: its fit.
     """
     free = [p for p in result.parameters if not p.fixed]
     converted = [note for note in record.notes if note.code is Code.UNITS]

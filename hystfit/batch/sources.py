@@ -46,11 +46,7 @@ class Source(NamedTuple):
 
 
 def sources_of(loops: Iterable[str | Path | Record] | str | Path) -> list[Source]:
-    """Files, those that patterns match, and records.
-
-    Raises:
-        DataError: no loops, no file of a name or pattern, or the same loop twice.
-    """
+    """Files, those that patterns match, and records."""
     if isinstance(loops, Record):
         raise DataError("fit_many fits a list of loops; use fit for a single record")
     listed = [loops] if isinstance(loops, (str, Path)) else list(loops)
@@ -90,11 +86,7 @@ def _key(path: str) -> str:
 
 
 def units_of(sources: Sequence[Source], reading: Mapping[str, Any]) -> dict[str, str]:
-    """Units of the first loop that can be read, to which the others are converted.
-
-    Raises:
-        DataError: no loop can be read.
-    """
+    """Units of the first loop that can be read, to which the others are converted."""
     reasons = []
     for source in sources:
         try:

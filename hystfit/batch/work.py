@@ -59,12 +59,8 @@ class Work:
         """Settings checked before any work, with the defaults of those that are not given.
 
         Args:
-            model: a model, its class or its name.
             options: of `hystfit.fit`.
             reading: of `hystfit.read`.
-
-        Raises:
-            HystfitError: an unknown model, parameter or setting, with which no loop could be fitted.
         """
         if unknown := [name for name in options if name not in _DEFAULTS]:
             raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(_DEFAULTS)}")
@@ -208,11 +204,6 @@ def _judge(work: Work, loop: _Loop) -> None:
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
     """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before.
-
-    Args:
-        work: what is done with every loop.
-        source: that holds it.
-        row: of the loop.
 
     Raises:
         HystfitError: the loop cannot be read or fitted.

@@ -113,15 +113,8 @@ def finish_table(
     """Write columns as CSV with ten significant digits (or as netCDF), print the text or JSON, and return exit status 0.
 
     Args:
-        text: the result for people.
         content: of result.json, which is written where `out` is a folder.
         output: `out` is the file itself where it ends in a suffix, .nc for netCDF, else a folder.
-        name: of the CSV file in a folder, without suffix.
-        columns: equally long columns by heading.
-        truth: columns of a second CSV file: truth.csv in a folder, NAME.truth.csv beside a file.
-
-    Raises:
-        HystfitError: it cannot be written.
     """
     out = output.out
     if out is None or out.is_dir() or not out.suffix:

@@ -161,11 +161,7 @@ class SequentialSettings:
     floor: Setting = None
 
     def given(self) -> dict[str, Any]:
-        """Settings that differ from the defaults, as keywords.
-
-        Raises:
-            ParameterError: weights that are not numbers.
-        """
+        """Settings that differ from the defaults, as keywords."""
         chosen = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         if self.weights is not None:
             try:
@@ -210,11 +206,7 @@ DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), S
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:
-    """Start and stop of a window written as start:stop.
-
-    Raises:
-        DataError: it is not of that form, or empty.
-    """
+    """Start and stop of a window written as start:stop."""
     if text is None:
         return None
     parts = text.split(":")
@@ -228,11 +220,7 @@ def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:
 
 
 def input_limits(text: str | None) -> tuple[float, float] | None:
-    """Lowest and highest input from low:high.
-
-    Raises:
-        DataError: it is not of that form.
-    """
+    """Lowest and highest input from low:high."""
     if text is None:
         return None
     try:
@@ -248,11 +236,7 @@ def named_values(pairs: list[str], needed_by: str = "") -> dict[str, float | Non
     """Parameters and their values from NAME=VALUE; a NAME alone has the value None.
 
     Args:
-        pairs: as typed.
         needed_by: option that needs a value with each name; "" where a name alone has a meaning.
-
-    Raises:
-        ParameterError: a value is not a number or is missing, or a name occurs twice.
     """
     values: dict[str, float | None] = {}
     for pair in pairs:

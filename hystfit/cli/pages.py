@@ -41,15 +41,7 @@ def page_of(
     answer: Sequence[tuple[str, str]],
     sections: Sequence[tuple[str, Sequence[Block]]],
 ) -> Page:
-    """A page whose status is explained in the words of its verb.
-
-    Args:
-        title: one line.
-        status: of the result.
-        verb: that made it.
-        answer: names and values at the top.
-        sections: heading and blocks of each.
-    """
+    """A page whose status is explained in the words of its verb."""
     status = Status(status)
     words = "Usable." if status.usable else f"Not usable as it is: {as_options(status.advice(verb))}."
     return Page(title, words, status.usable, answer, sections)
@@ -73,14 +65,7 @@ def forc_page(
     """The page of `hystfit forc`.
 
     Args:
-        title: the curves in words.
-        how: the density was found.
-        table: all numbers.
         numbers: `ForcNumbers`.
-        units: of the curves.
-        notes: on the curves.
-        figures: forc, coercivity and curves.
-        loop: the file with the options for reading it, quoted.
     """
     unit = units["u"]
     answer = [
@@ -277,15 +262,7 @@ def _gains(proposal: Design) -> Figure:
 
 
 def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], figure: Figure, following: str) -> Page:
-    """The page of `hystfit invert`.
-
-    Args:
-        title: model and reference.
-        content: of result.json.
-        lines: what the verb prints, below its headline.
-        figure: reference, output and input.
-        following: the next command.
-    """
+    """The page of `hystfit invert`."""
     unit, reach = content["units"]["input"] or "", content["input"]
     missed = {name: count for name, count in content["counts"].items() if count and name != "ok"}
     answer = [
@@ -307,10 +284,7 @@ def inverse_figure(target: Record, inverse: Inverse, bands: InverseBands | None,
     """Reference and output, input, and tracking error over time; filled bands of posterior draws.
 
     Args:
-        target: the reference.
-        inverse: of the fitted model.
         bands: over posterior draws; None without a posterior.
-        unit: of the input.
     """
     figure = _sheet(8.4, 6.4)
     axis = np.arange(len(target)) if target.t is None else target.t

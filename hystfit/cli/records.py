@@ -20,8 +20,6 @@ def open_fit(folder: Path, output: Output, trust: bool, own: str = "") -> FitRes
     """The saved fit of a folder, after a check that the result can be written.
 
     Args:
-        folder: of the fit.
-        output: where the result of the verb goes.
         trust: see `hystfit.load_fit`.
         own: see `Output.check`.
 
@@ -40,11 +38,7 @@ _TREATMENT = ("rate", "dt", "units", "integrate", "smooth")
 
 
 def load(loops: Sequence[str], reading: Reading) -> Dataset:
-    """The records of LOOP arguments, in the units of the first.
-
-    Raises:
-        DataError: neither a file nor a data set, or it cannot be read with these options.
-    """
+    """The records of LOOP arguments, in the units of the first."""
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.several import combined, files_of
@@ -103,12 +97,7 @@ def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["inp
     The missing input is the number of the sample; the missing output is 0 with weight 0.
 
     Args:
-        files: paths or patterns.
         reading: how they are read; names no column for what is missing.
-        missing: the quantity that the files do not have.
-
-    Raises:
-        DataError: no such file, or it cannot be read with these options.
     """
     from hystfit.data.record import Dataset
     from hystfit.reading.several import combined, files_of
@@ -140,11 +129,7 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"])
 
 
 def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tuple[Dataset, Dataset | None]:
-    """Records to fit and records to test on; without a window or curves to fit, all that are not tested are fitted.
-
-    Raises:
-        DataError: as `load`, an empty window, or a test that shares samples with the fit.
-    """
+    """Records to fit and records to test on; without a window or curves to fit, all that are not tested are fitted."""
     train_window, test_window = bounds_of(split.window), bounds_of(split.test_window)
     train = load(loops, reading)
     test = None

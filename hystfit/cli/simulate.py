@@ -133,11 +133,8 @@ def _channels(
     """Poses as records, and all channels as columns, with one noise for all sensors.
 
     Args:
-        stage: three actuators and the platform.
         t, u: times [s] and the signal [V], shape (T,).
-        drive: which actuators the signal drives.
         noise: standard deviation at all sensors [um]; None for those of the stage.
-        seed: of the noise.
     """
     from hystfit.stage import Sensor
 
@@ -162,11 +159,8 @@ def _population(
     """Devices whose parameters scatter.
 
     Args:
-        count: number of devices.
         spread: relative standard deviation by name.
-        values: parameters changed in all of them.
         noise: see `simulate`.
-        seed: of the scatter.
         axes: 1 for actuators, 3 for stages.
     """
     device = _actuator(values, noise) if axes == 1 else _stage(values)
@@ -179,11 +173,9 @@ def _together(
     """Records of all devices, and their columns one device after the other.
 
     Args:
-        devices: actuators or stages.
         t, u: times [s] and the signal [V], shape (T,).
         axes: 1 or 3.
         drive, noise: see `_channels`.
-        seed: of the noise.
     """
     import numpy as np
 

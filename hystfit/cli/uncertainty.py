@@ -82,11 +82,7 @@ def sample(
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
-    """Priors by parameter, from NAME=KIND(A,B).
-
-    Raises:
-        ParameterError: it is not of that form.
-    """
+    """Priors by parameter, from NAME=KIND(A,B)."""
     from hystfit.errors import ParameterError
     from hystfit.inference.priors import parse
 

@@ -34,10 +34,6 @@ def finish(
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
     Args:
-        text: the result for people.
-        content: of result.json.
-        output: folder and form of the output.
-        save: writes the other files into the folder that it is called with.
         page: makes report.html; None where there is none, or `save` writes it.
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
@@ -86,8 +82,6 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") 
     """Columns of text and numbers by heading as a CSV file; a missing value is an empty cell.
 
     Args:
-        path: of the file.
-        columns: equally long.
         form: format of the numbers, such as ".10g"; all digits by default.
     """
 
@@ -118,9 +112,7 @@ def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[s
     """Columns of records for a CSV file, one record after another: record (where there are several), time, input, output.
 
     Args:
-        data: the records.
         output: heading of the output; samples without weight are missing under any other heading than "y".
-        y_unit: unit of the output where the records have none.
     """
     import numpy as np
 

@@ -57,13 +57,7 @@ class View:
     """
 
     def __init__(self, choice: str, model: AbstractHysteresis, record: Record):
-        """Choose sliders and their ranges.
-
-        Args:
-            choice: expression of the model.
-            model: with the values to begin with.
-            record: as it is fitted.
-        """
+        """Choose sliders and their ranges."""
         self.choice, self.record = choice, record
         names = short_names([leaf.path for leaf in leaves_of(model)])
         self._space = ParameterSpace.of(model, free=names, scales=scales_of(Dataset.of(record)))
@@ -110,11 +104,7 @@ class View:
         return self._space.assembled(x)
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, float]:
-        """Values as numbers within their bounds.
-
-        Raises:
-            ParameterError: see `model`.
-        """
+        """Values as numbers within their bounds."""
         for name, value in values.items():
             if name not in self._place:
                 raise ParameterError(f"{self.choice} has no slider {name!r}")

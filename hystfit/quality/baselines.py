@@ -44,9 +44,7 @@ class Baselines:
         """Fit the plain descriptions, with an offset for each record.
 
         Args:
-            train: records to fit.
             test: records to judge; those fitted by default. One that was not fitted has the offset of the first record.
-            refit_offset: shift the prediction of each test record to its mean.
         """
         judged = list(train if test is None else test)
         frame = _Frame.of(train)
@@ -108,11 +106,7 @@ def _parts(columns: _Columns, place: np.ndarray, record: Record, number: int, co
     """Columns with one offset for each of `count` records, and outputs, at the samples that count, block by block.
 
     Args:
-        columns: of a block, from its inputs, the input before it and the columns there.
         place: inputs, shape (T,).
-        record: has the outputs.
-        number: of the record, whose offset it has.
-        count: of records.
     """
     before = None
     for start in range(0, place.size, _BLOCK):

@@ -118,7 +118,6 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     """Data-quality report of a record or a data set.
 
     Args:
-        data: a record, a data set or a list of records.
         needs: what each model needs from data, by its name; without them no model is judged.
 
     Raises:

@@ -81,7 +81,6 @@ def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
     Args:
         u: input, shape (T,).
         tolerance: largest extent of the input within a hold, its noise included [unit of u].
-        least: number of samples that make a hold.
     """
     values = np.asarray(u, dtype=float).tolist()
     found: list[tuple[int, int]] = []
@@ -187,7 +186,6 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     Args:
         y: output, shape (T,).
         noise: its rms [unit of y]; None for 0.
-        ignore: sample numbers next to which nothing counts (turning points of a sparse record).
     """
     y = np.asarray(y, dtype=float)
     if y.size < 5:

@@ -200,11 +200,7 @@ def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, boo
 
 
 def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
-    """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed.
-
-    Raises:
-        DataError: day and month cannot be distinguished, or a date does not exist.
-    """
+    """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed."""
     matches = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
     stamps = [stamp for stamp in matches if stamp]
     notes: list[Note] = []

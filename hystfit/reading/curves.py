@@ -47,13 +47,7 @@ def split_curves(
     """Label and rows of every curve, and whether the file holds several.
 
     Args:
-        table: the rows.
-        choice: time, input and output.
         divider: position of the column whose values separate curves; None where none was chosen.
-        notes: to which is added how the rows were divided.
-
-    Raises:
-        DataError: no curve has two rows, or every row is a curve of its own.
     """
     if divider is not None:
         labels = labels_of(table, divider)
@@ -135,11 +129,6 @@ def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> l
 
     Args:
         groups: label ("loop=3") and curve of each.
-        only: the selection.
-        source: path of the file, for messages.
-
-    Raises:
-        DataError: there is no such curve.
     """
     values = [label.partition("=")[2] or label for label, _ in groups]
     if isinstance(only, str) and (found := re.fullmatch(r"\s*(-?\d*):(-?\d*)(?::(-?\d*))?\s*", only)):

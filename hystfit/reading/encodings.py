@@ -138,11 +138,7 @@ def _is_common(sample: bytes, name: str) -> bool:
 
 
 def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Note]]:
-    """Text of a file and what was assumed about its encoding.
-
-    Raises:
-        DataError: the bytes are not text, or not in the encoding that was given.
-    """
+    """Text of a file and what was assumed about its encoding."""
     for magic, what in _MAGIC.items():
         if raw.startswith(magic):
             raise DataError(f"{source} is not text but {what}")

@@ -152,8 +152,6 @@ def text_reader(
     """Reader of one text file.
 
     Args:
-        u, y: (column, name, unit) of the input and of the output.
-        rate: samples per second of files without time.
         **options: of `read_csv`.
     """
 

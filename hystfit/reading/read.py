@@ -218,9 +218,7 @@ def assemble(
     """Record or data set from a table.
 
     Args:
-        table: the columns.
         time, input, output, sigma, by, only, where, gaps, name: as for `read`.
-        treatment: clock, units, integration and smoothing of every record.
     """
     if gaps not in ("error", "split", "drop"):
         raise DataError(f"gaps must be 'error', 'split' or 'drop', got {gaps!r}")

@@ -67,9 +67,7 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
     """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
 
     Args:
-        metrics: of the errors.
         rows: errors of each record, on samples that count [y].
-        baselines: of the same samples.
     """
     if metrics.nrmse_percent is None or baselines.span <= 0:
         return []
@@ -110,13 +108,7 @@ def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None
 
 
 def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
-    """The error beside its limits and beside plain descriptions, in numbers.
-
-    Args:
-        metrics: of the errors.
-        baselines: of the same samples.
-        what: "error", or "test error".
-    """
+    """The error beside its limits and beside plain descriptions, in numbers."""
     if metrics.nrmse_percent is None or metrics.max_error_percent is None:
         return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
     limits, over = Limits.of(baselines), ratios(metrics, baselines)

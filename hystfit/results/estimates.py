@@ -44,7 +44,6 @@ def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[Parameter
     """Every parameter with its declaration, free ones first, without standard errors.
 
     Args:
-        space: of the parameters.
         x: the free ones, physical, shape (p,).
     """
     free = ((*row, False) for row in zip(space.names, x, space.infos, strict=True))

@@ -209,7 +209,6 @@ def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
     """Names of the quantities that records of these units have.
 
     Args:
-        data: fitted records.
         timed: whether the model depends on time, without which there is no creep.
     """
     trade = Trade.of(data)

@@ -56,12 +56,8 @@ def _estimate(
     """A quantity from its value and its derivatives.
 
     Args:
-        result: the fit.
-        name: of the quantity.
-        value: at the estimate.
         change: derivative by each free parameter in units of its size, shape (p,).
         size: of the parameters, shape (p,).
-        natural: size of the quantity.
     """
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
@@ -84,8 +80,6 @@ def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
-        result: the fit.
-        excitation: its inputs.
         outputs: gives the outputs over a record, shape (count, T).
     """
     names, found = applicable(result.data, timed=not result.model.rate_independent), {}
@@ -121,8 +115,6 @@ def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.n
     A linear parameter takes one simulation, or none where the design matrix has its column.
 
     Args:
-        result: the fit.
-        record: provides the input.
         step: of each parameter, shape (p,).
         linear: parameters in which the output is linear, shape (p,), bool.
     """

@@ -54,13 +54,7 @@ def write_fit(result: FitResult, folder: Path) -> None:
 
 
 def save_records(path: Path, data: Dataset, extra: Mapping[str, np.ndarray] | None = None) -> None:
-    """Records with their labels in one .npz file.
-
-    Args:
-        path: of the file.
-        data: records.
-        extra: other arrays to keep beside them.
-    """
+    """Records with their labels in one .npz file."""
     arrays: dict[str, np.ndarray] = dict(extra or {})
     labels = []
     for k, record in enumerate(data):
@@ -75,11 +69,7 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
     """The records that `save_records` wrote.
 
     Args:
-        file: path, or the content of the file.
         place: of the file, for messages; default: the path.
-
-    Raises:
-        DataError: not such a file.
     """
     place = place or str(file)
     with _damage_told(place), np.load(file, allow_pickle=False) as stored:
@@ -134,11 +124,7 @@ def check_target(folder: Path, own: str = "") -> None:
     """Refuse a folder whose result must not be replaced, before anything is computed.
 
     Args:
-        folder: to be written, or not there yet.
         own: schema of what is to be written, without its number, where it may replace an older one.
-
-    Raises:
-        HystfitError: the folder holds a fit or a posterior of another kind, or a result.json that hystfit did not write.
     """
     for name in ("result.json", MANIFEST):
         if (folder / name).is_dir():
@@ -200,17 +186,7 @@ def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
 
 
 def refuse_other_schema(folder: Path, expected: str, nothing: str, remedy: str) -> None:
-    """Refuse a folder without a result, or with one of another schema.
-
-    Args:
-        folder: of the result.
-        expected: schema.
-        nothing: what is not there, for the message.
-        remedy: for a result of an earlier version.
-
-    Raises:
-        DataError: see above.
-    """
+    """Refuse a folder without a result, or with one of another schema."""
     file = folder / "result.json"
     if is_sealed(folder):
         return

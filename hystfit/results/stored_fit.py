@@ -30,15 +30,8 @@ def result_of(
     """The result that its files describe, with every value of its type and all of them consistent.
 
     Args:
-        stored: result.json.
-        described: model.json.
-        data: the records.
         covariance: kept beside them, of the parameters that have errors and of all, each (p, p), the first read from result.json where that
             has it; None of sequential methods.
-        trust: run files of the user's.
-
-    Raises:
-        HystfitError: see `hystfit.results.saved.load_fit`.
     """
     if (schema := stored.text("schema")) != SCHEMA:
         raise DataError(f"{stored.place}: schema {schema!r}, expected {SCHEMA!r}")

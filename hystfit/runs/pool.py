@@ -31,10 +31,7 @@ def computed(task: Task, items: Sequence[Any], workers: int = 1, scheduler: str 
     """Number and outcome of each item as they end: what `task(item)` returned, or the exception that ended it.
 
     Args:
-        task: a function that other processes can load.
-        items: its arguments.
         workers: processes on this machine; 1 computes in this one.
-        scheduler: address of a Dask scheduler to use instead.
 
     Raises:
         MissingExtraError: dask.distributed is not installed.

@@ -310,7 +310,6 @@ def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str
 
     Args:
         before, after: covariances in relative size with the present data alone, and with the input.
-        names: of the parameters that come first in both.
     """
     p = len(names)
     values, vectors = np.linalg.eigh(before[:p, :p])

@@ -230,11 +230,7 @@ def _reason(result: FitResult, noise: str | type[AbstractNoise]) -> str:
 
 
 def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], list[Note]]:
-    """Positions of the parameters to profile, and a note where weights are left out.
-
-    Raises:
-        ParameterError: no free parameter has that name.
-    """
+    """Positions of the parameters to profile, and a note where weights are left out."""
     space, weights = problem.space, problem.space.weights
     if not names:
         chosen = np.flatnonzero(~weights) if not weights.all() else np.arange(len(space))

@@ -74,12 +74,7 @@ def new_loop(data: Dataset) -> str:
 
 
 def opened(result: FitResult, folder: str) -> str:
-    """The folder of a fit as an argument, with --trust where opening it runs a file of the user's or accepts an edited one.
-
-    Args:
-        result: the fit.
-        folder: quoted for a shell.
-    """
+    """The folder of a fit as an argument, with --trust where opening it runs a file of the user's or accepts an edited one."""
     own = checksums(result.models, result.noise.name) or has(result.notes, Code.CHANGED_FILES)
     return f"{folder} --trust" if own else folder
 

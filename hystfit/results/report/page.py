@@ -134,11 +134,7 @@ def write(
     """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
 
     Args:
-        result: the fit.
         folder: made if it does not exist.
-        test: records that were not fitted, for a picture of their own.
-        refit_offset: shift the prediction of each test record to its mean.
-        wording: of the commands and the advice.
 
     Raises:
         HystfitError: the folder cannot be made or written.
