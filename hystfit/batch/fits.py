@@ -9,7 +9,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, ParameterError, optional
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.registry import near
 from hystfit.results.plots import MANY
 from hystfit.results.provenance import provenance
@@ -31,7 +31,7 @@ _OUTER = (0.05, 0.5, 0.95)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Fits:
+class Fits(WithStatus):
     """Fits of one model to many loops.
 
     Attributes:
@@ -47,6 +47,7 @@ class Fits:
     units: Mapping[str, str]
     work: Work
     sources: tuple[Source, ...]
+    verb: ClassVar[str] = "batch"
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -68,16 +69,6 @@ class Fits:
         """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
         usable = sum(row.usable for row in self.rows)
         return Status.OK if usable == len(self.rows) else Status.PARTIAL if usable else Status.FAILED
-
-    @property
-    def usable(self) -> bool:
-        """Whether all fits are usable."""
-        return self.status.usable
-
-    @property
-    def advice(self) -> str:
-        """What to do about the status, in one sentence."""
-        return self.status.advice("batch")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
-from hystfit.cli.write import finish, named, progress, save_figure, write_csv
+from hystfit.cli.write import finish, named, progress, write_csv
 from hystfit.errors import optional
 from hystfit.inference.noise.registry import NOISES
-from hystfit.registry import attribute
 from hystfit.sampling.registry import SAMPLERS
 
 if TYPE_CHECKING:
     from hystfit.inference.noise import AbstractNoise
     from hystfit.results.result import FitResult
-    from hystfit.results.webpage import Page
 
 
 @lists(samplers=SAMPLERS, noises=NOISES)
@@ -56,6 +54,7 @@ def sample(
         live: live points of nested (400).
         seed: random seed.
     """
+    from hystfit.cli.pages import sample_page
     from hystfit.sampling.sample import sample as draw
 
     result = open_fit(fitdir, output, trust, "hystfit.sample")
@@ -74,11 +73,10 @@ def sample(
     def save(folder: Path) -> None:
         posterior.save(folder)
         for kind in ("corner", "trace", "rank", "bands"):
-            save_figure(posterior.plot(kind), folder / f"{kind}.png")
+            posterior.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
 
-    return finish(
-        str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior, output.out)
-    )
+    page = lambda folder: sample_page(posterior, folder)
+    return finish(str(posterior), posterior.to_dict(), output, save, page=page)
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
@@ -115,13 +113,14 @@ def profile(
         noise: auto (as in the fit), or a Gaussian noise model: {noises}, or my_file.py:MyNoise.
         level: confidence level of the limits.
     """
+    from hystfit.cli.pages import profile_page
     from hystfit.uncertainty.profiles import profile as follow
 
     result = open_fit(fitdir, output, trust)
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
-    save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
-    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles, fitdir))
+    save = lambda folder: profiles.plot().savefig(folder / "profiles.png", dpi=120)
+    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda _: profile_page(profiles, fitdir))
 
 
 def errors(
@@ -174,6 +173,7 @@ def calibrate(
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
     """
+    from hystfit.cli.pages import calibrate_page
     from hystfit.results.provenance import provenance
     from hystfit.uncertainty.calibration import calibrate as study
 
@@ -197,10 +197,8 @@ def calibrate(
         )
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
-    save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
-    return finish(
-        str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration, output.out)
-    )
+    save = lambda folder: calibration.plot().savefig(folder / "calibration.png", dpi=120)
+    return finish(str(calibration), content, output, save, page=lambda _: calibrate_page(calibration))
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
@@ -236,6 +234,7 @@ def design(
         method: families compares families of signals, gradient also optimizes the turning points.
         seed: random seed of the signals.
     """
+    from hystfit.cli.pages import design_page
     from hystfit.uncertainty.input_design import design as propose
 
     result = open_fit(fitdir, output, trust)
@@ -245,15 +244,5 @@ def design(
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
-    return finish(
-        str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal, output.out)
-    )
-
-
-def _page(name: str, content: Any, folder: Path | None) -> Page:
-    """A page of `hystfit.cli.pages`, closed figures and all."""
-    import matplotlib.pyplot as plt
-
-    page = attribute(f"hystfit.cli.pages:{name}")(content, folder)
-    plt.close("all")
-    return page
+    page = lambda folder: design_page(proposal, folder)
+    return finish(str(proposal), proposal.to_dict(), output, save, page=page)

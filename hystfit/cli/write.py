@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
-from hystfit.errors import optional
+from hystfit.errors import DataError, optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 
@@ -29,12 +29,12 @@ def finish(
     save: Callable[[Path], object] | None = None,
     *,
     status: str = "",
-    page: Callable[[], Page] | None = None,
+    page: Callable[[Path], Page] | None = None,
 ) -> int:
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
     Args:
-        page: makes report.html; None where there is none, or `save` writes it.
+        page: makes report.html, from the folder as the user named it; None where there is none, or `save` writes it.
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
@@ -45,11 +45,51 @@ def finish(
             if save is not None:
                 save(scratch)
             if page is not None:
-                (scratch / "report.html").write_text(page().render(), encoding="utf-8")
+                (scratch / "report.html").write_text(page(output.out).render(), encoding="utf-8")
             names = sorted(path.name for path in scratch.iterdir())
+        if pyplot := sys.modules.get("matplotlib.pyplot"):
+            pyplot.close("all")
         text += written(output.out, names)
     show(text, content, output.json)
     return 0 if Status(status or content.get("status", "ok")).usable else 1
+
+
+def finish_table(
+    text: str,
+    content: dict[str, Any],
+    output: Output,
+    name: str,
+    columns: Mapping[str, Any],
+    truth: Mapping[str, Any] | None = None,
+) -> int:
+    """Write columns as CSV with ten significant digits (or as netCDF), print the text or JSON, and return exit status 0.
+
+    Args:
+        content: of result.json, which is written where `out` is a folder.
+        output: `out` is the file itself where it ends in a suffix, .nc for netCDF, else a folder.
+    """
+    out = output.out
+    if out is None or out.is_dir() or not out.suffix:
+
+        def save(folder: Path) -> None:
+            write_csv(folder / f"{name}.csv", columns, ".10g")
+            if truth is not None:
+                write_csv(folder / "truth.csv", truth, ".10g")
+
+        return finish(text, content, output, save)
+    from hystfit.results.folders import writing
+
+    if not out.parent.is_dir():
+        raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
+    with writing(out.parent) as scratch:
+        if out.suffix == ".nc":
+            write_netcdf(scratch / out.name, columns)
+        else:
+            write_csv(scratch / out.name, columns, ".10g")
+        if truth is not None:
+            write_csv(scratch / f"{out.stem}.truth.csv", truth, ".10g")
+            text += f"\nTrue parameters in {out.with_suffix('.truth.csv')}"
+    return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))
 
 
 def written(folder: Path, names: Sequence[str]) -> str:
@@ -125,11 +165,3 @@ def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[s
     columns[named("u", units["u"])] = np.concatenate([record.u for record in data])
     y = [record.y if output == "y" else np.where(record.used, record.y, np.nan) for record in data]
     return columns | {named(output, units["y"] or y_unit): np.concatenate(y)}
-
-
-def save_figure(figure: Any, path: Path) -> None:
-    """Write a matplotlib figure and close it."""
-    import matplotlib.pyplot as plt
-
-    figure.savefig(path, dpi=120)
-    plt.close(figure)

@@ -16,8 +16,8 @@ from hystfit.errors import DataError, ModelError, ParameterError, optional
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
-from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome import Code, Note, Severity, Status, WithStatus
+from hystfit.outcome.note import has, warn
 from hystfit.params.units import conversion
 from hystfit.quality.baselines import Baselines
 from hystfit.reading.in_memory import excitation_of, records_of
@@ -32,7 +32,7 @@ COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covarianc
 
 
 @dataclasses.dataclass(frozen=True)
-class FitResult:
+class FitResult(WithStatus):
     """A fitted model, its errors, and the problem that it solved.
 
     Attributes:
@@ -126,15 +126,9 @@ class FitResult:
         return _view("report.answer:numbers_of")(self)
 
     @property
-    def usable(self) -> bool:
-        """Whether the status is `Status.OK`."""
-        return self.status.usable
-
-    @property
-    def advice(self) -> str:
-        """What to do about the status, in one sentence."""
-        sequential = any(note.code is Code.SEQUENTIAL for note in self.notes)
-        return self.status.advice("identify" if sequential else "fit")
+    def verb(self) -> str:
+        """Whose advice on the status applies: that of sequential identification, or of a fit."""
+        return "identify" if has(self.notes, Code.SEQUENTIAL) else "fit"
 
     @property
     def name(self) -> str:

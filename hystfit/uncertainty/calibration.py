@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.stats import binom
@@ -26,7 +26,7 @@ from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.results.folders import alone
 from hystfit.uncertainty.replicate_pool import collect
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, typical_noise
@@ -37,7 +37,7 @@ _IDEAL = 40_000  # simulated sets of uniform ranks, with which those of a study 
 
 
 @dataclasses.dataclass(frozen=True)
-class Calibration:
+class Calibration(WithStatus):
     """Ranks of the truth among posterior draws.
 
     Attributes:
@@ -61,6 +61,7 @@ class Calibration:
     assumed: str
     model: str
     broken: tuple[str, ...] = ()
+    verb: ClassVar[str] = "calibrate"
 
     def p_values(self) -> np.ndarray:
         """Uniformity of the ranks by the largest distance of their ECDF from the straight line; small means miscalibrated."""
@@ -93,16 +94,6 @@ class Calibration:
         if not self.passes():
             return Status.MISCALIBRATED
         return Status.OK if len(self.ranks) >= _FEWEST else Status.TOO_FEW
-
-    @property
-    def usable(self) -> bool:
-        """Whether the status is `Status.OK`."""
-        return self.status.usable
-
-    @property
-    def advice(self) -> str:
-        """What to do about the status, in one sentence."""
-        return self.status.advice("calibrate")
 
     def table(self) -> Table:
         """p-value and coverage of the 95 % intervals of each parameter."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
 from hystfit.inference.information import Moments
 from hystfit.models.base import simulate
-from hystfit.outcome import Code, Column, Note, Severity, Status, Table
+from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
@@ -52,7 +52,7 @@ class Candidate:
 
 
 @dataclasses.dataclass(frozen=True)
-class Design:
+class Design(WithStatus):
     """Inputs ranked by their predicted standard errors.
 
     Attributes:
@@ -72,16 +72,12 @@ class Design:
     closes: tuple[str, ...]
     dt: float | None
     notes: tuple[Note, ...]
+    verb: ClassVar[str] = "design"
 
     @property
     def status(self) -> Status:
         """`Status.NO_LOOP` where the fit had no loop: its predictions are meaningless; else `Status.OK`."""
         return Status.NO_LOOP if self.result.status is Status.NO_LOOP else Status.OK
-
-    @property
-    def usable(self) -> bool:
-        """Whether the status is "ok"."""
-        return self.status.usable
 
     @property
     def best(self) -> Candidate:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -22,7 +22,7 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
-from hystfit.outcome import Code, Note, Status
+from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
@@ -74,7 +74,7 @@ class Profile:
 
 
 @dataclasses.dataclass(frozen=True)
-class Profiles:
+class Profiles(WithStatus):
     """Profiles of a fit.
 
     Attributes:
@@ -90,16 +90,12 @@ class Profiles:
     level: float
     noise: str
     notes: tuple[Note, ...]
+    verb: ClassVar[str] = "profile"
 
     @property
     def status(self) -> Status:
         """`Status.OK` where every profile has both limits, else `Status.OPEN`."""
         return Status.OK if all(profile.closed for profile in self.profiles.values()) else Status.OPEN
-
-    @property
-    def usable(self) -> bool:
-        """Whether every profile has both limits."""
-        return self.status.usable
 
     def __getitem__(self, name: str) -> Profile:
         return self.profiles[name]
