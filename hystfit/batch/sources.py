@@ -55,7 +55,7 @@ def sources_of(loops: Iterable[str | Path | Record] | str | Path) -> list[Source
         raise DataError("there are no loops to fit")
     name, count = Counter(source.name for source in found).most_common(1)[0]
     if count > 1:
-        raise DataError(f"{name!r} is given {count} times: every loop needs a name of its own")
+        raise DataError(f"{name!r} is given {count} times: loops must have different names")
     return found
 
 

@@ -1,4 +1,4 @@
-"""What is done with each loop of a batch, in whichever process: reading, fitting together with others, and its row."""
+"""The work on the loops of a batch: reading, solving several in one program, and the row of each."""
 
 from __future__ import annotations
 

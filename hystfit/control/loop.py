@@ -28,12 +28,12 @@ class Loop(eqx.Module):
     Attributes:
         plant: any model: hysteresis, creep or relaxation and resonance in a `Series`; or a stage of several inputs and outputs.
         controller: of the feedback; None for none.
-        inverse: of the feed-forward run along; None where the feed-forward is given as an array.
-        low, high: between which every input is held.
+        inverse: computes the feed-forward sample by sample; None where it is given as an array.
+        low, high: limits of every input.
         resolution: of the sensor, 0 for none, shape () or (k,).
         dt: time between samples [s].
         delay: of the sensor, in samples.
-        applied: the inverse remembers the input that was given, feedback included; else what it asked for itself.
+        applied: the memory of the inverse follows the applied input, feedback included; else the one that it computed.
         finer: integration steps of the plant per sample.
     """
 
@@ -121,7 +121,7 @@ class LoopResult:
 
     @property
     def error(self) -> np.ndarray:
-        """Reference less output, of their shape."""
+        """Reference minus output, of their shape."""
         return self.reference - self.y
 
     def max_error(self, skip: float = 0.0) -> Any:
@@ -155,14 +155,14 @@ def run_loop(
         plant: any model, or a `Stage` of three inputs and three axes, at rest on u0 before.
         reference: wanted output, shape (T,); (T, 3) of a stage.
         rate: samples per second.
-        feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) to run
-            along; None for none.
+        feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) that
+            computes it in the loop; None for none.
         controller: of the feedback, sampled at the same rate (`Decoupled` of a stage); None for none.
         limits: lowest and highest input.
         noise: standard deviation of the sensor's white noise, in output units; one number, or one for each axis.
-        resolution: of the sensor, in output units, likewise.
+        resolution: of the sensor, in output units; one number, or one for each axis.
         delay: of the sensor, in samples, beside the one sample that computing takes.
-        applied: let a running inverse remember the input that was given, feedback and limits included.
+        applied: the memory of a running inverse follows the applied input, feedback and limits included.
         u0: input before the first sample.
         seed: of the noise.
         finer: integration steps of the plant per sample; the input is linear between samples.

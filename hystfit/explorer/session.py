@@ -1,4 +1,4 @@
-"""What the page asks for: a model with sliders, its loop at their values, and a fit that starts there."""
+"""The session behind a page: models with sliders, their loops at the values of these, and fits that start there."""
 
 from __future__ import annotations
 
@@ -97,8 +97,6 @@ class Session:
         self.model = self._views[0].model(self.values)
         self._first = {**first, "start": given}
 
-    # -- what the page asks for --------------------------------------------------------------------------------------------------
-
     def scene(self) -> dict[str, Any]:
         """What the page shows before it asks for anything."""
         record, axis = self.record, self._axis
@@ -183,8 +181,6 @@ class Session:
         if began := state.pop("began", None):
             state["seconds"] = time.monotonic() - began
         return state
-
-    # -- how -----------------------------------------------------------------------------------------------------------------------
 
     @property
     def _axis(self) -> Float[np.ndarray, " T"]:

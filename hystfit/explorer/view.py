@@ -28,7 +28,7 @@ class Slider:
         value: where it begins.
         low, high: ends of the slider; values beyond can be typed.
         lower, upper: bounds; None where there is none.
-        logarithmic: whether equal ways are equal factors.
+        logarithmic: whether equal distances are equal factors.
         fitted: whether a fit changes it unless the user says otherwise.
         weight: whether it is one of many weights.
     """

@@ -1,4 +1,4 @@
-"""What plain descriptions of the data leave unexplained: the yardsticks beside which the error of a fit is judged."""
+"""Errors of plain descriptions of the data, with which the error of a fit is compared."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Baselines:
     """Root mean square errors of plain descriptions, on the samples that count, and the extent of these samples [y].
 
     Attributes:
-        span: largest less smallest measured output.
+        span: largest minus smallest measured output.
         noise: rms noise as the differences of neighboring samples show it; None where they still contain the signal.
         line: of the best straight line over the input.
         curve: of the best single-valued curve over the input (a polynomial), without hysteresis.
@@ -123,7 +123,7 @@ def _line(x: np.ndarray, before: _Before) -> np.ndarray:
 
 
 def _curve(x: np.ndarray, before: _Before) -> np.ndarray:
-    # Beyond the fitted range the curve goes on as its end: a polynomial of high degree would not.
+    # Constant beyond the fitted range, where a polynomial of high degree would diverge.
     return np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), _DEGREE)[:, 1:]
 
 

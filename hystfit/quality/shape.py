@@ -30,7 +30,7 @@ class Shape:
         width: largest vertical distance between the branches [unit of y].
         width_percent: the same in percent of the output's stroke.
         circulation: "counter-clockwise", "clockwise" or None where the loop is not open.
-        closure_percent: output at the end of the last large closed loop less that at its start, in percent of its
+        closure_percent: output at the end of the last large closed loop minus that at its start, in percent of its
             stroke; None where no large loop closes.
         asymmetry_percent: rms deviation from point symmetry about the loop's middle, in percent of the stroke.
         pinching: width at the middle of the input over the largest width (1: as wide as anywhere), the median over
@@ -165,7 +165,7 @@ def outline(u: np.ndarray) -> np.ndarray:
 
 
 def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float | None:
-    """Output where the input is back, less that at the start, in percent: along the slope of the last 2 % of u.
+    """Output where the input is back minus that at the start, in percent, along the slope of the last 2 % of u.
 
     None where the output is constant.
     """

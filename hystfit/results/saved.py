@@ -72,7 +72,7 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
         place: of the file, for messages; default: the path.
     """
     place = place or str(file)
-    with _damage_told(place), np.load(file, allow_pickle=False) as stored:
+    with _damage_refused(place), np.load(file, allow_pickle=False) as stored:
         described = parse(str(stored["labels"]), f"{place}: labels")
         records = []
         for k, labels in enumerate(described.listed("records")):
@@ -84,7 +84,7 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
 
 
 @contextlib.contextmanager
-def _damage_told(place: str) -> Iterator[None]:
+def _damage_refused(place: str) -> Iterator[None]:
     """Errors of a damaged .npz file in words: it is a zip archive, and its reader meets one with errors of many kinds."""
     try:
         yield
@@ -97,7 +97,7 @@ def _damage_told(place: str) -> Iterator[None]:
 
 def _covariance_in(content: bytes, place: str) -> tuple[np.ndarray, np.ndarray] | None:
     """The covariance that is kept beside the records, as its upper triangle, of the parameters that have errors and of all."""
-    with _damage_told(place), np.load(io.BytesIO(content), allow_pickle=False) as stored:
+    with _damage_refused(place), np.load(io.BytesIO(content), allow_pickle=False) as stored:
         if "joint" not in stored:
             return None
         upper, known = np.asarray(stored["joint"], dtype=float), np.asarray(stored["known"])

@@ -60,6 +60,6 @@ def _refusal(file: str, present: str | None, before: str | None) -> str:
     else:
         state = f"which has CHANGED since the fit was saved: SHA-256 {present}, then {before}"
     return (
-        f"opening this fit runs the Python file {file!r} ({state}), and it may be anybody's: if you know it, open the fit with "
-        "trust=True"
+        f"opening this fit runs the Python file {file!r} ({state}), which may contain any code: if you trust it, open the fit "
+        "with trust=True"
     )

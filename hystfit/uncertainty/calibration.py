@@ -44,7 +44,7 @@ class Calibration(WithStatus):
         names: of the parameters ranked.
         ranks: shape (replicates, parameters), 0 to `of`; failed replicates left out.
         of: number of posterior draws.
-        errors: posterior mean less truth, in posterior standard deviations, same shape.
+        errors: posterior mean minus truth, in posterior standard deviations, same shape.
         failures: (replicate, reason) of failed replicates.
         method, truth, assumed: see `Study`.
         model: name.
@@ -103,9 +103,6 @@ class Calibration(WithStatus):
         columns = [Column("", key="name"), Column("p", form=".4f"), Column("coverage", key="coverage95", form=".1%")]
         return Table(columns, list(zip(self.names, p, covered, strict=True)))
 
-    def __repr__(self) -> str:
-        return str(self)
-
     def __str__(self) -> str:
         lines = [
             f"{self.model}, data simulated with noise {self.truth}, inference by {self.method} with noise {self.assumed}: "
@@ -124,6 +121,8 @@ class Calibration(WithStatus):
         if not self.usable:
             lines.append(self.advice)
         return "\n".join(lines + list(self.broken))
+
+    __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""

@@ -63,7 +63,7 @@ class Profile:
         return self.lower is not None and self.upper is not None
 
     def __str__(self) -> str:
-        if not self.closed and self.lower is None and self.upper is None:
+        if self.lower is None and self.upper is None:
             limits = "not bounded by the data on either side"
         else:
             side = lambda limit, bound: f"not bounded (open to {bound})" if limit is None else f"{limit:.5g}"
@@ -151,16 +151,11 @@ class Profiles(WithStatus):
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:
             row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
-        shown = dict(zip(*reversed(_handles(list(axes.ravel()))), strict=True))
-        figure.legend(shown.values(), shown.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
+        entries = [ax.get_legend_handles_labels() for ax in axes.ravel()]
+        lines = {label: line for pair in entries for line, label in zip(*pair, strict=True)}  # one of each label
+        figure.legend(lines.values(), lines.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
         use_available_fonts(figure)
         return figure
-
-
-def _handles(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
-    """Lines with a label, and their labels, of all panels."""
-    pairs = [ax.get_legend_handles_labels() for ax in axes]
-    return [h for handles, _ in pairs for h in handles], [label for _, labels in pairs for label in labels]
 
 
 def profile(

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 _DPI = 150
 _CAPTIONS = {
     "loop": "Measured loop and model",
-    "cycle-errors": "Residuals (measured less model) of these cycles over the input",
+    "cycle-errors": "Residuals (measured minus model) of these cycles over the input",
     "series": "Measured and simulated output",
     "worst": "The stretch with the largest lasting error",
-    "residuals": "Residuals: measured less model",
+    "residuals": "Residuals: measured minus model",
     "residuals-input": "Residuals over the input",
     "autocorrelation": "Autocorrelation of the residuals",
     "parameters": "Relative standard errors",
@@ -38,7 +38,7 @@ _CAPTIONS = {
     "test": "Test data (not fitted): loop",
     "test-series": "Test data (not fitted): output",
 }
-_LONG = 600  # samples above which the worst stretch has a picture of its own
+_LONG = 600  # samples above which the stretch with the largest error has its own picture
 
 
 def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> dict[str, Figure]:
