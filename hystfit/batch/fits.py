@@ -19,7 +19,7 @@ from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.registry import near
-from hystfit.results.plots import MANY
+from hystfit.results.estimates import MANY
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 

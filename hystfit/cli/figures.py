@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystfit.params.units import axis_label
+from hystfit.results.colors import MEASURED, MODEL, SECOND, THIRD
 from hystfit.results.labels import column_label
-from hystfit.results.plots import MEASURED, MODEL
 from hystfit.results.plots import fit as draw
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from hystfit.fitting.comparison import Comparison
     from hystfit.results.result import FitResult
     from hystfit.uncertainty.input_design import Design
-
-SECOND = "#d55e00"
 
 
 def sheet(width: float = 5.6, height: float = 4.0) -> Figure:
@@ -83,7 +81,7 @@ def gain_figure(proposal: Design) -> Figure:
     families = {name: members for name, members in proposal.families(proposal.aim).items() if present(members)}
     figure = sheet(5.6, 1.6 + 0.3 * len(families))
     ax = figure.subplots()
-    styles = zip("os^D", (MODEL, SECOND, "#009e73", "#4d4d4d"), strict=True)
+    styles = zip("os^D", (MODEL, SECOND, THIRD, "#4d4d4d"), strict=True)
     for candidate, (marker, color) in zip(proposal.candidates, styles, strict=False):
         ratios = [(proposal.median(candidate.stderr, m) or np.nan) / (present(m) or np.nan) for m in families.values()]
         ax.plot(ratios, range(len(families)), marker, color=color, ls="none", label=candidate.name)

@@ -113,7 +113,8 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"])
     import numpy as np
 
     from hystfit.data.record import Dataset
-    from hystfit.reading.read import assemble, table_of
+    from hystfit.reading.assemble import assemble
+    from hystfit.reading.read import table_of
     from hystfit.reading.several import with_column
     from hystfit.reading.treatment import Treatment
 

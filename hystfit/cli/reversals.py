@@ -98,14 +98,14 @@ def _figures(
     from matplotlib.figure import Figure
 
     from hystfit.params.units import axis_label
-    from hystfit.results.plots import MODEL
+    from hystfit.results.colors import MODEL, SECOND
     from hystfit.results.preisach_plots import per_unit, plot_curves, plot_forc_diagram
 
     sheets = {name: Figure(figsize=(5.6, 4.4), layout="constrained") for name in ("forc", "coercivity", "curves")}
     plot_forc_diagram(diagram, sheets["forc"].subplots(), units=units)
     ax = sheets["coercivity"].subplots()
     ax.plot(numbers.coercivity, numbers.distribution, color=MODEL)
-    ax.axvline(numbers.median_coercivity, color="#d55e00", lw=0.9, ls="--", label="median")
+    ax.axvline(numbers.median_coercivity, color=SECOND, lw=0.9, ls="--", label="median")
     ax.axhline(0.0, color="black", lw=0.7)
     ax.set(xlabel=axis_label("coercivity", units["u"]))
     ax.set_ylabel(axis_label("density over the interaction", per_unit(units["y"], units["u"])))

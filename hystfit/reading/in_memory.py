@@ -9,8 +9,8 @@ import numpy as np
 from hystfit.data.preparation import real_numbers
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.reading.assemble import assemble
 from hystfit.reading.frames import columns_of, frame_table, is_clock, is_frame, seconds_of, unit_of
-from hystfit.reading.read import assemble
 from hystfit.reading.several import with_column
 
 _NAMES = "the columns of a data frame are chosen by u=, y= and t=; hystfit.read(frame, rate=..., units=..., by=...) has more options"

@@ -23,7 +23,7 @@ from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithSta
 from hystfit.outcome.note import warn
 from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
-from hystfit.results.plots import grouped
+from hystfit.results.estimates import grouped
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.predicted_errors import PRIOR, Plan, covariance_with
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
+from hystfit.results.estimates import grouped
 from hystfit.results.plots import fit as draw
-from hystfit.results.plots import grouped, selects_cycles
+from hystfit.results.record_plots import selects_cycles
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict

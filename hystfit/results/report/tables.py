@@ -6,9 +6,8 @@ import math
 
 from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number, rounded
-from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.estimates import ParameterEstimate, grouped
 from hystfit.results.metrics import Metrics
-from hystfit.results.plots import grouped
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.result import FitResult
 
