@@ -10,16 +10,10 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.params.space import relative_size
-from hystfit.results.quantities import (
-    QUANTITIES,
-    Excitation,
-    QuantityEstimate,
-    Unknown,
-    applicable,
-    creeps,
-    measured_quantities,
-)
+from hystfit.results.measured_quantities import measured_quantities
+from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
+from hystfit.results.steady_loops import Excitation, creeps
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size

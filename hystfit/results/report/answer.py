@@ -17,8 +17,9 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
-from hystfit.results.quantities import QUANTITIES, Trade
+from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
+from hystfit.results.trades import Trade
 from hystfit.results.user_code import checksums
 
 _NAMED = 4  # parameters named one by one
