@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import textwrap
@@ -18,6 +17,7 @@ from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table, WithStatus
+from hystfit.outcome.table import write_csv
 from hystfit.registry import near
 from hystfit.results.estimates import MANY
 from hystfit.results.provenance import provenance
@@ -191,13 +191,9 @@ class Fits(WithStatus):
         return path
 
     def _write_csv(self, path: Path) -> None:
-        columns, units = self.columns(), self.column_units()
-        heads = [f"{name} [{units[name]}]" if name in units else name for name in columns]
-        cell = lambda value: value if isinstance(value, str) else "" if math.isnan(value) else f"{value:.15g}"
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(heads)
-            writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+        units = self.column_units()
+        head = lambda name: f"{name} [{units[name]}]" if name in units else name
+        write_csv(path, {head(name): values for name, values in self.columns().items()}, ".15g")
 
     def _write_parquet(self, path: Path) -> None:
         optional("pyarrow", "frames", "a Parquet table")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,6 +14,7 @@ from hystfit.cli.verbs import as_options
 from hystfit.errors import DataError, optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
+from hystfit.outcome.table import write_csv as write_csv
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
@@ -116,24 +115,6 @@ def items(notes: Iterable[object]) -> list[str]:
 def named(name: str, unit: str) -> str:
     """Heading of a column of a CSV file: u_V."""
     return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
-
-
-def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") -> None:
-    """Columns of text and numbers by heading as a CSV file; a missing value is an empty cell.
-
-    Args:
-        form: format of the numbers, such as ".10g"; all digits by default.
-    """
-
-    def cell(value: Any) -> str:
-        if isinstance(value, str):
-            return value
-        return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
-
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
 
 
 def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
