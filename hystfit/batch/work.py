@@ -156,14 +156,14 @@ def _read(work: Work, source: Source) -> list[_Loop]:
         return [loop]
 
 
-def _alike(work: Work, loop: _Loop) -> Record:
+def _in_common_units(work: Work, loop: _Loop) -> Record:
     """The record converted to the units of the batch."""
     loop.record = cast(Record, loop.record).in_units(**work.units)
     return loop.record
 
 
 def _search(work: Work, loop: _Loop) -> None:
-    record = _alike(work, loop)
+    record = _in_common_units(work, loop)
     loop.row = row_of(loop.name, loop.source.file, record, fit(work.model, record, **work.options))
 
 
@@ -171,7 +171,7 @@ def _pose(work: Work, loop: _Loop) -> None:
     options = {name: work.options[name] for name in _POSED}
     named = isinstance(work.model, str)
     loop.fit_setup = fit_setup = set_up_fit(
-        make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options
+        make_model(work.model), Dataset.of(_in_common_units(work, loop)), held=not named, **options
     )
     if fit_setup.method == _TOGETHER:
         starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)

@@ -65,12 +65,12 @@ def _load_one(loop: str, reading: Reading) -> Dataset:
     if Path(loop).exists() or pair_of(loop):
         return Dataset.of(read(loop, **dataclasses.asdict(reading)))
     if loop in datasets.names():
-        return _by_name(loop, reading)
+        return _load_data_set(loop, reading)
     hint = near(loop, datasets.names()) or "; hystfit datasets lists the data sets known by name"
     raise DataError(f"no file {loop!r}, and no data set of that name{hint}")
 
 
-def _by_name(name: str, reading: Reading) -> Dataset:
+def _load_data_set(name: str, reading: Reading) -> Dataset:
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.curves import select_curves
@@ -135,7 +135,7 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     train = load(loops, reading)
     test = None
     if split.test is not None:
-        test = _renamed(load([split.test], dataclasses.replace(reading, only=split.test_only)), train)
+        test = _named_apart(load([split.test], dataclasses.replace(reading, only=split.test_only)), train)
     elif split.test_only is not None:
         test = load(loops, dataclasses.replace(reading, only=split.test_only))
         names = {record.name for record in test}
@@ -147,7 +147,7 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     elif test_window is not None:
         test = train
         if train_window is None:
-            train = train.map(lambda record: _without(record, *test_window))
+            train = train.map(lambda record: _without_window(record, *test_window))
     elif split.refit_offset:
         raise DataError(
             "--refit-offset shifts the prediction of test records: give --test, --test-only or --test-window"
@@ -163,7 +163,7 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     return train, test
 
 
-def _without(record: Record, start: float | None, stop: float | None) -> Record:
+def _without_window(record: Record, start: float | None, stop: float | None) -> Record:
     """The record in which the samples of a window have no weight."""
     import numpy as np
 
@@ -174,7 +174,7 @@ def _without(record: Record, start: float | None, stop: float | None) -> Record:
     return outside
 
 
-def _renamed(test: Dataset, train: Dataset) -> Dataset:
+def _named_apart(test: Dataset, train: Dataset) -> Dataset:
     """Test records of another file under names that no fitted record has, whose offset they would take."""
     names = {record.name for record in train}
     return test.map(lambda r: r.replace(name=f"{r.name} (test)") if r.name in names else r)

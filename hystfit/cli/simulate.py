@@ -50,11 +50,11 @@ def simulate(
         what: stage, the name of a model, or a folder written by `hystfit fit --out`.
         signal: {signals}. forc-protocol (reversal curves) has no time: it is sampled evenly at --rate.
         set: parameter of the model (of every actuator) as NAME=VALUE; repeatable.
-        noise: standard deviation of the noise added to the output; default: the sensors of the stage, no noise for a model.
+        noise: standard deviation of the noise added to the output; default: that of the sensors of the stage, 0 for a model.
         seed: random seed of the noise and of random signals.
         axes: 1 for one actuator of the stage, 3 for the whole stage: three voltages, strain gauges, and the platform's x, y and theta.
         drive: with --axes 3, the actuators that the signal drives: in-turn (one after another, the default), together, or 1, 2 or 3 alone.
-        population: number of devices of the stage whose parameters scatter, all driven by the signal.
+        population: number of simulated devices of the stage, with scattered parameters, all driven by the signal.
         spread: relative standard deviation of a parameter over the population, as NAME=VALUE; repeatable, or separated by commas.
         shape: parameter of the signal, such as --frequency 2 --low -20 --high 100 --duration 5 --rate 200.
     """

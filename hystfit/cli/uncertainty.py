@@ -43,10 +43,10 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: {samplers}, or my_file.py:MySampler. emcee takes up to ten parameters; nested takes several modes.
+        sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen by the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        draws: draws per chain of nuts (1000) or per run of nested (2000); most steps of emcee (5000).
+        draws: draws per chain of nuts (1000) or per run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts (4); runs of nested (2).
         warmup: warm-up steps of nuts (300).
         target_accept: target acceptance rate of nuts (0.65); a higher rate takes smaller steps.
@@ -164,8 +164,8 @@ def calibrate(
     (report.html) and the finished replicates (run/), from which the same command resumes.
 
     Args:
-        noise: {noises}: simulates the data, as large as the residuals of the fit.
-        assumed: noise model of the inference; default: the one that simulates.
+        noise: noise model of the simulated data, of the size of the residuals of the fit: {noises}.
+        assumed: noise model of the inference; default: that of the simulation.
         method: laplace (least squares), {samplers}.
         replicates: number of simulated data sets.
         spread: relative width of the priors about the fitted values.
@@ -222,7 +222,7 @@ def design(
     trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
-    """Propose the next input within the limits of the actuator, which reduces the errors most.
+    """Propose the next input, within the limits of the actuator, that reduces the standard errors most.
 
     Exit status 1: the fitted record has no loop. With --out, the folder holds input.csv and a page (report.html).
 

@@ -9,10 +9,8 @@ import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
-_ARRIVING, _STEEP = (
-    6,
-    0.3,
-)  # samples before a limit, and their least slope beside the usual one, where a sensor is clipped
+# Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
+_ARRIVING, _STEEP = 6, 0.3
 
 
 def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:

@@ -50,7 +50,7 @@ def split_curves(
         divider: position of the column whose values separate curves; None where none was chosen.
     """
     if divider is not None:
-        return _apart(_by_column(table, divider, notes), table, choice, notes), True
+        return _of_several_rows(_by_column(table, divider, notes), table, choice, notes), True
     if table.calibration is not None:
         return calibrated_curves(table, choice, table.calibration, notes), True
     number = _numbers_of_curves(table, choice, notes)
@@ -104,7 +104,7 @@ def _numbers_of_curves(table: Table, choice: Choice, notes: list[Note]) -> np.nd
     return np.cumsum(begins)
 
 
-def _apart(
+def _of_several_rows(
     groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
 ) -> list[tuple[str, np.ndarray]]:
     """Curves of at least two rows; the others are named in the notes."""

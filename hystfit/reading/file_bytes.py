@@ -36,7 +36,7 @@ def allowed(size: int) -> int:
 
 
 def exists(path: str | Path) -> bool:
-    """Whether there is a file or folder of this name; a name that the system does not take is none."""
+    """Whether there is a file or folder of this name; False for a name that the system does not accept."""
     try:
         return Path(path).exists()
     except (OSError, ValueError):

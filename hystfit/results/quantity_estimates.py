@@ -1,15 +1,18 @@
-"""Quantities of the trade of a fit, with standard errors by the delta method: the gradient of each, and the covariance of the fit."""
+"""Quantities that follow from a fit, with standard errors by the delta method: the gradient of each, and the covariance of the fit."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.params.space import relative_size
+from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured_quantities import measured_quantities
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
@@ -141,3 +144,18 @@ def _columns(result: FitResult, record: Record) -> dict[int, np.ndarray]:
         for k, source in enumerate(space.sources)
         if of_first(source)
     }
+
+
+def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
+    """The derived quantities of the fitted model, of the first record; no standard error where a parameter has none."""
+    coordinates, units = result.problem.space.coordinates, result.problem.scales.label
+    rows = []
+    for name, unit, doc, value in result.model.derived():
+        of_parameters = lambda x, value=value: value(coordinates.assemble(x, 0))
+        number, slope = (np.asarray(v) for v in jax.value_and_grad(of_parameters)(jnp.asarray(result.x)))
+        behind = slope != 0
+        variance = float(slope[behind] @ result.covariance[np.ix_(behind, behind)] @ slope[behind])
+        known = bool(behind.any() and np.isfinite(variance))
+        error = float(np.sqrt(max(variance, 0.0))) if known else None
+        rows.append(ParameterEstimate(name, float(number), error, units(unit), None, None, False, None, known, doc))
+    return tuple(rows)

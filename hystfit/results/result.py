@@ -106,7 +106,7 @@ class FitResult(WithStatus):
     @functools.cached_property
     def derived(self) -> tuple[ParameterEstimate, ...]:
         """Quantities that follow from the parameters (stiffnesses of the oscillator), with standard errors to first order."""
-        return _view("derived_estimates:derived_estimates")(self)
+        return _view("quantity_estimates:derived_estimates")(self)
 
     @functools.cached_property
     def quantities(self) -> tuple[QuantityEstimate, ...]:
