@@ -9,7 +9,7 @@ from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
 from hystfit.cli.write import finish, named, progress, write_csv
-from hystfit.errors import optional
+from hystfit.errors import ParameterError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.sampling.registry import SAMPLERS
 
@@ -81,7 +81,6 @@ def sample(
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
     """Priors by parameter, from NAME=KIND(A,B)."""
-    from hystfit.errors import ParameterError
     from hystfit.inference.priors import parse
 
     priors = {}

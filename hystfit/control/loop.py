@@ -76,19 +76,18 @@ class _Carry(eqx.Module):
 def _run(loop: Loop, start: _Carry, samples: tuple[Array, Array, Array]) -> tuple[_Carry, tuple[Array, Array, Array]]:
     def body(carry: _Carry, sample: tuple[Array, Array, Array]) -> tuple[_Carry, tuple[Array, Array, Array]]:
         reference, ahead, noise = sample
-        memory = carry.memory
-        if loop.inverse is not None and carry.memory is not None:
+        memory, controller = carry.memory, carry.controller
+        if loop.inverse is not None:
             memory, answer = loop.inverse.step(carry.memory, reference, loop.dt)
             ahead = answer.u
         asked = ahead
         error = carry.reference - carry.readings[-1]
-        if loop.controller is not None and carry.controller is not None:
+        if loop.controller is not None:
             asked = asked + loop.controller.ask(carry.controller, error)
         u = jnp.clip(asked, loop.low, loop.high)
-        controller = None
-        if loop.controller is not None and carry.controller is not None:
+        if loop.controller is not None:
             controller = loop.controller.step(carry.controller, error, u - asked)
-        if loop.inverse is not None and carry.memory is not None and loop.applied:
+        if loop.inverse is not None and loop.applied:
             memory = loop.inverse.moved(carry.memory, u, loop.dt)
         state, y = loop.move(carry.plant, carry.u, u)
         read = y + noise
@@ -185,9 +184,8 @@ def run_loop(
             f"got {rate}, {delay}, {noise}, {resolution}, {finer}, {limits}"
         )
     inverse = feedforward if isinstance(feedforward, AbstractRunningInverse) else None
-    ahead = (
-        np.zeros_like(wanted) if feedforward is None or inverse is not None else np.asarray(feedforward, dtype=float)
-    )
+    given = None if inverse is not None else feedforward
+    ahead = np.zeros_like(wanted) if given is None else np.asarray(given, dtype=float)
     if ahead.shape != wanted.shape:
         raise DataError(f"the feed-forward must have the shape of the reference {wanted.shape}, got {ahead.shape}")
     number = lambda value: jnp.asarray(value, dtype=jnp.result_type(float))
@@ -195,14 +193,14 @@ def run_loop(
     loop = Loop(plant, controller, inverse, *numbers, delay=delay, applied=applied, finer=finer)
     start = _rest(loop, jnp.broadcast_to(number(u0), wanted.shape[1:]), number(wanted[0]))
     random = noise * np.random.default_rng(seed).standard_normal(wanted.shape)
-    _, (u, y, given) = _run(loop, start, (jnp.asarray(wanted), jnp.asarray(ahead), jnp.asarray(random)))
-    u, y, given = (np.asarray(value) for value in (u, y, given))
+    _, traces = _run(loop, start, (jnp.asarray(wanted), jnp.asarray(ahead), jnp.asarray(random)))
+    u, y, ahead = map(np.asarray, traces)
     if not np.isfinite(y).all():
         raise ParameterError(
             f"the loop ran away at {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s: lower the gains, sample faster, or give limits"
         )
     saturated = int(np.count_nonzero((u <= limits[0]) | (u >= limits[1])))
-    return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, given, saturated, _notes(u, saturated, limits))
+    return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, ahead, saturated, _notes(u, saturated, limits))
 
 
 def _rest(loop: Loop, u0: Array, reference: Array) -> _Carry:

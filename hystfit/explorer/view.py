@@ -78,11 +78,11 @@ class View:
         logarithmic = bool(np.isfinite(lower) and np.isinf(upper) and value > lower == 0.0 and not info.linear)
         if logarithmic:
             low, high = value / _REACH, value * _REACH
+        elif np.isfinite([lower, upper]).all():
+            low, high = lower, upper
         else:
             reach = max(scale, abs(value))
             low, high = max(lower, value - reach), min(upper, value + reach)
-            if np.isfinite(lower) and np.isfinite(upper):
-                low, high = lower, upper
         return Slider(
             name, self._space.units[k], info.doc, value, low, high,
             lower if np.isfinite(lower) else None, upper if np.isfinite(upper) else None,
