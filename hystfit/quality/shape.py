@@ -109,7 +109,7 @@ def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[t
     complete = [loop for loop in loops if loop.start > 0] or ([] if len(cycles) else loops)
     if max((loop.stroke for loop in complete), default=0.0) > 0.5 * np.ptp(u):
         return [(loop.start, loop.stop, loop.stroke) for loop in complete], True
-    return [(int(a), int(c), abs(u[b] - u[a])) for a, b, c in cycles], False
+    return [(a, c, float(abs(u[b] - u[a]))) for a, b, c in cycles.tolist()], False
 
 
 def _is_loop(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> bool:
@@ -123,7 +123,7 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
     largest = max(stroke for _, _, stroke in spans)
     returning = [
         (a, c)
-        for a, b, c in cycles
+        for a, b, c in cycles.tolist()
         if abs(u[b] - u[a]) > 0.4 * largest and abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and _is_loop(u, y, a, c)
     ]
     late = returning[-max(3, len(returning) // 2) :] or [(a, b) for a, b, stroke in spans if stroke >= 0.5 * largest]
