@@ -30,8 +30,8 @@ class Inverse:
         u: input for every sample of the reference, shape (T,).
         y: output of the model for it, shape (T,).
         codes: `Status` of every sample as a number, shape (T,).
-        start: where the model was before the first sample: `simulate(model, u, dt, resume=start)` gives y.
-        state: where it is after the last one, to go on from.
+        start: state and input before the first sample: `simulate(model, u, dt, resume=start)` gives y.
+        state: state and input after the last sample, from which another call continues.
     """
 
     u: np.ndarray

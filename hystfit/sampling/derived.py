@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import ParameterError
-from hystfit.results.quantities import CREEP, QUANTITIES, Excitation, applicable, creeps
+from hystfit.results.quantities import CREEP, QUANTITIES, applicable
+from hystfit.results.steady_loops import Excitation, creeps
 from hystfit.sampling.posterior import Posterior
 
 

@@ -7,7 +7,7 @@ import functools
 import inspect
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Column, Note, Status, Table, fragment
+from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
 from hystfit.registry import attribute
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
@@ -31,7 +31,7 @@ def _view(name: str) -> Any:
 
 
 @dataclasses.dataclass(frozen=True)
-class Posterior:
+class Posterior(WithStatus):
     """Draws of the parameters of model and noise.
 
     Attributes:
@@ -68,11 +68,7 @@ class Posterior:
     seed: int
     provenance: dict[str, Any]
     evidence: Evidence | None = None
-
-    @property
-    def usable(self) -> bool:
-        """Whether the chains have converged, on a model that describes the data."""
-        return self.status.usable
+    verb: ClassVar[str] = "sample"
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Draws of one parameter, shape (chains, draws)."""
@@ -152,7 +148,7 @@ class Posterior:
             "schema": SCHEMA,
             "model": self.result.name,
             "status": str(self.status),
-            "advice": self.status.advice("sample"),
+            "advice": self.advice,
             "notes": [note.to_dict() for note in self.notes],
             "sampler": self.sampler,
             "noise": self.noise,

@@ -60,6 +60,30 @@ def piezo(
     return model
 
 
+def perturbed(actuator: Series, **factors: float) -> Series:
+    """The actuator with its parameters c, mu, tau, delta and gamma multiplied by factors.
+
+    Raises:
+        ParameterError: an unknown name, or a value outside its bounds.
+    """
+    known = ("c", "mu", "tau", "delta", "gamma")
+    unknown = [name for name in factors if name not in known]
+    if unknown:
+        raise ParameterError(f"no parameter {unknown[0]!r} to perturb; there are {', '.join(known)}")
+    factor = lambda name: factors.get(name, 1.0)
+    hysteresis, creep, *rest = actuator.parts
+    hysteresis = dataclasses.replace(
+        hysteresis,
+        c=hysteresis.c * factor("c"),
+        mu=hysteresis.mu * factor("mu"),
+        tau=hysteresis.tau * factor("tau"),
+        rho=hysteresis.rho * factor("delta") / factor("tau"),
+    )
+    scaled = Series(hysteresis, dataclasses.replace(creep, gamma=creep.gamma * factor("gamma")), *rest)
+    ParameterSpace.of(scaled)  # raises outside the bounds
+    return scaled
+
+
 @dataclasses.dataclass(frozen=True)
 class Amplifier:
     """Voltage limits [V] of the driving amplifier (PI LVPZT).
