@@ -145,7 +145,7 @@ def _arrays(problem: Problem) -> np.ndarray:
 
 def _acting(problem: Problem, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Parameters with an influence on the data, shape (p,), bool."""
-    natural = np.minimum(relative_size(problem.space, x), np.asarray(problem.space.coordinates.scale))
+    natural = np.minimum(relative_size(problem.space, x), problem.space.scale)
     gain = np.linalg.norm(_centered(rows, problem.space.offsets)[0] * natural, axis=0)
     return gain > 1e-9 * max(gain.max(initial=0.0), 1e-300)
 
@@ -176,7 +176,7 @@ def _determined(
     full, every = back @ root[:, kept], back @ root
     full = full @ full.T if inside is None else inside[np.ix_(at, at)]
     joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
-    touched = _touched(open_axes, spreads[wide], (np.asarray(space.coordinates.kinds) == BOTH)[live])
+    touched = _touched(open_axes, spreads[wide], (space.kinds == BOTH)[live])
     reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
     touched |= reaching
     nonlinear = ~space.linear[live]
@@ -407,8 +407,7 @@ def _room(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 def _rooms(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances of each parameter to its lower and its upper bound."""
-    c = problem.space.coordinates
-    return x - np.asarray(c.lower), np.asarray(c.upper) - x
+    return x - problem.space.lower, problem.space.upper - x
 
 
 def describe(direction: np.ndarray, names: list[str]) -> str:

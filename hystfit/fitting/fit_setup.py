@@ -185,13 +185,12 @@ def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[A
 
 def _with_record_parameters(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
-    per_record = problem.space.linear & np.array([info.per_record for info in problem.space.infos], dtype=bool)
+    per_record = problem.space.linear & problem.space.per_record
     if len(problem.data) > 1 and per_record.any():
         system = LinearSystem.of(problem, x, per_record)
         x = x.copy()
         x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
-    c = problem.space.coordinates
-    return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
+    return problem.space.clip(x)
 
 
 def _choose_rest(

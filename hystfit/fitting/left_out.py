@@ -62,8 +62,7 @@ def _refitted(
     method: str, problem: Problem, x: np.ndarray, splits: list[tuple[list[np.ndarray], list[np.ndarray]]]
 ) -> float:
     """Error of refits, from physical x on, to one side of each split on its other side."""
-    c = problem.space.coordinates
-    z = problem.space.unconstrained(np.clip(x, np.asarray(c.lower), np.asarray(c.upper)))
+    z = problem.space.unconstrained(problem.space.clip(x))
     name = "lm" if method == "convex" and not len(linear_positions(problem)) else method
     squares, total = 0.0, 0.0
     for seen, asked in splits:

@@ -24,7 +24,6 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened, restricted
-from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
@@ -86,10 +85,9 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     released = on_bound & ~weights
     if not released.any():
         return refine_moving(problem, x, noise, ~on_bound)
-    c = problem.space.coordinates
-    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
-    edge = _INSIDE * np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
-    inside = np.where(released, np.clip(x, lower + edge, upper - edge), x)
+    space = problem.space
+    edge = _INSIDE * space.width
+    inside = np.where(released, np.clip(x, space.lower + edge, space.upper - edge), x)
     refined = refine_moving(problem, inside, noise, ~weights)
     returned = problem.on_bound(refined.x) & released
     if not returned.any():
@@ -115,7 +113,7 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
     starts = np.tile(space.unconstrained(space.vector(start)), (len(_STARTS), 1))
     if "noise_time" in space.names:
         starts[:, space.names.index("noise_time")] += np.log(_STARTS)
-    settled, scale = False, np.asarray(problem.space.coordinates.scale)
+    settled, scale = False, problem.space.scale
     for _ in range(_ROUNDS):
         criterion = functools.partial(_restricted_slope, density, jnp.asarray(r), jnp.asarray(J), live)
         best, noise_settled = _fit_noise(criterion, starts)

@@ -45,7 +45,7 @@ class TableReading(AbstractEstimator):
                 f"{moved.nodes} values moved by up to {moved.largest:.2g} % of the largest, so that the table is monotone"
             )
         x = problem.space.vector(TabulatedPreisach.from_table(table))
-        per_record = np.array([info.per_record for info in problem.space.infos])
+        per_record = problem.space.per_record
         if len(records) > 1 and per_record.any():
             system = LinearSystem.of(problem, x, per_record)
             x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]

@@ -86,9 +86,9 @@ def parameter_root(
     Raises:
         ParameterError: not positive, an unknown name, wrong shape, not symmetric, not positive definite.
     """
-    kinds = np.asarray(space.coordinates.kinds)
-    # with wider priors of many parameters the outer sigma points are too far off for a useful mean
-    deviations = np.where(kinds == REAL, 0.02, 0.2) if near else np.where(kinds == REAL, 0.1, 0.5)
+    # With wider priors of many parameters the outer sigma points are too far away for a useful mean.
+    unbounded, bounded = (0.02, 0.2) if near else (0.1, 0.5)
+    deviations = np.where(space.kinds == REAL, unbounded, bounded)
     if isinstance(prior, Mapping):
         for name, value in prior.items():
             leaf, positions = space.find(name)

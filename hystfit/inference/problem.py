@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
@@ -27,7 +28,6 @@ from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.one_device import check_one_device
 from hystfit.models.starting import scales_of
-from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 
@@ -123,9 +123,9 @@ class Problem:
 
     def with_loss(self, loss: Loss) -> Problem:
         """The same problem with another loss."""
-        same = loss == self.objective.loss
-        objective = Objective(*(getattr(self.objective, k) for k in ("coordinates", "batch", "size", "bend")), loss)
-        return self if same else self._changed(objective=objective)
+        if loss == self.objective.loss:
+            return self
+        return self._changed(objective=dataclasses.replace(self.objective, loss=loss))
 
     def trimmed(self) -> Problem:
         """The same problem without padding that no record needs: long runs pay for their own compilation."""
@@ -184,10 +184,8 @@ class Problem:
             x: physical parameters of the model, shape (p,).
             tolerance: distance in the parameter's scale, or with two bounds in the width between them.
         """
-        c = self.space.coordinates
-        lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
-        width = np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
-        low, high = x - lower < tolerance * width, upper - x < tolerance * width
+        near = tolerance * self.space.width
+        low, high = x - self.space.lower < near, self.space.upper - x < near
         return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
 
     def on_bound(self, x: np.ndarray) -> np.ndarray:

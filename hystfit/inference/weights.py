@@ -106,11 +106,9 @@ def responses(
             )
             source = next(b for b in design.blocks if b.leaf == block.leaf).columns
             rows[number, : len(record), mine] = source[:, now.place[mine] - first][design.index].T
-    c = space.coordinates
-    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
     for k in np.flatnonzero(now.place < 0):
-        step = _STEP * max(abs(x[k]), scale[k]) * np.eye(x.size)[k]
-        above, below = np.minimum(x + step, upper), np.maximum(x - step, lower)
+        step = _STEP * max(abs(x[k]), space.scale[k]) * np.eye(x.size)[k]
+        above, below = np.minimum(x + step, space.upper), np.maximum(x - step, space.lower)
         for row, high, low in zip(rows, predict(above), predict(below), strict=True):
             row[: high.size, k] = (high - low) / (above[k] - below[k])
     return rows

@@ -43,6 +43,7 @@ class ParameterSpace:
         infos: their declarations.
         units: their units as printed.
         coordinates: the traced half.
+        lower, upper, scale, kinds: those of `coordinates` on the host, shape (p,).
     """
 
     def __init__(
@@ -167,13 +168,14 @@ class ParameterSpace:
         bounds = np.array([info.bounds for info in infos], dtype=float).reshape(-1, 2)
         finite = np.isfinite(bounds)
         kinds = np.where(finite.all(1), BOTH, np.where(finite[:, 0], LOWER, np.where(finite[:, 1], UPPER, REAL)))
-        scale = np.array([info.scale * self.scales.size(info.unit) for info in infos])
+        self.lower, self.upper, self.kinds = bounds[:, 0], bounds[:, 1], kinds
+        self.scale = np.array([info.scale * self.scales.size(info.unit) for info in infos])
         dtype = jnp.result_type(float)
         self.coordinates = Coordinates(
             leaves=tuple(flat),
-            lower=to_device(bounds[:, 0], dtype),
-            upper=to_device(bounds[:, 1], dtype),
-            scale=to_device(scale, dtype),
+            lower=to_device(self.lower, dtype),
+            upper=to_device(self.upper, dtype),
+            scale=to_device(self.scale, dtype),
             kinds=tuple(int(k) for k in kinds),
             layout=tuple(layout),
             treedef=treedef,
@@ -211,8 +213,7 @@ class ParameterSpace:
         x = np.asarray(x, dtype=float)
         if x.shape != (len(self),):
             raise ParameterError(f"expected {len(self)} values ({', '.join(self.names)}), got shape {x.shape}")
-        lower, upper = np.asarray(self.coordinates.lower), np.asarray(self.coordinates.upper)
-        for name, value, low, high in zip(self.names, x, lower, upper, strict=True):
+        for name, value, low, high in zip(self.names, x, self.lower, self.upper, strict=True):
             if not (np.isfinite(value) and low <= value <= high):
                 raise ParameterError(f"parameter {name!r}: start {value:g} is outside its bounds [{low:g}, {high:g}]")
         with np.errstate(all="ignore"):
@@ -254,14 +255,27 @@ class ParameterSpace:
 
     @property
     def offsets(self) -> np.ndarray:
-        """Which free elements shift the output of a record, shape (p,), bool: they are of any size, and tell nothing about the others."""
-        real = np.asarray(self.coordinates.kinds) == REAL
-        return self.linear & np.array([info.per_record for info in self.infos], dtype=bool) & real
+        """Which free elements shift the output of one record, shape (p,), bool; their size says nothing about the other parameters."""
+        return self.linear & self.per_record & (self.kinds == REAL)
 
     @property
     def linear(self) -> np.ndarray:
         """In which free elements the output is linear, shape (p,), bool."""
         return np.array([info.linear for info in self.infos], dtype=bool)
+
+    @property
+    def per_record(self) -> np.ndarray:
+        """Which free elements have a value for each record, shape (p,), bool."""
+        return np.array([info.per_record for info in self.infos], dtype=bool)
+
+    @property
+    def width(self) -> np.ndarray:
+        """Distance between the bounds of each free element that has two, else its scale, shape (p,)."""
+        return np.where(self.kinds == BOTH, self.upper - self.lower, self.scale)
+
+    def clip(self, x: np.ndarray) -> np.ndarray:
+        """x with values beyond their bounds moved onto them."""
+        return np.clip(x, self.lower, self.upper)
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""
@@ -277,16 +291,11 @@ class ParameterSpace:
 
 
 def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
-    """Size in which each parameter's error is judged: its distance to the bounds, or its natural scale where it has none.
+    """Size against which the error of each parameter at x is judged: its distance to the bounds, or its natural scale without any.
 
-    That of an offset is its natural scale alone: its value tells where zero lies.
-
-    Args:
-        space: the free parameters.
-        x: their physical values, shape (p,).
+    For an offset it is the natural scale alone, because its value depends on where zero lies.
     """
-    c = space.coordinates
-    lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
+    lower, upper, scale, kind = space.lower, space.upper, space.scale, space.kinds
     with np.errstate(invalid="ignore"):
         both = (x - lower) * (upper - x) / (upper - lower)
         one = np.where(np.isfinite(lower), x - lower, upper - x)

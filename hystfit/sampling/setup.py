@@ -134,12 +134,10 @@ def prepare(
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
-    """z with parameters that lie on a bound moved to where a mode can be found."""
-    c = space.coordinates
-    z = space.unconstrained(np.clip(x, np.asarray(c.lower), np.asarray(c.upper)))
-    kind = np.asarray(c.kinds)
-    one = (kind == LOWER) | (kind == UPPER)
-    return np.where(one, np.maximum(z, np.log(1e-4)), np.where(kind == BOTH, np.clip(z, -9, 9), z))
+    """z, with parameters that lie on a bound moved to where a mode can be found."""
+    z, kinds = space.unconstrained(space.clip(x)), space.kinds
+    one_sided = (kinds == LOWER) | (kinds == UPPER)
+    return np.where(one_sided, np.maximum(z, np.log(1e-4)), np.where(kinds == BOTH, np.clip(z, -9, 9), z))
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
@@ -149,10 +147,10 @@ def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
         problem: with its noise model.
         root: square root of the information matrix of the model's parameters, shape (p, p).
     """
-    scale, kind = (np.asarray(getattr(problem.space.coordinates, name)) for name in ("scale", "kinds"))
-    soft = np.array([info.linear for info in problem.space.infos], bool) & ((kind == LOWER) | (kind == UPPER))
-    precision = np.sum((root * scale) ** 2, axis=0) + _PRIOR_SCALES**-2
-    return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - scale.size))
+    space = problem.space
+    soft = space.linear & ((space.kinds == LOWER) | (space.kinds == UPPER))
+    precision = np.sum((root * space.scale) ** 2, axis=0) + _PRIOR_SCALES**-2
+    return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - soft.size))
 
 
 @eqx.filter_jit
