@@ -93,7 +93,7 @@ def _compared(
     """Content of result.json for a prediction, and its text."""
     import numpy as np
 
-    from hystfit.fitting.verdict import evaluate_on
+    from hystfit.fitting.trial import evaluate_on
     from hystfit.results.accuracy import verdict_dict
     from hystfit.results.provenance import provenance
     from hystfit.results.report import metrics_words

@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.control.inverse import Inverse, Task, invert, prepare
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
-from hystfit.models.base import simulate
+from hystfit.models.simulation import simulate
 from hystfit.sampling.posterior import Posterior
 
 

@@ -14,8 +14,9 @@ from hystfit.config import require_x64
 from hystfit.control.lead import lead
 from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
 from hystfit.errors import DataError, ModelError
-from hystfit.models.base import AbstractHysteresis, Resume, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import solve_rising
+from hystfit.models.simulation import Resume, simulate
 from hystfit.models.step_inverse import AbstractStepInverse
 
 if TYPE_CHECKING:

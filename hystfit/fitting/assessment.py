@@ -17,14 +17,7 @@ _MANY = 12  # weights above this number are counted in a note, not listed
 
 
 def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, errors: Uncertainty) -> list[Note]:
-    """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed.
-
-    Args:
-        problem: what was fitted.
-        model: the fitted model.
-        estimate: where the fit ended.
-        errors: its standard errors.
-    """
+    """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed."""
     notes = list(estimate.notes)
     if all(record.t is None for record in problem.data):
         notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))

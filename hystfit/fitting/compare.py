@@ -22,7 +22,7 @@ from hystfit.fitting.fit_setup import choose_method, solve, started_problem, wit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
-from hystfit.fitting.verdict import with_left_out
+from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.workers import Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -190,9 +190,7 @@ class _First(NamedTuple):
 def _contenders(firsts: dict[str, _First], alone: bool) -> list[str]:
     """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
 
-    Args:
-        firsts: first fits by name.
-        alone: no model has been validated yet, so that the others wait for the ones whose first fit is near the best.
+    `alone`: no model has been validated yet, so that the others wait for those whose first fit is near the best.
     """
     sized = {name: first for name, first in firsts.items() if first.limit == _HOPELESS_SIZE}
     if not sized and not alone:
@@ -242,13 +240,7 @@ class _Judge:
         self.errors: list[Exception] = []
 
     def run(self, names: Sequence[str], shown: _Shown, workers: Workers) -> None:
-        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out.
-
-        Args:
-            names: of the candidates.
-            shown: progress.
-            workers: threads.
-        """
+        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
         outcomes: dict[str, _Outcome] = {}
 
         def each(work: Callable[[str, Callable[[str], object]], Any], chosen: Sequence[str]) -> None:

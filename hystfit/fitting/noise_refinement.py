@@ -72,11 +72,6 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a
     second round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
 
-    Args:
-        problem: what was fitted.
-        x: where the fit ended, physical, shape (p,).
-        noise: a name of `NOISES`, my_noise.py:MyNoise, or a class.
-
     Raises:
         ParameterError: an unknown noise model.
     """

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hystfit.inference.blocks import triangle
 from hystfit.inference.problem import Problem
-from hystfit.inference.triangle import triangle
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples

@@ -38,11 +38,6 @@ def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[st
     """Greedy search: repeat the single change of size that lowers the cross-validation error most.
 
     The weights are solved for at the starting values of the other parameters.
-
-    Args:
-        model: where the choice starts.
-        data: records.
-        progress: called with the name of each model tried.
     """
     found = model.sizes(list(data))
     if not found:

@@ -97,10 +97,7 @@ class SmoothWeights(AbstractEstimator):
 def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
     """Root mean square error on the blocks left out that choose the smoothness, output units.
 
-    Args:
-        problem: the model and records.
-        x: physical parameters, shape (p,); weights are solved for.
-        smoothness: strengths to choose among, two or more.
+    The weights in x are solved for; `smoothness` has two or more strengths.
     """
     now = Split.of(problem.space, list(problem.data), x)
     error = fit_smooth(now.system, smoothness, held=now.held).error

@@ -17,7 +17,7 @@ from hystfit.data.batch import bucket
 from hystfit.data.record import Dataset, Record
 from hystfit.fitting.convex import LinearSystem, block_of, fit_ridge
 from hystfit.inference.problem import check_fittable
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Delay, Lag
 from hystfit.models.negate import Negate
@@ -26,6 +26,7 @@ from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlins
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.registry import model_name
 from hystfit.models.series import Series
+from hystfit.models.simulation import simulate
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
@@ -145,9 +146,7 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
 def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
     """Greedy search from plays with one envelope: repeat the single change that lowers the cross-validation error most.
 
-    Args:
-        data: records; only samples that count are fitted or judged.
-        plays: number of thresholds; None for the number that blocks left out choose among those that the data can determine.
+    `plays` is the number of thresholds; by default blocks left out choose it among those that the data can determine.
     """
     check_fittable(PrandtlIshlinskii.of(1), data)
     most = max_plays(data)
@@ -200,13 +199,7 @@ def _step(change: str, before: float, after: float, span: float) -> str:
 
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:
-    """The model of a structure, started on the data.
-
-    Args:
-        structure: its terms.
-        data: records.
-        plays: number of thresholds.
-    """
+    """The model of a structure, started on the data."""
     play = PrandtlIshlinskii.of(
         plays,
         structure.degree,

@@ -11,7 +11,8 @@ from hystfit.data.record import Dataset
 from hystfit.errors import ModelError
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.inference.problem import Problem
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace

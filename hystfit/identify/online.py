@@ -16,7 +16,7 @@ from hystfit.identify.base import Sample, run_stream
 from hystfit.identify.filter_verdict import FOLLOWS, NIS_BAND, excess, loop_count, relative_change
 from hystfit.identify.identification import Identification
 from hystfit.identify.ukf import Ukf, UkfState
-from hystfit.models.base import Resume, simulate
+from hystfit.models.simulation import Resume, simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import warn
 
@@ -47,11 +47,7 @@ class BlockVerdict(NamedTuple):
 def judge_block(ukf: Ukf, before: UkfState, after: UkfState, block: Sample, record: Record) -> BlockVerdict:
     """The verdict on a block that the filter has just used.
 
-    Args:
-        ukf: the filter.
-        before, after: its states before and after the block.
-        block: the samples, leaves of shape (T,).
-        record: from which the samples come; its range is that of the output.
+    The output's range is that of the record from which the samples come.
     """
     s, measured = ukf.states, np.asarray(block.y)
     old, new = (np.asarray(state.mean[s:]) for state in (before, after))

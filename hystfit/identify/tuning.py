@@ -25,11 +25,6 @@ _QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range
 def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> float:
     """Standard deviation of the measurement noise [y].
 
-    Args:
-        data: the records.
-        half_range: of their output [y].
-        noise: the result if it is not None; else it is estimated from the records, with a floor.
-
     Raises:
         ParameterError: a noise that is not positive.
     """
@@ -129,9 +124,7 @@ def _root_of(covariance: np.ndarray, size: int) -> np.ndarray:
 def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
     """Which free parameters are fixed while the input rests, shape (p,).
 
-    Args:
-        space: the free parameters.
-        hold: "auto" (those of rate-independent models in the tree), "all" or "none".
+    `hold` is "auto" (those of rate-independent models in the tree), "all" or "none".
     """
     if hold != "auto":
         return np.full(len(space), hold == "all")
@@ -148,11 +141,6 @@ def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
 
 def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str) -> np.ndarray:
     """Standard deviations of the states, shape (states,).
-
-    Args:
-        given: one for all, shape (states,), or None for the default.
-        default: shape (states,).
-        name: of the setting, for messages.
 
     Raises:
         ParameterError: negative, not finite, or of another length.

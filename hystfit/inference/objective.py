@@ -13,10 +13,10 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.inference.blocks import parts
-from hystfit.models.base import run
 from hystfit.models.parallel.kernel import linear_run
 from hystfit.models.parallel.route import Route, on_gpu, route
 from hystfit.models.shapes import Scalar
+from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 
@@ -194,10 +194,7 @@ def _flat(jacobian: np.ndarray) -> np.ndarray:
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:
     """`Objective.misfit` on the host from residuals, shape (n,), and its derivatives, shape (n, p), where these are given.
 
-    Args:
-        objective: gives weights, size and loss.
-        residual: shape (R, T).
-        jacobian: derivatives of the residuals, shape (R, T, p), overwritten where they may be; None for the misfit alone.
+    The residuals have shape (R, T), their derivatives (R, T, p); the derivatives are overwritten where they may be.
     """
     root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
     misfit, slope = (root * residual).reshape(-1), None

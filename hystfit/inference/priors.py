@@ -207,9 +207,7 @@ def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> 
 def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[str, AbstractPrior]:
     """Weak priors from the declarations: about the natural size for positive parameters, wide normal without bounds, uniform between two.
 
-    Args:
-        space: the free parameters.
-        x: the fitted values; an unbounded parameter far from zero (an offset of a distant sensor) widens its own prior.
+    Fitted values x, shape (p,), widen the prior of an unbounded parameter far from zero, such as the offset of a distant sensor.
     """
     lower, upper, scale = space.lower, space.upper, space.scale
     priors: dict[str, AbstractPrior] = {}

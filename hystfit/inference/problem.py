@@ -8,7 +8,6 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -119,7 +118,7 @@ class Problem:
         """The same problem with other weights, one array (T,) for each record; shapes stay, so nothing is compiled again."""
         records = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
         data = Dataset(tuple(records))
-        return self._changed(data=data, objective=eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(data)))
+        return self._changed(data=data, objective=dataclasses.replace(self.objective, batch=Batch.of(data)))
 
     def with_loss(self, loss: Loss) -> Problem:
         """The same problem with another loss."""
@@ -132,7 +131,7 @@ class Problem:
         used = np.asarray(self.objective.batch.weight) > 0
         end = int(np.max(np.flatnonzero(used.any(axis=0)))) + 1
         batch = jax.tree_util.tree_map(lambda v: v[:, :end], self.objective.batch)
-        return self._changed(objective=eqx.tree_at(lambda o: o.batch, self.objective, batch))
+        return self._changed(objective=dataclasses.replace(self.objective, batch=batch))
 
     def with_noise(
         self, noise: AbstractNoise, priors: Mapping[str, AbstractPrior] | None = None, x: np.ndarray | None = None

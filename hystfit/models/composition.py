@@ -34,11 +34,6 @@ def split_state(state: Array, parts: Sequence[AbstractHysteresis]) -> list[Array
 def check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> None:
     """Refuse parts that are not models, or too few of them.
 
-    Args:
-        parts: of a composition.
-        least: number of parts needed.
-        name: of the composition, for the message.
-
     Raises:
         ModelError: a part is not a model, or there are too few.
     """

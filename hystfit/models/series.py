@@ -16,12 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, OutputResonance, drive, run, simulate
+from hystfit.models.base import AbstractHysteresis, OutputResonance
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive, run, simulate
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import compiled
 

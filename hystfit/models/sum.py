@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, drive, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive, simulate
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
 

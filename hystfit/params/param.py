@@ -87,10 +87,7 @@ def _float_type() -> Any:
 def _number(value: float, sign: float, dtype: Any) -> jax.Array:
     """A number as an array. Arrays cannot be changed, so that models share them: making one takes longer than a model may.
 
-    Args:
-        value: of the number.
-        sign: tells 0.0 from -0.0, which are the same key otherwise.
-        dtype: of the array.
+    `sign` tells 0.0 from -0.0, which are equal as keys.
     """
     with jax.ensure_compile_time_eval():
         return to_device(value, dtype)

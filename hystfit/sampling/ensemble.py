@@ -142,11 +142,7 @@ def walk(target: Target, walkers: int) -> Any:
 def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
     """emcee's state with walkers about the mode, each where the density is finite.
 
-    Args:
-        target: the density in whitened coordinates.
-        walkers: how many.
-        seed: of their places and of emcee.
-        away: standard deviation of the places in these coordinates.
+    `away` is the standard deviation of their places in whitened coordinates.
     """
     import emcee
 

@@ -22,11 +22,6 @@ _KINDS = ("corner", "trace", "rank", "bands")
 def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
     """Draw a picture of one kind and return its figure.
 
-    Args:
-        posterior: the draws.
-        kind: "corner", "trace", "rank" or "bands".
-        **options: of that kind of picture.
-
     Raises:
         ParameterError: an unknown kind.
         MissingExtraError: corner is not installed.

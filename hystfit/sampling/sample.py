@@ -171,13 +171,7 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
 
 
 def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
-    """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data.
-
-    Args:
-        setup: names the parameters.
-        draws: physical.
-        longest: samples of the longest record.
-    """
+    """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data."""
     middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
     time = middle.get("noise_time", 0.0)
     if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):

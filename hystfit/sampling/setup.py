@@ -67,9 +67,7 @@ class Setup:
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
     """The noise model to use, and notes on the choice.
 
-    Args:
-        residuals: of the fit.
-        choice: a noise model, or "auto" for slow noise unless the residuals need another.
+    "auto" takes slow noise unless the residuals need another.
     """
     diagnosis = diagnose(residuals)
     if choice != "auto":
@@ -143,9 +141,7 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
     """Widths of the bends of weights with one bound: their standard deviations given the other parameters, in natural sizes.
 
-    Args:
-        problem: with its noise model.
-        root: square root of the information matrix of the model's parameters, shape (p, p).
+    `root` is a square root of the information matrix of the model's parameters, shape (p, p).
     """
     space = problem.space
     soft = space.linear & ((space.kinds == LOWER) | (space.kinds == UPPER))
@@ -180,7 +176,7 @@ def checked(target: Target) -> Target:
         times = np.minimum(times, np.maximum(_WIDEST / np.linalg.norm(factor, axis=0), 1.0))
         if np.all(times == 1.0):
             break
-        target = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(factor * times))
+        target = target.whitened(target.center, jnp.asarray(factor * times))
     return target
 
 

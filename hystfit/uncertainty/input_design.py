@@ -18,7 +18,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
 from hystfit.inference.information import Moments
-from hystfit.models.base import simulate
+from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.quality.coverage import coverage_notes

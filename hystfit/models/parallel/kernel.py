@@ -124,13 +124,7 @@ def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:
 def _attempted(
     body: str, by_kernel: Callable[..., Any], by_scan: Callable[..., Any], arguments: tuple[Any, ...]
 ) -> Any:
-    """The result of the kernel; None where there is none.
-
-    Args:
-        body: of the scan, in words of JAX.
-        by_kernel, by_scan: of the arguments.
-        arguments: of traced values.
-    """
+    """The result of the kernel; None where there is none."""
     try:
         if interpreted():
             return by_kernel(*arguments)
@@ -151,10 +145,6 @@ _compiles: dict[str, bool] = {}  # whether the device's compiler accepted a kern
 
 def compiles(by_kernel: Callable[..., Any], shapes: tuple[Any, ...]) -> bool:
     """Whether the device's compiler accepts a kernel, with a warning where it does not: another device, or another version of JAX.
-
-    Args:
-        by_kernel: of arrays of these shapes.
-        shapes: of the arguments.
 
     Raises:
         UnsupportedError: there is no kernel for the body.
@@ -226,11 +216,7 @@ def in_kernel(
 ) -> tuple[list[Any], list[Any]]:
     """Carry at the end and outputs of all lanes, leading axis the lanes.
 
-    Args:
-        task: what to run.
-        consts, begin: of each lane, with a leading axis.
-        rows: with a leading axis for the lanes where `by_lane` says so, then T.
-        by_lane: of each of the rows.
+    Rows have a leading axis for the lanes where `by_lane` says so, then T.
 
     Raises:
         UnsupportedError: there is no kernel for the body.

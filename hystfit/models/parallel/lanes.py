@@ -72,11 +72,6 @@ class Lanes:
     def run(self, jaxpr: Any, consts: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Outputs of a jaxpr.
 
-        Args:
-            jaxpr: open, of JAX.
-            consts: of its constants.
-            values: of its arguments.
-
         Raises:
             UnsupportedError: an operation, or a number of them, for which a kernel is not the place.
         """

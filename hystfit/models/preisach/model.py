@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, get_args
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jax.core import Tracer
@@ -16,7 +15,6 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import drive
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
@@ -27,6 +25,7 @@ from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
 from hystfit.models.shapes import Scalar
+from hystfit.models.simulation import drive
 from hystfit.models.starting import input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of, param
@@ -202,14 +201,17 @@ class Preisach(AbstractPlane):
                 symmetric=self.symmetric,
                 margin=self.elements == "relays",
             )
-        w = jnp.full(self.w.shape, 0.5 * out.half / self.w.size)
-        slopes = jnp.full(self.slopes.shape, 0.5 * out.half / max(self.slopes.size, 1))
-        b = jnp.zeros_like(self.b).at[:1].set(0.5 * out.half)
-        half = max(abs(place.center + place.half - center), abs(place.center - place.half - center))
-        values = (w, levels, slopes, b, out.center, center, half)
-        arrays = tuple(jnp.asarray(value, dtype=self.w.dtype) for value in values)
-        model = dataclasses.replace(self, initial=initial)
-        return eqx.tree_at(lambda m: (m.w, m.levels, m.slopes, m.b, m.offset, m.center, m.half), model, arrays)
+        return dataclasses.replace(
+            self,
+            w=np.full(self.w.shape, 0.5 * out.half / self.w.size),
+            levels=levels,
+            slopes=np.full(self.slopes.shape, 0.5 * out.half / max(self.slopes.size, 1)),
+            b=np.where(np.arange(self.b.size) == 0, 0.5 * out.half, 0.0),
+            offset=out.center,
+            center=center,
+            half=max(abs(place.high - center), abs(place.low - center)),
+            initial=initial,
+        )
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the input leaves the levels, beyond which the model has no relays."""
@@ -345,9 +347,7 @@ def _start_at_an_end(records: Sequence[Record]) -> bool:
 def _smoothing(count: int, symmetric: bool | None = None) -> np.ndarray:
     """Penalty on second differences, with a small one on the weights themselves.
 
-    Args:
-        count: cells along each axis; number of slopes where `symmetric` is None.
-        symmetric: whether mirror images share a weight; None for slopes.
+    `count` is that of the cells along each axis, or where `symmetric` is None of the slopes.
     """
     rough = np.diff(np.eye(count), 2, axis=0) if symmetric is None else second_differences(count, symmetric)
     D = scipy.sparse.csr_array(rough)

@@ -206,10 +206,7 @@ def _undisturbed(u: np.ndarray, corners: np.ndarray, slack: float) -> list[tuple
 def orders(model: Preisach, record: Record, noise: float = 0.0) -> np.ndarray:
     """How many reversals the state remembers at every sample, for the model's initial state, shape (T,).
 
-    Args:
-        model: gives center and initial state.
-        record: its input counts.
-        noise: inputs closer than this part of the input's range count as equal.
+    Inputs closer than the part `noise` of the input's range count as equal.
     """
     center, step = float(model.center), noise * float(np.ptp(record.u))
     stairs = compile_input(np.round((record.u - center) / step) if step > 0 else record.u - center, model.initial)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +34,7 @@ class PreisachStep(AbstractStepInverse):
     knots: Float[Array, " k"]
     straight: Float[Array, " k"]
     excursion: Float[Array, " dense"]
-    needs_limits: bool = eqx.field(static=True, default=True)
+    needs_limits: ClassVar[bool] = True
 
     @classmethod
     def of(cls, model: AbstractPlane) -> PreisachStep:
