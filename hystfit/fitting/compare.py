@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -89,7 +89,7 @@ def compare(
     chosen = Candidates(tuple(named), "") if named else candidates(data)
     data = without_saturated(data)
     judge = _Judge(data, left_out, purpose, seed, named)
-    with _progress_or_default(progress) as update:
+    with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
         judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
     rows = _ranked(judge.rows, purpose)
     if not judge.fits:
@@ -120,16 +120,6 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
         count = sum(name == base or name.startswith(f"{base} (") for name in chosen)
         chosen[f"{base} ({count + 1})" if count else base] = choice
     return chosen
-
-
-@contextlib.contextmanager
-def _progress_or_default(progress: Callable[..., object] | None) -> Iterator[Callable[..., object]]:
-    """The caller's progress function, or one that prints to a terminal or notebook."""
-    if progress is not None:
-        yield progress
-        return
-    with shown_progress("comparing models") as update:
-        yield update
 
 
 class _Shown:

@@ -82,21 +82,21 @@ def uncertainty(
     rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
     at_bound, acts = problem.on_bound(x), _acting(problem, x, rows)
     live, relative = acts & ~at_bound, relative_size(problem.space, x)
-    columns = lambda: chosen(jacobian, used)[:, live] * relative[live]
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if live.sum() <= FEW else None)
+    live_columns = lambda: chosen(jacobian, used)[:, live] * relative[live]
+    analysis = ResidualAnalysis.of(problem.setting, residual * y, live_columns if live.sum() <= FEW else None)
     plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
-        measured = chosen(jacobian, used)[:, acts]
-        measured *= y
-        part = least_squares_root(analysis.of_errors, measured, overwrite=True)
-        root = np.zeros((len(part), x.size))
-        root[:, acts] = part
+        acting = chosen(jacobian, used)[:, acts]
+        acting *= y
+        root_of_acting = least_squares_root(analysis.of_errors, acting, overwrite=True)
+        root = np.zeros((len(root_of_acting), x.size))
+        root[:, acts] = root_of_acting
     time = analysis.correlation_time if correlated or refined else 1.0
     if root is None:
         ratio, information = float(np.sqrt(time)), Information(rows, plain * time, ridge)
     else:
-        ratio = mean_error_ratio(root[:, live] * relative[live], columns(), plain)
+        ratio = mean_error_ratio(root[:, live] * relative[live], live_columns(), plain)
         information = Information(root, 1.0, ridge / plain)
     inside = None
     if live.any() and plain > 0:

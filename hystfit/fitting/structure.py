@@ -1,4 +1,4 @@
-"""Which terms do the data ask for? A greedy search over the Prandtl-Ishlinskii family, judged on blocks left out.
+"""Greedy search for the terms of a Prandtl-Ishlinskii model, judged on blocks left out.
 
 Plays or stops, one envelope or three, the degree of the single-valued part, a lag, creep, forces of the input's rate,
 hardening: given the lag all of them are columns of one linear system, so that a candidate costs one ridge solve.
@@ -131,7 +131,7 @@ class Found:
 
 
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
-    """The search below; where the output has a delay or falls, of the delayed input or that of the opposite sign; arguments as there."""
+    """Search for the terms of a model: on the delayed or negated input where the output has a delay or falls as the input rises."""
     records = [summarize(record) for record in data]
     before = [Delay().start(list(data))] * delayed(records) + [Negate()] * falling(records)
     if not before:

@@ -24,7 +24,7 @@ _CHANGE = 0.01  # largest relative change of a parameter over a block of a filte
 
 
 class BlockVerdict(NamedTuple):
-    """How a filter did over one block.
+    """Performance of a filter over one block.
 
     Attributes:
         change: largest relative change of a parameter.
@@ -39,7 +39,7 @@ class BlockVerdict(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether the parameters stay, the innovations have their predicted size, and the model predicts the block."""
+        """Whether the parameters have settled, the innovations have their predicted size, and the model predicts the block."""
         consistent = abs(self.innovations - 1) <= NIS_BAND
         return self.change <= _CHANGE and consistent and self.ahead <= FOLLOWS
 
@@ -67,8 +67,8 @@ def judge_block(ukf: Ukf, before: UkfState, after: UkfState, block: Sample, reco
 def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
     """Filter a record block by block, as it arrives, until the filter has converged.
 
-    It has when the input has had several amplitudes and a block was predicted, before it was used, by settled parameters with
-    consistent innovations (`BlockVerdict`). The later samples are not used.
+    The filter has converged when the input has run through several amplitudes, and settled parameters with consistent innovations
+    have predicted a block before using it (`BlockVerdict`). Later samples are not used.
 
     Args:
         ukf: the filter; its scales may come from an earlier record.
@@ -76,7 +76,7 @@ def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
         block: samples between verdicts, a loop or more (2 s at 1 Hz).
 
     Returns:
-        The identification from the samples up to that block: `counts["total"]` of them. "not-converged" where there was none.
+        The identification from the samples up to that block, `counts["total"]` of them; "not-converged" where there is no such block.
 
     Raises:
         ParameterError: fewer samples than one block.

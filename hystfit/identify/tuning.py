@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,8 +13,10 @@ from jaxtyping import Array
 
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
+from hystfit.identify.base import free_only
 from hystfit.identify.identification import free_runs, run_metrics
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import noise_rms
@@ -36,6 +38,31 @@ def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> 
         return float(noise)
     estimates = [rms for rms, _ in (noise_rms(record.y) for record in data) if rms is not None]
     return max([_QUIETEST * half_range, *estimates])
+
+
+def identified_space(
+    model: AbstractHysteresis,
+    data: Dataset,
+    *,
+    fix: Sequence[str] | Mapping[str, float],
+    free: Sequence[str],
+    only: Sequence[str] | None,
+) -> ParameterSpace:
+    """The parameters that a filter identifies: those of `only`, or by default all but `fix`, with `free`.
+
+    Raises:
+        ParameterError: an unknown name, `only` together with the others, or no free parameter.
+    """
+    if only is not None and (fix or free):
+        raise ParameterError("only names all free parameters: leave fix and free out, or leave only out")
+    if only is not None:
+        space = free_only(model, only, data)
+    else:
+        records = [record.name for record in data]
+        space = ParameterSpace.of(model, fix=fix, free=free, scales=scales_of(data), records=records)
+    if not len(space):
+        raise ParameterError("every parameter is fixed: there is nothing to identify (use predict)")
+    return space
 
 
 @eqx.filter_jit

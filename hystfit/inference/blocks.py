@@ -1,4 +1,4 @@
-"""Linear algebra on long records in blocks of rows or columns: next to the data, memory holds what is asked for and one block."""
+"""Linear algebra on long records by blocks of rows or columns: memory holds the result and one block besides the data."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def parts(size: int, other: int) -> Iterator[slice]:
 
 
 def chosen(rows: np.ndarray, on: np.ndarray) -> np.ndarray:
-    """rows[on] for a mask on, shape (n,): a view where the rows chosen are the first ones, as they are of one padded record."""
+    """rows[on] for a mask of shape (n,); a view where the mask selects the first rows, as in one padded record."""
     count = int(np.count_nonzero(on))
     return rows[:count] if on[:count].all() else rows[on]
 
@@ -74,7 +74,7 @@ def triangle(
 
 
 def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:
-    """X' apply(X) for columns X that stay where they are, with `apply` on as many of them at once as fit a block.
+    """X' apply(X) without a copy of the columns X; `apply` gets as many of them at once as fit into a block.
 
     The columns have shapes (n, k_i) or (n,); `apply` gets them in Fortran order, as LAPACK takes them.
     """

@@ -1,4 +1,4 @@
-"""Information about parameters under the noise behind the standard errors of a fit, traced: present data and inputs still to be measured.
+"""Information about parameters under the noise of a fit, traced: from present data, and from inputs still to be measured.
 
 Moments of records add up, and the covariance of all parameters follows from their sum. For one set of records the covariance is that of
 `fitting.covariance`.
@@ -134,7 +134,7 @@ class LikelihoodInformation(AbstractInformation):
         return e[:, :p].T @ e[:, :p], e[:, :p].T @ e[:, p:], e[:, p:].T @ e[:, p:]
 
     def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
-        """Inverse of the information that is left after the shapes are eliminated."""
+        """Inverse of the information after elimination of the shapes."""
         square, cross, shapes = moments
         if cross.shape[1]:
             square = square - cross @ jnp.linalg.solve(jnp.eye(cross.shape[1]) + shapes, cross.T)

@@ -159,9 +159,9 @@ def _linearize(objective: Objective, x: Array, directions: Array | None) -> tupl
 def linearized(
     objective: Objective, x: Any, at: np.ndarray | None = None
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
-    """`Objective.linearize` on the host, by one compiled program for all uses; 0 for derivatives whose squares cannot be added.
+    """`Objective.linearize` on the host, by one compiled program for all uses; derivatives too large to be squared are set to 0.
 
-    On long records as many derivatives at once as fit a block, one program for all groups.
+    On long records it computes as many derivatives at once as fit into a block, by one program for all groups.
 
     Args:
         objective: what is fitted.
@@ -185,7 +185,7 @@ def linearized(
 
 
 def _flat(jacobian: np.ndarray) -> np.ndarray:
-    """A Jacobian with 0 at a root at zero, or in a simulation beyond its stable range."""
+    """A Jacobian whose infinite entries (a root at zero, an unstable simulation) are set to 0."""
     if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
         return jacobian
     return np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)

@@ -97,7 +97,7 @@ class Problem:
         self.priors: tuple[AbstractPrior, ...] = ()
 
     def prepared(self, record: Record) -> Record:
-        """The record as it is fitted: see the model; where its initial state is free, it starts there and not in a steady period."""
+        """The record as the model prepares it; with a free initial state, without the steady period that would come before it."""
         ready, count = self.model.prepared(record), len(record)
         if len(ready) == count or not any(info.per_record and info.fixed for info in self.space.infos):
             return ready

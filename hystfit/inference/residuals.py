@@ -106,7 +106,7 @@ class ResidualAnalysis:
 
     @property
     def of_errors(self) -> SlowNoiseFit | None:
-        """`noise` where least-squares errors allow for it: for correlated residuals, with the derivatives of the parameters."""
+        """`noise` for the errors of a least-squares fit; None for uncorrelated residuals, or without the parameters' derivatives."""
         return self.noise if self.correlated and self.basis.shape[1] else None
 
     @functools.cached_property

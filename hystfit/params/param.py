@@ -85,7 +85,7 @@ def _float_type() -> Any:
 
 @functools.lru_cache(maxsize=1024)
 def _number(value: float, sign: float, dtype: Any) -> jax.Array:
-    """A number as an array. Arrays cannot be changed, so that models share them: making one takes longer than a model may.
+    """A number as an array, made once and shared: arrays are immutable, and making them would dominate the time to build a model.
 
     `sign` tells 0.0 from -0.0, which are equal as keys.
     """

@@ -25,6 +25,16 @@ from hystfit.sampling.diagnostics import Convergence
 SCHEMA = "hystfit.sample/3"
 
 
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _quantiles(values: np.ndarray) -> dict[str, Any]:
+    """Median and 95 % interval."""
+    levels = {"lower": 0.025, "median": 0.5, "upper": 0.975}
+    return dict(zip(levels, map(_finite, np.quantile(values, list(levels.values()))), strict=True))
+
+
 def _view(name: str) -> Any:
     """A function of a posterior that its methods call; bound late, because those modules import this one."""
     return attribute(f"hystfit.sampling.{name}")
@@ -78,39 +88,26 @@ class Posterior(WithStatus):
 
     def table(self) -> list[dict[str, Any]]:
         """One row a parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
-        finite = lambda v: float(v) if np.isfinite(v) else None
         rows = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             flat = self.draws[:, :, k].ravel()
-            low, median, high = np.quantile(flat, [0.025, 0.5, 0.975])
-            row = {"name": name, "unit": unit, "mean": finite(flat.mean()), "sd": finite(flat.std(ddof=1))}
-            row |= {"lower": finite(low), "median": finite(median), "upper": finite(high)}
-            row |= {k_: finite(getattr(self.convergence, k_)[k]) for k_ in ("rhat", "bulk", "tail")}
-            rows.append(row)
+            moments = {"mean": _finite(flat.mean()), "sd": _finite(flat.std(ddof=1))}
+            checks = {check: _finite(getattr(self.convergence, check)[k]) for check in ("rhat", "bulk", "tail")}
+            rows.append({"name": name, "unit": unit} | moments | _quantiles(flat) | checks)
         return rows
 
     def summary(self) -> Table:
         """`table` for people."""
-        heads = (
-            ("mean", ".5g"),
-            ("sd", ".5g"),
-            ("2.5 %", ".5g"),
-            ("97.5 %", ".5g"),
-            ("R-hat", ".3f"),
-            ("bulk", ".0f"),
-            ("tail", ".0f"),
-        )
-        columns = [Column(""), *(Column(head, form=form) for head, form in heads), Column("", key="unit", left=True)]
+        numbers = [Column(head, form=".5g") for head in ("mean", "sd", "2.5 %", "97.5 %")]
+        checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
+        columns = [Column(""), *numbers, *checks, Column("", key="unit", left=True)]
         keys = ("name", "mean", "sd", "lower", "upper", "rhat", "bulk", "tail", "unit")
         return Table(columns, [[row[key] for key in keys] for row in self.table()])
 
     def derived_table(self) -> Table:
         """Derived quantities for people."""
-        columns = [
-            Column(""),
-            *(Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")),
-            Column("", "unit", left=True),
-        ]
+        numbers = [Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")]
+        columns = [Column(""), *numbers, Column("", "unit", left=True)]
         keys = ("name", "median", "lower", "upper", "unit")
         return Table(columns, [[row[key] for key in keys] for row in self.derived_rows])
 
@@ -220,13 +217,11 @@ class Posterior(WithStatus):
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:
         """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
-        finite = lambda v: float(v) if np.isfinite(v) else None
         rows = []
         for name, values in self.derived().items():
-            low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
-            one = QUANTITIES[name]
-            row = {"name": name, "unit": one.units(self.result.data), "median": finite(median), "lower": finite(low)}
-            rows.append(row | {"upper": finite(high), "about": one.doc})
+            quantity = QUANTITIES[name]
+            unit = quantity.units(self.result.data)
+            rows.append({"name": name, "unit": unit} | _quantiles(values) | {"about": quantity.doc})
         return rows
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:

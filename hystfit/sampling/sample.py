@@ -81,13 +81,8 @@ def sample(
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)
     problems = convergence.problems(setup.names)
     drift = drift_notes(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
-    status = Status.OK
-    if problems or not raw.complete or not np.isfinite(draws).all():
-        status = Status.NOT_CONVERGED
-    elif result.status in (Status.POOR, Status.NO_LOOP):
-        status = Status.POOR_FIT
-    elif has((*drift, *setup.notes), Code.INCOMPLETE) or result.status is Status.ROUGH:
-        status = Status.INCOMPLETE
+    converged = not problems and raw.complete and bool(np.isfinite(draws).all())
+    status = _status(result, converged, incomplete=has((*drift, *setup.notes), Code.INCOMPLETE))
     return Posterior(
         result=result,
         sampler=chosen.name,
@@ -100,13 +95,13 @@ def sample(
         convergence=convergence,
         status=status,
         notes=(
-            *_of_the_fit(result),
+            *_fit_status_notes(result),
             *drift,
             *setup.notes,
             *raw.notes,
             *problems,
             *prior_dominated_notes(setup, draws),
-            *_beside_fit(result, setup, draws),
+            *_agreement_notes(result, setup, draws),
         ),
         priors=setup.describe_priors(),
         seconds=seconds,
@@ -114,6 +109,15 @@ def sample(
         provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),
         evidence=raw.evidence,
     )
+
+
+def _status(result: FitResult, converged: bool, *, incomplete: bool) -> Status:
+    """The first obstacle to using the draws; `incomplete` where the residuals show what the model lacks."""
+    if not converged:
+        return Status.NOT_CONVERGED
+    if result.status in (Status.POOR, Status.NO_LOOP):
+        return Status.POOR_FIT
+    return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK
 
 
 def _make(sampler: str | type[AbstractSampler] | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
@@ -184,7 +188,7 @@ def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longes
     return [warn(Code.INCOMPLETE, text)]
 
 
-def _beside_fit(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+def _agreement_notes(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """A note where the draws are wider or narrower than the standard errors of the fit."""
     wide = draws.reshape(-1, draws.shape[-1]).std(axis=0)
     errors = {name: float(sd) for name, sd in zip(setup.names, wide, strict=True) if np.isfinite(sd)}
@@ -200,7 +204,7 @@ def _beside_fit(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chain
     return differences(result, errors, "the posterior", reason)
 
 
-def _of_the_fit(result: FitResult) -> list[Note]:
+def _fit_status_notes(result: FitResult) -> list[Note]:
     """A note where the fit itself is not usable."""
     if result.usable:
         return []

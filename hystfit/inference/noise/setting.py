@@ -35,7 +35,7 @@ class Setting(eqx.Module):
 
     @classmethod
     def of(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:
-        """The setting of a batch; records without time are taken as evenly sampled. `limits` of the input, by default the batch's own."""
+        """The setting of a batch; records without time count as evenly sampled. `limits` are those of the input, by default the batch's."""
         u, dt, weight = (np.asarray(v) for v in (batch.u, batch.dt, batch.weight))
         low, high = limits or (float(u.min()), float(u.max()))
         typical = median_interval(dt) or 1.0
