@@ -106,7 +106,8 @@ def uncertainty(
         if near is not None:
             share = np.ones(x.size)
             if estimate.toward_zero and not refined:
-                share[acts] = near.share(np.unique(_arrays(problem)[acts], return_inverse=True)[1])
+                arrays = np.array([name.split("[")[0] for name in problem.space.names])
+                share[acts] = near.share(np.unique(arrays[acts], return_inverse=True)[1])
             inside = near.moments(share, acts)
             information = information._replace(ridge=share * information.ridge)
     determined = _determined(problem, x, information, live, inside)
@@ -119,11 +120,6 @@ def uncertainty(
         sigma=float(np.sqrt(plain)) * y,
         residuals=analysis,
     )
-
-
-def _arrays(problem: Problem) -> np.ndarray:
-    """Name of the array that each parameter belongs to, shape (p,)."""
-    return np.array([name.split("[")[0] for name in problem.space.names])
 
 
 def _acting(problem: Problem, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -155,7 +151,9 @@ def _determined(
     full = full @ full.T if inside is None else inside[np.ix_(at, at)]
     joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
     touched = _touched(open_axes, spreads[wide], (space.kinds == BOTH)[live])
-    reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > _room(problem, x)[live])
+    # Linear weights may well be zero.
+    room = np.where(space.linear, np.inf, np.minimum(*distances_to_bounds(problem, x)))
+    reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > room[live])
     touched |= reaching
     nonlinear = ~space.linear[live]
     if 2 * np.count_nonzero(nonlinear & ~touched) < np.count_nonzero(~space.linear):
@@ -214,11 +212,6 @@ def _touched(open_axes: np.ndarray, spreads: np.ndarray, two_sided: np.ndarray) 
     moved = np.abs(open_axes[:, limited]) * np.sqrt(spreads[limited[: spreads.size]])
     largest = lambda components: components.max(axis=1, initial=0.0)
     return (largest(np.abs(open_axes[:, ~limited])) > _TOUCHED) | (largest(moved) > _MOVED)
-
-
-def _room(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Distance of each parameter to its nearest bound; infinite without one, and for linear weights, which may well be zero."""
-    return np.where(problem.space.linear, np.inf, np.minimum(*distances_to_bounds(problem, x)))
 
 
 def describe(direction: np.ndarray, names: list[str]) -> str:

@@ -128,7 +128,8 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
 def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refined:
     p, space = len(problem.space), problem.noise_space
     assert space is not None
-    start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), _z_of(space, problem)])
+    z_of_noise = space.unconstrained(space.vector(problem.noise))
+    start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), z_of_noise])
     best = _fit_jointly(problem.density, jnp.asarray(start), jnp.asarray(x), jnp.asarray(moving))
     x = np.where(moving, problem.space.physical(best.z[:p]), x)
     noise: AbstractNoise = space.tree(best.z[p:])
@@ -136,10 +137,6 @@ def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refi
     r, J = problem.linearize(x)
     root = _information_root(problem.whitened(White(noise_white=noise.gaussian_scale())), r, J)
     return Refined(x, problem, space.physical(best.z[p:]), root, bool(best.converged))
-
-
-def _z_of(space: ParameterSpace, problem: Problem) -> np.ndarray:
-    return space.unconstrained(space.vector(problem.noise))
 
 
 @compiled

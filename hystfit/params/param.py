@@ -60,8 +60,11 @@ def as_array(value: Any) -> Any:
     if type(value) is float:
         return _number(value, math.copysign(1.0, value), _float_type())
     whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
+    traced = isinstance(value, (list, tuple)) and any(
+        isinstance(element, jax.core.Tracer) for element in jax.tree_util.tree_leaves(value)
+    )
     try:
-        if whole or (isinstance(value, (list, tuple)) and _holds_traced(value)):
+        if whole or traced:
             if jnp.iscomplexobj(value):
                 raise TypeError("complex")
             return jnp.asarray(value, dtype=_float_type())
@@ -73,10 +76,6 @@ def as_array(value: Any) -> Any:
     except (TypeError, ValueError) as error:
         raise ParameterError(f"a parameter must be a real number or an array of them, got {value!r}") from error
     return value
-
-
-def _holds_traced(values: Any) -> bool:
-    return any(isinstance(value, jax.core.Tracer) for value in jax.tree_util.tree_leaves(values))
 
 
 def _float_type() -> Any:

@@ -183,11 +183,6 @@ def _value(target: Target, q: Array) -> Array:
     return target(q)
 
 
-def _kernel() -> Any:
-    blackjax = optional("blackjax", "bayes", "sampling by NUTS")
-    return blackjax.nuts.build_kernel(), blackjax.nuts.init
-
-
 class Tuning(NamedTuple):
     """State of the dual averaging of the step size (Hoffman and Gelman 2014, section 3.2), logarithms."""
 
@@ -229,8 +224,8 @@ def advance(
 
     The step size is tuned for the acceptance `goal`; trajectories double at most `depth` times.
     """
-    kernel, init = _kernel()
-    mass = jnp.ones_like(q)
+    nuts = optional("blackjax", "bayes", "sampling by NUTS").nuts
+    kernel, mass = nuts.build_kernel(), jnp.ones_like(q)
 
     def once(carry: tuple[Any, Tuning], at: tuple[Array, Array]) -> tuple[tuple[Any, Tuning], tuple[Array, ...]]:
         (state, tuning), (key, adapts) = carry, at
@@ -242,5 +237,5 @@ def advance(
         return (state, tuning), out
 
     ahead = (jax.random.split(key, steps), jnp.broadcast_to(adapting, (steps,)))
-    (_, tuning), out = jax.lax.scan(once, (init(q, target), tuning), ahead)
+    (_, tuning), out = jax.lax.scan(once, (nuts.init(q, target), tuning), ahead)
     return out, tuning

@@ -103,7 +103,7 @@ def sample(
             *prior_dominated_notes(setup, draws),
             *_agreement_notes(result, setup, draws),
         ),
-        priors=setup.describe_priors(),
+        priors={name: str(prior) for name, prior in zip(setup.names, setup.problem.priors, strict=True)},
         seconds=seconds,
         seed=seed,
         provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),

@@ -59,10 +59,6 @@ class Setup:
         """Names of all parameters."""
         return self.problem.names
 
-    def describe_priors(self) -> dict[str, str]:
-        """Priors in words, by parameter."""
-        return {name: str(prior) for name, prior in zip(self.names, self.problem.priors, strict=True)}
-
 
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
     """The noise model to use, and notes on the choice.

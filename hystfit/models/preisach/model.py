@@ -119,9 +119,9 @@ class Preisach(AbstractPlane):
             raise ModelError(
                 f"slopes must have no value or {self.intervals}, one an interval, got shape {self.slopes.shape}"
             )
-        levels = self.levels
-        if eqx.is_array(levels) and not _traced(levels):
-            check_levels(np.asarray(levels), float(self.center) if not _traced(self.center) else None, self.symmetric)
+        if eqx.is_array(self.levels) and not isinstance(self.levels, Tracer):
+            center = None if isinstance(self.center, Tracer) else float(self.center)
+            check_levels(np.asarray(self.levels), center, self.symmetric)
 
     @classmethod
     def of(
@@ -354,7 +354,3 @@ def _smoothing(count: int, symmetric: bool | None = None) -> np.ndarray:
     matrix = (D.T @ D).toarray() + _RIDGE * np.eye(rough.shape[1])
     matrix.flags.writeable = False
     return matrix
-
-
-def _traced(value: object) -> bool:
-    return isinstance(value, Tracer)
