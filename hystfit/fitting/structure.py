@@ -79,29 +79,22 @@ class Structure:
 
     def change_from(self, other: Structure) -> str:
         """The one term in which it differs from another structure, in words."""
-        field = next(f.name for f in dataclasses.fields(self) if getattr(self, f.name) != getattr(other, f.name))
-        match field:
-            case "operator":
-                return f"{self.operator}s instead of {other.operator}s"
-            case "envelopes":
-                return (
-                    "one envelope for symmetric loops"
-                    if self.envelopes == 1
-                    else "three envelopes for asymmetric loops"
-                )
-            case "degree":
-                return f"a single-valued part of degree {self.degree}"
-            case "rest":
-                return f"rest on the {'first input' if self.rest == 'first' else 'input 0'} before the record"
-            case "lag":
-                return f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag"
-            case "creep":
-                return f"{'adding' if self.creep else 'leaving out'} creep"
-            case "hardening":
-                return (
-                    f"hardening over {self.hardening} input ranges" if self.hardening else "leaving out the hardening"
-                )
-        return ("leaving out forces of the rate", "a viscous force", "a viscous and a saturating force")[self.rate]
+        envelopes = (
+            "one envelope for symmetric loops" if self.envelopes == 1 else "three envelopes for asymmetric loops"
+        )
+        hardening = f"hardening over {self.hardening} input ranges" if self.hardening else "leaving out the hardening"
+        rates = ("leaving out forces of the rate", "a viscous force", "a viscous and a saturating force")
+        words = {
+            "operator": f"{self.operator}s instead of {other.operator}s",
+            "envelopes": envelopes,
+            "degree": f"a single-valued part of degree {self.degree}",
+            "rest": f"rest on the {'first input' if self.rest == 'first' else 'input 0'} before the record",
+            "lag": f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag",
+            "creep": f"{'adding' if self.creep else 'leaving out'} creep",
+            "rate": rates[self.rate],
+            "hardening": hardening,
+        }
+        return next(text for field, text in words.items() if getattr(self, field) != getattr(other, field))
 
 
 @dataclasses.dataclass(frozen=True)

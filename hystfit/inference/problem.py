@@ -25,7 +25,7 @@ from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.one_device import check_one_device
+from hystfit.models.simulation import check_one_device
 from hystfit.models.starting import scales_of
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace

@@ -14,8 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from hystfit.config import require_x64
-from hystfit.errors import ModelError
-from hystfit.models.one_device import check_one_device
+from hystfit.errors import ModelError, ParameterError
 from hystfit.models.parallel.associative import StateMap, sweep_at_once
 from hystfit.models.parallel.kernel import scan
 from hystfit.models.parallel.route import Route, route
@@ -211,3 +210,23 @@ def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) ->
     """`run`, compiled."""
     y, end = run(model, u, dt, resume)
     return y, *end
+
+
+def check_one_device(model: Any) -> None:
+    """Refuse a model whose parameters have a leading axis, one element a device.
+
+    Raises:
+        ParameterError: it is not one device.
+    """
+    if any(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(model)):
+        return
+    zero = jnp.zeros(())
+    try:
+        shape = jax.eval_shape(lambda m: m.step(m.init(zero), zero, zero, zero)[1], model).shape
+    except (TypeError, ValueError):
+        shape = None
+    if shape != ():
+        raise ParameterError(
+            f"{type(model).__name__} holds several devices: take one by jax.tree.map(lambda leaf: leaf[0], model), or make them "
+            "by Actuator.population or Stage.population"
+        )
