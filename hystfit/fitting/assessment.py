@@ -1,4 +1,4 @@
-"""Notes beside the numbers of a fit: what is not determined, which bounds were reached, what the errors include."""
+"""Notes on the numbers of a fit: what is not determined, which bounds were reached, what the errors include."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class LeastSquares(AbstractEstimator):
             objective = short
             settings = dataclasses.replace(self, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
         ended = settings._run(objective, starts)
-        # The first start goes on too: another basin may be ahead after few steps.
+        # The first start continues too: another basin may be ahead after few steps.
         for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
             settings._continue(objective, ended, number)
         costs, steps = ended.cost, int(ended.evaluations.sum())

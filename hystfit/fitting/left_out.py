@@ -52,7 +52,7 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
 
 
 def _futures(problem: Problem) -> list[tuple[list[np.ndarray], list[np.ndarray]]]:
-    """(samples to fit, samples to predict), one mask a record, for each part of the future."""
+    """(samples to fit, samples to predict), one mask per record, for each part of the future."""
     parts = [record.blocks(_PARTS) for record in problem.data]
     before = lambda k: [np.any(blocks[:k], axis=0) for blocks in parts]
     return [(before(k), [blocks[k] for blocks in parts]) for k in range(2, _PARTS)]

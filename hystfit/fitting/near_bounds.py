@@ -127,7 +127,7 @@ class NearBounds(NamedTuple):
 
 
 def centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns less what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
+    """Columns without what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
 
     Columns of offsets stay, as do columns that the offsets explain altogether.
     """

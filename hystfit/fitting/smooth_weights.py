@@ -81,7 +81,7 @@ class SmoothWeights(AbstractEstimator):
         if others.size > _FEW:
             names = ", ".join(problem.space.names[k] for k in others[:_FEW])
             raise ModelError(
-                f"smooth weights are fitted beside at most {_FEW} other parameters, and {others.size} are free ({names}, ...): "
+                f"smooth weights are fitted together with at most {_FEW} other parameters, and {others.size} are free ({names}, ...): "
                 "fix some, or use method='trf'"
             )
         strength = fit_smooth(first.system, self.smoothness, held=first.held).smoothness
@@ -90,7 +90,7 @@ class SmoothWeights(AbstractEstimator):
             now = split(x)
             return float(np.log(fit_smooth(now.system, (strength,), held=now.held).cost + 1e-300))
 
-        # The tolerances are small beside the standard errors: the cost of n samples rises by 1 / n over one of them.
+        # The tolerances are small compared with the standard errors: the cost of n samples rises by 1 / n over one of them.
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 

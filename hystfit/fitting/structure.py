@@ -40,13 +40,13 @@ _ALL = get_args(Envelope)
 _PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
 _FEWEST_RANGES = 4  # that the input runs through, so that later cycles can differ from the first one
 _FEWEST = 3  # plays, however few the samples are
-# Terms beside plays and stops, and the name of their weight.
+# Terms besides plays and stops, and the name of their weight.
 _BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
     "creep": (LinearCreep, "a[0]"),
     "viscous": (Viscous, "c"),
     "saturating": (SaturatingRate, "F"),
 }
-_LEVELS = 200  # inputs closer than this part of their range count as one
+_LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Structure:
     hardening: int = 0
 
     def columns(self, plays: int, records: int) -> int:
-        """Number of weights with this many plays, one offset a record included."""
+        """Number of weights with this many plays, one offset per record included."""
         return plays * (self.envelopes + (self.hardening > 0)) + self.degree + records + self.creep + self.rate
 
     def change_from(self, other: Structure) -> str:
@@ -298,7 +298,7 @@ class Terms:
 
     @functools.cached_property
     def _offset(self) -> _Term:
-        """One column of ones a record."""
+        """One column of ones per record."""
         record = np.repeat(np.arange(len(self.data)), [len(record) for record in self.data])
         return _Term(self._weighted(np.eye(len(self.data))[record]), free=True, ridged=False)
 
@@ -308,7 +308,7 @@ class Terms:
         return self.data.map(lambda record: record.replace(u=_output(through, record))) if lag else self.data
 
     def _positions_of(self, rest: Rest, lag: float) -> list[tuple[np.ndarray, float]]:
-        """Input of each record in parts of the range, and where it rested before."""
+        """Input of each record as a fraction of the range, and where it rested before."""
         records = list(self._lagged(rest, lag))
         place = fitted_input_range(records)
         low, high = place.center - place.half, place.center + place.half

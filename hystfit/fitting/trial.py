@@ -17,7 +17,7 @@ from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
-_OFFSET = 0.5  # part of the test error that remains, below which a constant offset explains it
+_OFFSET = 0.5  # fraction of the test error that remains, below which a constant offset explains it
 _LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
 
 

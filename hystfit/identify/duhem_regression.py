@@ -262,7 +262,7 @@ class LinearIdentifier(AbstractIdentifier):
 
     @abc.abstractmethod
     def correct(self, state: Any, phi: Float[Array, " p"], error: Scalar) -> Any:
-        """The state after a row of the regression: its regressors, and its response less that of the parameters so far."""
+        """The state after a row of the regression: its regressors, and its response minus the one predicted by the parameters so far."""
 
     @abc.abstractmethod
     def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:

@@ -13,7 +13,7 @@ from hystfit.outcome.note import warn
 from hystfit.quality.loops import reversals
 
 NIS_BAND = 0.2  # how far the mean normalized innovation squared of a consistent filter may lie from 1
-FOLLOWS = 0.01  # simulation error beyond the noise, RMS in parts of the output's range
+FOLLOWS = 0.01  # simulation error beyond the noise, RMS as a fraction of the output's range
 _NIS_SIGMAS = 3.0  # standard deviations of that mean which are allowed where its samples are few
 _SETTLED = 1e-3  # largest relative change of a parameter over the last tenth of the record
 
@@ -33,7 +33,7 @@ def unsettled(names: Sequence[str], change: np.ndarray) -> Note | None:
 
 
 def excess(rmse: float, noise: float, span: float) -> float:
-    """Simulation error beyond the noise, in parts of the output's range.
+    """Simulation error beyond the noise, as a fraction of the output's range.
 
     `rmse` is that of the simulation, `noise` the standard deviation of the measurement, `span` the output's range [y].
     """

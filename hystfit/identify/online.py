@@ -29,7 +29,7 @@ class BlockVerdict(NamedTuple):
     Attributes:
         change: largest relative change of a parameter.
         innovations: moving average of the normalized innovation squared.
-        ahead: simulation error beyond the noise, RMS in parts of the output's range, of the model with the parameters from before
+        ahead: simulation error beyond the noise, RMS as a fraction of the output's range, of the model with the parameters from before
             the block: a prediction, because it has not used the block.
     """
 

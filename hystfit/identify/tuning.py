@@ -21,7 +21,7 @@ from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import noise_rms
 
-_QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range
+_QUIETEST = 1e-4  # least measurement noise, as a fraction of the output's half range
 
 
 def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> float:

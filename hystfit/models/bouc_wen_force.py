@@ -24,7 +24,7 @@ from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _SUBSTEPS = 2
-_TRUSTED = 0.25  # part of the yield displacement in one substep up to which the error stays near 0.1 % of the range
+_TRUSTED = 0.25  # fraction of the yield displacement in one substep up to which the error stays near 0.1 % of the range
 
 
 class BoucWenForce(AbstractHysteresis):
@@ -58,7 +58,7 @@ class BoucWenForce(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if self.substeps < 1:
-            raise ModelError(f"at least one substep a sample is needed, got {self.substeps}")
+            raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
 
     def init(self, u0: Scalar) -> State:
         """State: w, shape (1,)."""

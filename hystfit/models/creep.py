@@ -61,7 +61,7 @@ class LogCreep(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if hasattr(self.tau, "shape") and hasattr(self.weights, "shape") and self.tau.shape != self.weights.shape:
-            raise ModelError(f"one weight a time constant: got {self.weights.shape} and {self.tau.shape}")
+            raise ModelError(f"one weight per time constant: got {self.weights.shape} and {self.tau.shape}")
 
     @classmethod
     def spanning(cls, shortest: float, longest: float, **fields: object) -> LogCreep:
@@ -129,7 +129,7 @@ class LogCreep(AbstractHysteresis):
         return CreepStep(self)
 
     def c_part(self) -> CPart:
-        """One recursion a relaxation."""
+        """One recursion per relaxation."""
         modes = int(self.tau.shape[0])
         numbers = {"SPAN": self.span, "BASE": self.base, "MODES": modes, "DEGREE": int(self.gamma.shape[0]) - 1}
         arrays = {"gamma": self.gamma, "weights": self.weights, "tau": self.tau}
@@ -137,7 +137,7 @@ class LogCreep(AbstractHysteresis):
 
 
 class CreepStep(AbstractStepInverse):
-    """Inverse of `LogCreep` (Minase et al. 2010, eq. (19)): target less the remaining relaxations, over the gain of one sample."""
+    """Inverse of `LogCreep` (Minase et al. 2010, eq. (19)): (target - remaining relaxations) / gain of one sample."""
 
     model: LogCreep
     needs_limits: ClassVar[bool] = False
@@ -199,7 +199,7 @@ class LinearCreep(AbstractHysteresis):
     def __check_init__(self) -> None:
         check_rest(self.rest)
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape not in ((1,), self.tau.shape):
-            raise ModelError(f"one weight for all or one a time constant {self.tau.shape}: got {self.a.shape}")
+            raise ModelError(f"one weight for all or one per time constant {self.tau.shape}: got {self.a.shape}")
 
     def init(self, u0: Scalar) -> State:
         """State: the relaxations, at rest."""
@@ -233,7 +233,7 @@ class LinearCreep(AbstractHysteresis):
         return dataclasses.replace(self, a=jnp.zeros_like(self.a))
 
     def c_part(self) -> CPart:
-        """One recursion a relaxation."""
+        """One recursion per relaxation."""
         modes = int(self.tau.shape[0])
         numbers = {"LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
         numbers |= {"FIRST": int(self.rest == "first"), "MODES": modes}

@@ -15,7 +15,7 @@ from hystfit.reading.in_memory import records_of
 
 _FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")
 _SYMMETRIC = 5.0  # percent of the stroke up to which a loop counts as symmetric about its center
-_CENTERED = 0.2  # distance of the middle of the input from 0, in parts of its range, up to which it counts as centered
+_CENTERED = 0.2  # distance of the middle of the input from 0, relative to its range, up to which it counts as centered
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 

@@ -1,4 +1,4 @@
-"""Linear dynamics beside a hysteresis: a delay, a lag, a resonance."""
+"""Linear dynamics before or after a hysteresis: a delay, a lag, a resonance."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from hystfit.models.simulation import run
 from hystfit.models.starting import output_range
 from hystfit.params.host_arrays import compiled
 
-_EXCITED = 1e-3  # part of the largest power of the input from which a spectral line counts as excited
+_EXCITED = 1e-3  # fraction of the largest power of the input from which a spectral line counts as excited
 _SHAPES = tuple(itertools.product((0.2, 0.5, 0.8), (-0.6, 0.0, 0.6), (0.0, 0.6, 1.5)))
 _BEST = 3
 _LONGEST = 2**15  # samples of each record that the grid simulates
@@ -58,7 +58,7 @@ def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
 
 @compiled
 def _costs(model: AbstractHysteresis, table: Array, batch: Batch) -> tuple[Array, Array]:
-    """Sum of squared residuals less the mean of each record, and that mean of the first record, for each row of the table."""
+    """Sum of squared residuals about the mean of each record, and that mean of the first record, for each row of the table."""
 
     def one(row: Array) -> tuple[Array, Array]:
         def of(record: tuple[Array, ...]) -> tuple[Array, Array]:

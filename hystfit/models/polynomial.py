@@ -23,7 +23,7 @@ def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."], fi
 def rising_series(increments: Float[Array, " n"], x: Float[Array, "..."]) -> Float[Array, "..."]:
     """A polynomial of degree n with value 0 at x = 0 that never falls where the increments are >= 0.
 
-    Its Bernstein coefficients are the cumulative sums of the increments; outside 0 <= x <= 1 it goes on as its tangent.
+    Its Bernstein coefficients are the cumulative sums of the increments; outside 0 <= x <= 1 it continues as its tangent.
     """
     n = increments.shape[0]
     if n == 0:

@@ -43,7 +43,7 @@ class Relaxation(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape != self.tau.shape:
-            raise ModelError(f"one weight a time constant: got {self.a.shape} and {self.tau.shape}")
+            raise ModelError(f"one weight per time constant: got {self.a.shape} and {self.tau.shape}")
 
     def init(self, u0: Scalar) -> State:
         """State: the slow followers z, at rest on u0."""
@@ -71,6 +71,6 @@ class Relaxation(AbstractHysteresis):
         return LinearStep(self)
 
     def c_part(self) -> CPart:
-        """One recursion a mode."""
+        """One recursion per mode."""
         modes = int(self.tau.shape[0])
         return CPart(template("relaxation.c"), modes, {"MODES": modes}, {"a": self.a, "tau": self.tau})

@@ -109,7 +109,7 @@ def offset_columns(records: Sequence[Record]) -> np.ndarray:
 
 
 def best_column(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:
-    """Which candidate column, beside the fixed ones, leaves the smallest sum of squared residuals.
+    """Which candidate column, in addition to the fixed ones, leaves the smallest sum of squared residuals.
 
     Columns have shapes (n, q) and (n, k).
     """

@@ -79,7 +79,7 @@ class Sum(AbstractComposition):
         return tuple(line for part in self.parts for line in part.advice(u, dt))
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """Columns of all parts, one row a sample."""
+        """Columns of all parts, one row per sample."""
         u, dt = drive(self, u, dt)
         designs = [part.design_matrix(u, dt).rows() for part in self.parts]
         blocks = [block for k, design in enumerate(designs) for block in self._blocks(k, design.blocks)]
@@ -103,7 +103,7 @@ class Sum(AbstractComposition):
 
 
 class SumStep(AbstractStepInverse):
-    """Inverse of one model beside constants.
+    """Inverse of a sum of one model and constants.
 
     Attributes:
         model: the sum.

@@ -300,6 +300,6 @@ def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
         both = (x - lower) * (upper - x) / (upper - lower)
         one = np.where(np.isfinite(lower), x - lower, upper - x)
     natural = np.where(space.offsets, scale, np.maximum(scale, np.abs(x)))
-    # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
+    # A weight that is nearly zero is determined when its error is small compared with its scale, not with its value.
     one = np.where(space.linear, np.maximum(one, scale), one)
     return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))

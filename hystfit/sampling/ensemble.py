@@ -166,7 +166,7 @@ def _begin(target: Target, walkers: int, seed: int) -> tuple[Any, ...]:
 
 
 def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, random_state: Any) -> None:
-    """The whole run in emcee's own HDF5 layout, beside the old file and then in its place: a kill leaves one or the other."""
+    """The whole run in emcee's own HDF5 layout, first beside the old file, then in its place: a kill leaves one or the other."""
     import emcee
 
     content = io.BytesIO()  # HDF5 itself may crash where a disk is full

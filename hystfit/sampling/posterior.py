@@ -87,7 +87,7 @@ class Posterior(WithStatus):
         return self.draws[:, :, self.names.index(name)]
 
     def table(self) -> list[dict[str, Any]]:
-        """One row a parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
+        """One row per parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
         rows = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             flat = self.draws[:, :, k].ravel()
@@ -216,7 +216,7 @@ class Posterior(WithStatus):
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:
-        """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
+        """One row per derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
         rows = []
         for name, values in self.derived().items():
             quantity = QUANTITIES[name]

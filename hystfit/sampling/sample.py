@@ -34,7 +34,7 @@ from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.setup import Setup, prepare
 
-_SLOW = 0.15  # part of the record over which noise is correlated, above which it is an error of the model
+_SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
 
 
@@ -175,7 +175,7 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
 
 
 def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
-    """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data."""
+    """A note where slow noise is correlated over a large fraction of the record: the model does not have the drift or creep of the data."""
     middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
     time = middle.get("noise_time", 0.0)
     if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):

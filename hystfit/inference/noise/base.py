@@ -54,7 +54,7 @@ class ResidualScales:
     def of(cls, rows: list[np.ndarray], time: float) -> ResidualScales:
         """Scales of residuals.
 
-        The rows are the residuals that count, one array a record [y]; `time` is their integrated autocorrelation time in samples.
+        The rows are the residuals that count, one array per record [y]; `time` is their integrated autocorrelation time in samples.
         """
         together, differences = np.concatenate(rows), np.concatenate([np.diff(row) for row in rows])
         total = max(float(np.std(together)), _LEAST)

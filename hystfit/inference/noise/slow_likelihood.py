@@ -35,7 +35,7 @@ class Samples:
         on: mask of these samples, shape (R, T), bool.
         gap: time since the one before, in typical sampling intervals; infinite at the first of a record. Shape (n,), like what follows.
         weight: of each.
-        place: input in parts of its range.
+        place: input as a fraction of its range.
         rising: whether the input last rose.
     """
 

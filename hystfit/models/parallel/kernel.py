@@ -15,7 +15,7 @@ from hystfit.models.parallel.lanes import Lanes, UnsupportedError, numbers
 from hystfit.models.parallel.route import Route, on_gpu, route
 
 _WIDEST = 1024  # numbers that one lane keeps
-_BLOCK = 32  # lanes of one program: a warp, one lane a thread, its state in registers
+_BLOCK = 32  # lanes of one program: a warp, one lane per thread, its state in registers
 
 
 def scan(body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any) -> tuple[Any, Any]:
@@ -169,7 +169,7 @@ def interpreted() -> bool:
 
 
 class Packed(NamedTuple):
-    """How arrays of several shapes and types lie in one array of numbers, one row a number."""
+    """How arrays of several shapes and types lie in one array of numbers, one row per number."""
 
     shapes: tuple[tuple[int, ...], ...]
     types: tuple[Any, ...]

@@ -15,7 +15,7 @@ from hystfit.models.preisach.staircase import Staircase
 
 
 def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row a state.
+    """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row per state.
 
     The weights of the model do not matter.
 

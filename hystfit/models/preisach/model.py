@@ -50,7 +50,7 @@ class Preisach(AbstractPlane):
     "relays" g_ij is the one relay with alpha = level i and beta = level j, the classical definition. n (n + 1) / 2 weights
     belong to n + 1 levels of cells and to n levels of relays.
 
-    r_k rises from 0 to 1 between levels k and k + 1 and goes on in a straight line beyond the outermost; `slopes` holds one s_k >= 0 for
+    r_k rises from 0 to 1 between levels k and k + 1 and continues in a straight line beyond the outermost; `slopes` holds one s_k >= 0 for
     each, or none. With `symmetric`, mirror images in alpha + beta = 2 center share a weight and the r_k are odd about center, with one
     weight for each interval above it: the levels must be symmetric about the center then.
 

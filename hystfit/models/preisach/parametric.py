@@ -1,4 +1,4 @@
-"""Parametric Preisach densities: a handful of parameters instead of a weight a cell.
+"""Parametric Preisach densities: a handful of parameters instead of one weight per cell.
 
 The plane is described by coercivity h = (alpha - beta) / 2 and interaction m = (alpha + beta) / 2, as reversal curves draw it.
 """
@@ -77,7 +77,7 @@ class ParametricPreisach(AbstractHysteresis):
         return jnp.exp(-0.5 * (a + b)) if self.density == "gaussian" else 1.0 / ((1.0 + a) * (1.0 + b))
 
     def preisach(self) -> Preisach:
-        """The model with one weight a cell."""
+        """The model with one weight per cell."""
         i, j = cells(self.levels.shape[0] - 1)
         width = self.levels[1:] - self.levels[:-1]
         middle = 0.5 * (self.levels[1:] + self.levels[:-1])

@@ -64,7 +64,7 @@ class PreisachStep(AbstractStepInverse):
         if not self.model.slopes.size:
             return bent
         at = jnp.clip(jnp.sum(self.knots <= u[..., None], axis=-1) - 1, 0, self.knots.shape[0] - 2)
-        part = (u - self.knots[at]) / (self.knots[at + 1] - self.knots[at])  # beyond the knots the line goes on
+        part = (u - self.knots[at]) / (self.knots[at + 1] - self.knots[at])  # beyond the knots the line continues
         return bent + self.straight[at] + part * (self.straight[at + 1] - self.straight[at])
 
     def _place(self, u: Array) -> Place:
