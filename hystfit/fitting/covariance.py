@@ -147,8 +147,8 @@ def _determined(
     spreads, axes = np.linalg.eigh(root[:, kept] @ root[:, kept].T / relative[:, None] / relative)
     wide, free = spreads > _OPEN**2, root[:, ~kept] / relative[:, None]
     open_axes = np.hstack([axes[:, wide], free / np.linalg.norm(free, axis=0)])
-    full, every = back @ root[:, kept], back @ root
-    full = full @ full.T if inside is None else inside[np.ix_(at, at)]
+    known, every = back @ root[:, kept], back @ root
+    full = known @ known.T if inside is None else inside[np.ix_(at, at)]
     joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
     touched = _touched(open_axes, spreads[wide], (space.kinds == BOTH)[live])
     # Linear weights may well be zero.
@@ -156,10 +156,9 @@ def _determined(
     reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > room[live])
     touched |= reaching
     nonlinear = ~space.linear[live]
+    # Where most nonlinear parameters are unknown, their other values may change the rest too, far from the estimate.
     if 2 * np.count_nonzero(nonlinear & ~touched) < np.count_nonzero(~space.linear):
-        touched |= (
-            nonlinear  # other values of the many that are not known may change these as well, far from the estimate
-        )
+        touched |= nonlinear
     covariance[np.ix_(at, at)] = np.where(touched | touched[:, None], np.nan, full)
     determined[at] = ~touched
     names = [space.names[k] for k in at]

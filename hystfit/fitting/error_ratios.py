@@ -13,15 +13,7 @@ RANK = 1e-7  # singular value, relative to the largest of columns of unit length
 
 
 def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Standard errors of a least-squares fit under the noise in its residuals, over those for independent noise.
-
-    Args:
-        problem: what was fitted.
-        x: where the fit ended, physical, shape (p,).
-
-    Returns:
-        Shape (p,).
-    """
+    """Standard errors of a least-squares fit at x under the noise in its residuals, over those for independent noise, shape (p,)."""
     residuals = analyze(problem, x)
     ratios = np.full(x.size, np.sqrt(residuals.correlation_time))
     if residuals.of_errors is None:

@@ -92,23 +92,21 @@ class ParameterSpace:
         match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
         words = tuple(match["path"].split(".")) if match else ()
         hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []
-        known = ", ".join(self._leaf_names)
-        if len(hits) > 1:
-            exact = [i for i in hits if self._leaf_names[i] == match["path"]]  # type: ignore[index]
-            hits = exact or hits
-        if len(hits) > 1:
-            raise ParameterError(
-                f"parameter {name!r} is ambiguous; choose one of: {', '.join(self._leaf_names[i] for i in hits)}"
-            )
-        if not hits:
+        if match is None or not hits:
+            known = ", ".join(self._leaf_names)
             raise ParameterError(f"no parameter {name!r}{near(name, self._leaf_names)}; the parameters are: {known}")
-        leaf = self.leaves[hits[0]]
-        if match is None or match["at"] is None:
-            return hits[0], list(range(leaf.size))
+        if len(hits) > 1:
+            hits = [i for i in hits if self._leaf_names[i] == match["path"]] or hits
+        if len(hits) > 1:
+            choices = ", ".join(self._leaf_names[i] for i in hits)
+            raise ParameterError(f"parameter {name!r} is ambiguous; choose one of: {choices}")
+        number, leaf = hits[0], self.leaves[hits[0]]
+        if match["at"] is None:
+            return number, list(range(leaf.size))
         at = tuple(int(k) for k in match["at"].split(","))
         if len(at) != len(leaf.shape) or any(k >= n for k, n in zip(at, leaf.shape, strict=False)):
-            raise ParameterError(f"parameter {name!r}: {self._leaf_names[hits[0]]} has shape {leaf.shape}")
-        return hits[0], [int(np.ravel_multi_index(at, leaf.shape))]
+            raise ParameterError(f"parameter {name!r}: {self._leaf_names[number]} has shape {leaf.shape}")
+        return number, [int(np.ravel_multi_index(at, leaf.shape))]
 
     def value(self, name: str) -> np.ndarray:
         """Value of a parameter, free or fixed, in the template: of one element, or of all of an array, flat.
@@ -181,9 +179,9 @@ class ParameterSpace:
             treedef=treedef,
             n_records=len(self.records),
         )
-        self._check_values(flat, masks)
+        self._check_values(flat)
 
-    def _check_values(self, flat: list[Any], masks: list[np.ndarray]) -> None:
+    def _check_values(self, flat: list[Any]) -> None:
         for leaf, name in zip(self.leaves, self._leaf_names, strict=True):
             value = np.asarray(flat[leaf.index])
             lower, upper = leaf.info.bounds
@@ -201,8 +199,11 @@ class ParameterSpace:
         one = structure(trees) == structure(self.template)  # a single tree may be a tuple
         several = not one and isinstance(trees, (list, tuple)) and len(trees) == len(self.records) > 1
         flats = [jax.tree_util.tree_leaves(tree) for tree in (trees if several else [trees])]
-        leaf = lambda number, record: np.asarray(flats[(record or 0) if several else 0][self.leaves[number].index])
-        return np.array([float(leaf(number, record).reshape(-1)[k]) for number, k, record in self.sources])
+        values = []
+        for number, k, record in self.sources:
+            flat = flats[record if several and record is not None else 0]
+            values.append(float(np.asarray(flat[self.leaves[number].index]).reshape(-1)[k]))
+        return np.array(values)
 
     def unconstrained(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
         """z from x; values on their bound are moved inside.
