@@ -95,8 +95,6 @@ def _slow_part(errors: Uncertainty) -> str:
     if not errors.residuals.correlated or noise is None:
         return ""
     time = noise.noise.parameters["noise_time"]
-    return (
-        f" (they include slow noise with a correlation time of {time:.3g} samples)"
-        if time > 2 * errors.correlation_time
-        else ""
-    )
+    if time <= 2 * errors.correlation_time:
+        return ""
+    return f" (they include slow noise with a correlation time of {time:.3g} samples)"
