@@ -61,7 +61,7 @@ def _futures(problem: Problem) -> list[tuple[list[np.ndarray], list[np.ndarray]]
 def _refitted(
     method: str, problem: Problem, x: np.ndarray, splits: list[tuple[list[np.ndarray], list[np.ndarray]]]
 ) -> float:
-    """Error of refits, from physical x on, to one side of each split on its other side."""
+    """Error on the held-out side of each split, of refits to its other side that start from physical x."""
     z = problem.space.unconstrained(problem.space.clip(x))
     name = "lm" if method == "convex" and not len(linear_positions(problem)) else method
     squares, total = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""The number of elements of a model, where they are and where they start from, chosen by the error on left-out data."""
+"""The number and positions of a model's elements, and its state before the records, chosen by the error on left-out data."""
 
 from __future__ import annotations
 

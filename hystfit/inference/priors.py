@@ -181,13 +181,12 @@ def parse(text: str) -> AbstractPrior:
 def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> dict[str, AbstractPrior]:
     """Priors about given values, with a relative `spread` in the distance to a bound or in the natural size.
 
+    A value on a bound (a play's weight of zero) is first moved inside, by a hundredth of the natural size or of the interval.
+
     Args:
         space: the free parameters.
         x: physical values, shape (p,).
         spread: relative width.
-
-    About a value on a bound (a play's weight of zero) there is no such prior: it is moved inside by a hundredth of the natural
-    size, or of the way between two bounds.
     """
     lower, upper, scale = space.lower, space.upper, space.scale
     priors: dict[str, AbstractPrior] = {}

@@ -48,7 +48,7 @@ class AbstractStepInverse(eqx.Module):
         return 1.0
 
     def advance(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The model's step; to override where the inverse holds tables that make it faster."""
+        """The model's step; override it where the inverse holds tables that make it faster."""
         return self.model.step(state, u0, u1, dt)
 
 

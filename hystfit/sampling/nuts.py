@@ -218,9 +218,9 @@ def _advance(
 def advance(
     target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
 ) -> tuple[tuple[Array, ...], Tuning]:
-    """`steps` transitions, for use inside traced code; `adapting` is one flag or one a transition.
+    """`steps` transitions, for use inside traced code; `adapting` is one flag or one per transition.
 
-    While it adapts the step size is the one that dual averaging tries, else its average.
+    During adaptation the step size is the trial value of dual averaging, otherwise its average.
 
     The step size is tuned for the acceptance `goal`; trajectories double at most `depth` times.
     """

@@ -160,9 +160,9 @@ def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def checked(target: Target) -> Target:
-    """The target with axes as long as the log posterior takes to fall by about 1/2.
+    """The target with axes as long as the distance over which the log posterior falls by about 1/2.
 
-    Curvature at a kink, or in a plateau that ends, says nothing about that: a mass matrix from it is wrong by many orders.
+    Curvature at a kink, or on a plateau that ends, does not give this distance: its mass matrix may be wrong by orders of magnitude.
     """
     for _ in range(_ROUNDS):
         fall = np.nan_to_num(np.asarray(_fall(target)), nan=np.inf)

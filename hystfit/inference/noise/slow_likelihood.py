@@ -167,7 +167,7 @@ class Contrasts:
 
     @functools.cached_property
     def expected(self) -> float:
-        """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
+        """Variance of the shapes' weights for which `power` remains on average, after the fit has absorbed its part."""
         along, n = self.basis.T @ self.shapes, self.residual.size
         squares = (
             np.sum((self.shapes[part] - self.basis[part] @ along) ** 2) for part in parts(n, self.shapes.shape[1])
