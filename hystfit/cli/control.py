@@ -150,9 +150,10 @@ def _write_inverse(
     columns = {} if target.t is None else {named("t", target.t_unit): target.t}
     columns |= {named("reference", y): target.y, named("u", u): inverse.u, named("y", y): inverse.y}
     columns["status"] = inverse.status
-    for of, unit in (("u", u), ("error", y)) if bands is not None else ():
-        lower, _, upper = bands.band(of)
-        columns |= {named(f"{of}_lower", unit): lower, named(f"{of}_upper", unit): upper}
+    if bands is not None:
+        for of, unit in (("u", u), ("error", y)):
+            lower, _, upper = bands.band(of)
+            columns |= {named(f"{of}_lower", unit): lower, named(f"{of}_upper", unit): upper}
     write_csv(path, columns)
 
 

@@ -103,10 +103,11 @@ def inverse_figure(target: Record, inverse: Inverse, bands: InverseBands | None,
     above.plot(axis[missed], inverse.y[missed], ".", ms=4, color=SECOND, label="not met" if missed.any() else None)
     middle.plot(axis, inverse.u, color=MODEL, lw=0.9)
     below.plot(axis, inverse.y - target.y, color=MODEL, lw=0.9)
-    for ax, of in ((middle, "u"), (below, "error")) if bands is not None else ():
-        low, _, high = bands.band(of)
-        ax.fill_between(axis, low, high, color="#e69f00", alpha=0.5, lw=0, label="90 % of the draws")
-        ax.legend(frameon=False, fontsize=8)
+    if bands is not None:
+        for ax, of in ((middle, "u"), (below, "error")):
+            low, _, high = bands.band(of)
+            ax.fill_between(axis, low, high, color="#e69f00", alpha=0.5, lw=0, label="90 % of the draws")
+            ax.legend(frameon=False, fontsize=8)
     column_label(above, "y", target.y_name, target.y_unit, "output")
     middle.set_ylabel(axis_label("input", unit))
     below.set_ylabel(axis_label("error", target.y_unit))
