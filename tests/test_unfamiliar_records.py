@@ -302,6 +302,23 @@ def test_branches_between_blank_lines_are_one_loop(tmp_path: Path) -> None:
     assert isinstance(hf.read(tmp_path / "apart.txt"), hf.Dataset)
 
 
+@pytest.mark.parametrize("names", ["H1 (A/m),B1 (T),H2 (A/m),B2 (T)", "H (A/m),B (T),H (A/m),B (T)"])
+def test_loops_side_by_side_are_curves(tmp_path: Path, names: str) -> None:
+    angles = np.linspace(0, 2 * np.pi, 40)
+    small, large = (np.stack([size * np.cos(angles), size * np.sin(angles + 0.4)]) for size in (1.0, 3.0))
+    rows = [",".join(f"{x:.5f}" for x in row) for row in np.concatenate([small, large]).T]
+    rows += [",".join(["", "", *row.split(",")[2:]]) for row in rows[-3:]]
+    (tmp_path / "loops.csv").write_text("\n".join([names, *rows]))
+    data = hf.read(tmp_path / "loops.csv")
+    assert [len(loop) for loop in data] == [40, 43]
+    np.testing.assert_allclose(data[1].u[:40], large[0], atol=1e-5)
+    assert (data[1].u_unit, data[1].y_unit) == ("A/m", "T")
+    # Channels beside a time are not loops of their own.
+    timed = [f"{k},{row}" for k, row in enumerate(rows[:40])]
+    (tmp_path / "channels.csv").write_text("\n".join([f"t_s,{names}", *timed]))
+    assert isinstance(hf.read(tmp_path / "channels.csv"), hf.Record)
+
+
 def test_the_column_that_separates_curves_in_time_is_named(tmp_path: Path) -> None:
     rows = [f"{run},{time},{np.sin(time)},{np.cos(time)}" for run in "ab" for time in range(20)]
     (tmp_path / "runs.csv").write_text("\n".join(["device,t_s,u_V,y_um", *rows]))

@@ -11,6 +11,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import has
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
@@ -103,12 +104,13 @@ def split_curves(
         return [("", pieces[0])], False
     if choice.time is None and _follow_each_other(table.columns[choice.input], table.columns[choice.output], pieces):
         text = (
-            f"{len(pieces)} blocks between blank lines are branches of one loop, read as one record: each begins where the one before "
-            "ends, and the input runs back"
+            f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the one before ends, and the input "
+            "runs back"
         )
         notes.append(Note(Code.CURVES, text))
         return [("", np.concatenate(pieces))], False
-    notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
+    if not has(table.notes, Code.CURVES):
+        notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
 
 

@@ -23,6 +23,7 @@ from hystfit.reading.frames import frame_table, is_frame
 from hystfit.reading.raw_table import Table
 from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
+from hystfit.reading.side_by_side import stacked
 from hystfit.reading.text import read_table
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 from hystfit.reading.two_branches import unfolded
@@ -234,6 +235,9 @@ def assemble(
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
     if input is None and output is None and time in (None, False) and not others and (loop := unfolded(table)):
         (table, input, output), time = loop, False
+        notes = [*table.notes]
+    elif input is None and output is None and time in (None, False) and not others and (loops := stacked(table)):
+        table, time = loops, False
         notes = [*table.notes]
     marked, dividers = marked_by_kind(table, others)
     choice = choose(table, time, input, output, [*others, *dividers])
