@@ -319,6 +319,16 @@ def test_loops_side_by_side_are_curves(tmp_path: Path, names: str) -> None:
     assert isinstance(hf.read(tmp_path / "channels.csv"), hf.Record)
 
 
+def test_columns_without_names_come_with_the_options_that_swap_them(tmp_path: Path) -> None:
+    rows = [f"{np.cos(k / 5):.4f} {np.sin(k / 5):.4f}" for k in range(60)]
+    (tmp_path / "loop.dat").write_text("\n".join(rows))
+    swaps = lambda record: [note for note in record.notes if "input='1' and output='0'" in note.text]
+    assert swaps(hf.read(tmp_path / "loop.dat"))
+    assert not swaps(hf.read(tmp_path / "loop.dat", input=0))
+    (tmp_path / "named.dat").write_text("\n".join(["a b", *rows]))
+    assert not swaps(hf.read(tmp_path / "named.dat"))
+
+
 def test_the_column_that_separates_curves_in_time_is_named(tmp_path: Path) -> None:
     rows = [f"{run},{time},{np.sin(time)},{np.cos(time)}" for run in "ab" for time in range(20)]
     (tmp_path / "runs.csv").write_text("\n".join(["device,t_s,u_V,y_um", *rows]))

@@ -316,10 +316,14 @@ def _guess_pair(
     if not given and {kinds[k] for k in best} == _EITHER:
         best, note = _by_wave(table, *best)
         notes.append(note)
+    nameless = not (table.named or given)
     for role, position in zip(("input", "output"), best, strict=True):
         if role not in given:
             given[role] = position
             notes.append(_choice_note(table, role, position, kinds))
+    if nameless:  # nothing but the order of the columns tells which drives the other
+        swapped = f"if column {best[1]} drives the device, set input='{best[1]}' and output='{best[0]}'"
+        notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
     pair = [re.fullmatch(r"(.*)\[\d+\]", table.names[given[role]]) for role in ("input", "output")]
     if pair[0] and pair[1] and pair[0][1] == pair[1][1] and kinds[given["input"]] == kinds[given["output"]] != "":
         raise DataError(
