@@ -419,3 +419,5 @@ def test_isolated_outliers_are_left_out_of_fits_and_named() -> None:
     t = np.arange(600) / 9
     fast = hf.Record(np.sin(2 * np.pi * t), np.cos(2 * np.pi * t) + 0.001 * NOISE[:600], t)
     assert summarize(fast).spikes == 0
+    ringing = np.sin(2 * np.pi * t / 25) + 0.3 * np.exp(-((t - 20) ** 2)) * np.sin(2 * np.pi * 9 * t / 4.3)
+    assert summarize(hf.Record(np.sin(2 * np.pi * t / 25), ringing + 0.001 * NOISE[:600], t)).spikes == 0

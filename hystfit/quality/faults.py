@@ -8,7 +8,10 @@ import math
 import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
-_APART = 0.5  # largest distance of the neighbors of an outlier, as a part of its own distance from them
+_ABOUT, _ROUGH = (
+    4,
+    0.5,
+)  # samples on each side of an outlier, and the largest second difference there, as a part of its height
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 _ARRIVING, _STEEP = (
     6,
@@ -183,10 +186,19 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return clipped
 
 
+def _is_isolated(y: np.ndarray, k: int, height: float) -> bool:
+    """Whether the output about sample k bends little beside the height of that sample, once it is replaced by the mean of its neighbors."""
+    about = y[max(k - _ABOUT, 0) : k + _ABOUT + 1].copy()
+    place = min(k, _ABOUT)
+    about[place] = 0.5 * (about[place - 1] + about[place + 1])
+    bends = np.abs(np.diff(about, 2))
+    return bool(np.nanmax(bends) < _ROUGH * height)
+
+
 def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None) -> np.ndarray:
     """Sample numbers of isolated outliers: beyond both neighbors on one side by more than 10 times the noise and 3 % of the range.
 
-    The neighbors lie nearer to each other than to the outlier: the peak of a wave of few samples is none.
+    Without it the output about it is smooth: the peak of a wave of few samples is no outlier.
 
     Args:
         y: output, shape (T,).
@@ -200,8 +212,8 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     limit = max(10 * (noise or 0.0), 0.03 * float(np.nanmax(y) - np.nanmin(y)))
     with np.errstate(invalid="ignore"):
         least = np.minimum(np.abs(before), np.abs(after))
-        out = (np.sign(before) == np.sign(after)) & (least > limit) & (np.abs(before - after) < _APART * least)
-    outliers = np.flatnonzero(out) + 1
+        out = (np.sign(before) == np.sign(after)) & (least > limit)
+    outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, k, least[k - 1])], dtype=int)
     if ignore is not None and ignore.size and outliers.size:
         outliers = outliers[np.min(np.abs(outliers[:, None] - ignore[None, :]), axis=1) > 1]
     return outliers
