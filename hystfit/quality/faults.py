@@ -213,7 +213,7 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     with np.errstate(invalid="ignore"):
         least = np.minimum(np.abs(before), np.abs(after))
         out = (np.sign(before) == np.sign(after)) & (least > limit)
-    outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, k, least[k - 1])], dtype=int)
+    outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, int(k), float(least[k - 1]))], dtype=int)
     if ignore is not None and ignore.size and outliers.size:
         outliers = outliers[np.min(np.abs(outliers[:, None] - ignore[None, :]), axis=1) > 1]
     return outliers
