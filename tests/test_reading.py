@@ -797,7 +797,7 @@ def test_measured_magnetics(measured: Path) -> None:
                     k for k in range(columns.shape[1]) if np.allclose(columns[:, k], values, rtol=1e-9, atol=1e-12)
                 ]
                 assert match, (name, position, symbol)
-        with pytest.raises(DataError, match="give input= and output="):
+        with pytest.raises(DataError, match="input= and output="):
             read(measured / "mag_ja_bh" / f"H_{name}.mat")
         two = read(measured / "mag_ja_bh" / f"H_{name}.mat", input=0, output="HmeasT[1]")
         found = scipy.io.loadmat(measured / "mag_ja_bh" / f"H_{name}.mat")["HmeasT"]

@@ -8,10 +8,8 @@ import math
 import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
-_ABOUT, _ROUGH = (
-    4,
-    0.5,
-)  # samples on each side of an outlier, and the largest second difference there, as a part of its height
+_ABOUT = 2  # samples on each side of an outlier that must be smooth without it
+_ROUGH = 0.5  # their largest second difference, as a part of its height
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 _ARRIVING, _STEEP = (
     6,
