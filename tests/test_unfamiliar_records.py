@@ -312,6 +312,7 @@ def test_loops_side_by_side_are_curves(tmp_path: Path, names: str) -> None:
     rows += [",".join(["", "", *row.split(",")[2:]]) for row in rows[-3:]]
     (tmp_path / "loops.csv").write_text("\n".join([names, *rows]))
     data = hf.read(tmp_path / "loops.csv")
+    assert isinstance(data, hf.Dataset)
     assert [len(loop) for loop in data] == [40, 43]
     np.testing.assert_allclose(data[1].u[:40], large[0], atol=1e-5)
     assert (data[1].u_unit, data[1].y_unit) == ("A/m", "T")
