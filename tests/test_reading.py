@@ -577,6 +577,12 @@ def test_gaps_split_into_pieces(tmp_path: Path) -> None:
         ("v_mm_s", ("v", "mm/s")),
         ("tau_N_mm2", ("tau", "N/mm2")),
         ("x_um", ("x", "um")),
+        ("H_kA/m", ("H", "kA/m")),
+        ("Velocity_m/s", ("Velocity", "m/s")),
+        ("P_µC/cm²", ("P", "µC/cm²")),
+        ("M_emu/g", ("M", "emu/g")),
+        ("U_A/V", ("U_A", "V")),
+        ("F_max/N", ("F_max", "N")),
         ("x_A_m", ("x_A", "m")),
         ("loop_id_a", ("loop_id_a", "")),
         ("stage_a_b", ("stage_a_b", "")),
@@ -615,6 +621,12 @@ COLUMNS = {  # header: (input, output) among all columns of changing numbers
     "Temp_C,Status,Voltage (V),Displacement (um)": (2, 3),
     "I_A,x_mm,F_N": (1, 2),
     "I_A,B_T": (0, 1),
+    "Velocity_m/s,Force_N": (0, 1),
+    "B_mT,H_kA/m": (1, 0),
+    "theta (m3/m3),suction (kPa)": (1, 0),
+    "OCV_V,SOC_%": (1, 0),
+    "Voltage (V),Capacity (mAh)": (1, 0),
+    "Voltage(V),Q(Ah)": (1, 0),
     "温度（℃）,位移（μm）,电压（V）": (2, 1),
     "荷重(kN),変位(mm)": (1, 0),
     "y,x": (1, 0),
@@ -786,7 +798,7 @@ def test_measured_magnetics(measured: Path) -> None:
                     k for k in range(columns.shape[1]) if np.allclose(columns[:, k], values, rtol=1e-9, atol=1e-12)
                 ]
                 assert match, (name, position, symbol)
-        with pytest.raises(DataError, match="give input= and output="):
+        with pytest.raises(DataError, match="input= and output="):
             read(measured / "mag_ja_bh" / f"H_{name}.mat")
         two = read(measured / "mag_ja_bh" / f"H_{name}.mat", input=0, output="HmeasT[1]")
         found = scipy.io.loadmat(measured / "mag_ja_bh" / f"H_{name}.mat")["HmeasT"]

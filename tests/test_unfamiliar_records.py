@@ -284,6 +284,76 @@ def test_a_table_of_a_rising_and_a_falling_branch_is_one_loop(tmp_path: Path, na
     assert has(record.notes, Code.CURVES)
 
 
+def _branch(down: bool) -> list[str]:
+    u = np.linspace(-100, 100, 60)[:: -1 if down else 1]
+    return [f"{x:.3f} {np.tanh((x + (12 if down else -12)) / 30):.6f}" for x in u]
+
+
+def test_branches_between_blank_lines_are_one_loop(tmp_path: Path) -> None:
+    header, falling, rising = "Field(Oe)  Moment(emu)", _branch(down=True), _branch(down=False)
+    (tmp_path / "loop.txt").write_text("\n".join([header, *falling, "", *rising]))
+    loop = hf.read(tmp_path / "loop.txt")
+    assert isinstance(loop, hf.Record)
+    assert len(loop) == 120
+    assert not has(hf.check(loop).findings, Code.NO_LOOP)
+    # Branches that run the same way, as reversal curves do, remain curves; and so do those of loops that lie apart.
+    (tmp_path / "curves.txt").write_text("\n".join([header, *rising, "", *rising]))
+    assert isinstance(hf.read(tmp_path / "curves.txt"), hf.Dataset)
+    elsewhere = [line.replace(" ", " 1") for line in rising]
+    (tmp_path / "apart.txt").write_text("\n".join([header, *falling, "", *elsewhere]))
+    assert isinstance(hf.read(tmp_path / "apart.txt"), hf.Dataset)
+
+
+@pytest.mark.parametrize("names", ["H1 (A/m),B1 (T),H2 (A/m),B2 (T)", "H (A/m),B (T),H (A/m),B (T)"])
+def test_loops_side_by_side_are_curves(tmp_path: Path, names: str) -> None:
+    angles = np.linspace(0, 2 * np.pi, 40)
+    small, large = (np.stack([size * np.cos(angles), size * np.sin(angles + 0.4)]) for size in (1.0, 3.0))
+    rows = [",".join(f"{x:.5f}" for x in row) for row in np.concatenate([small, large]).T]
+    rows += [",".join(["", "", *row.split(",")[2:]]) for row in rows[-3:]]
+    (tmp_path / "loops.csv").write_text("\n".join([names, *rows]))
+    data = hf.read(tmp_path / "loops.csv")
+    assert isinstance(data, hf.Dataset)
+    assert [len(loop) for loop in data] == [40, 43]
+    np.testing.assert_allclose(data[1].u[:40], large[0], atol=1e-5)
+    assert (data[1].u_unit, data[1].y_unit) == ("A/m", "T")
+    # Channels beside a time are not loops of their own.
+    timed = [f"{k},{row}" for k, row in enumerate(rows[:40])]
+    (tmp_path / "channels.csv").write_text("\n".join([f"t_s,{names}", *timed]))
+    assert isinstance(hf.read(tmp_path / "channels.csv"), hf.Record)
+
+
+def test_columns_without_names_come_with_the_options_that_swap_them(tmp_path: Path) -> None:
+    rows = [f"{np.cos(k / 5):.4f} {np.sin(k / 5):.4f}" for k in range(60)]
+    (tmp_path / "loop.dat").write_text("\n".join(rows))
+    swaps = lambda record: [note for note in record.notes if "input='1' and output='0'" in note.text]
+    assert swaps(hf.read(tmp_path / "loop.dat"))
+    assert not swaps(hf.read(tmp_path / "loop.dat", input=0))
+    (tmp_path / "named.dat").write_text("\n".join(["a b", *rows]))
+    assert not swaps(hf.read(tmp_path / "named.dat"))
+
+
+def test_the_column_that_separates_curves_in_time_is_named(tmp_path: Path) -> None:
+    rows = [f"{run},{time},{np.sin(time)},{np.cos(time)}" for run in "ab" for time in range(20)]
+    (tmp_path / "runs.csv").write_text("\n".join(["device,t_s,u_V,y_um", *rows]))
+    with pytest.raises(hf.errors.DataError, match="by='device'"):
+        hf.read(tmp_path / "runs.csv")
+    assert len(hf.read(tmp_path / "runs.csv", by="device")) == 2
+
+
+def test_a_switch_is_neither_clipped_nor_damaged() -> None:
+    t = np.arange(0, 3600, 5.0)
+    temperature = 20 + 2.5 * np.sin(2 * np.pi * t / 600) + 0.7 * np.sin(2 * np.pi * t / 171)
+    on, states = 1.0, []
+    for now in temperature:
+        on = 0.0 if now > 21 else 1.0 if now < 19 else on
+        states.append(on)
+    record = hf.Record(temperature, np.array(states), t)
+    report = hf.check(record)
+    assert not has(report.findings, Code.CLIPPED, Code.DEGRADING)
+    assert report.advice is not None
+    assert report.advice.model == "negate+preisach"
+
+
 def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:
     pandas = pytest.importorskip("pandas")
     t = np.arange(50) / 10
@@ -328,3 +398,29 @@ def test_drives_of_heaters_counts_and_degrees_are_inputs(tmp_path: Path, header:
     record = hf.read_csv(path)
     assert isinstance(record, hf.Record)
     np.testing.assert_array_equal(record.u, np.sin(t))
+
+
+def test_isolated_outliers_are_left_out_of_fits_and_named() -> None:
+    """Glitches of a fiftieth of the samples: the weights of the clean record, and an error that is its noise."""
+    u = sweep(1000, 5)
+    clean = 2 * u + plays(u, np.array([1.0, 3.0])) + 0.02 * NOISE[:1000]
+    y = clean.copy()
+    glitches = np.arange(25, 1000, 50)
+    y[glitches] += np.where(glitches % 100 > 50, 14.0, -9.0)
+    model = make_model("prandtl-ishlinskii:plays=10")
+    fit, of_clean = hf.fit(model, hf.Record(u, y)), hf.fit(model, hf.Record(u, clean))
+    assert has(fit.notes, Code.SPIKES)
+    assert not has(of_clean.notes, Code.SPIKES)
+    assert fit.train.rmse == pytest.approx(of_clean.train.rmse, rel=0.05)
+    assert fit.train.n == 980
+    kept = hf.fit("bouc-wen", hf.Record(u, y), loss="huber")
+    assert not has(kept.notes, Code.SPIKES)
+    assert kept.train.n == 1000
+    # Noise whose tails are heavy has its own likelihood; so many glitches, and the peaks of fast waves, belong to the signal.
+    assert hf.fit("bouc-wen", hf.Record(u, y), noise="student-t").train.n == 1000
+    assert summarize(hf.Record(u, clean + 8 * (NOISE[:1000] > 1.5))).spikes == 0
+    t = np.arange(600) / 9
+    fast = hf.Record(np.sin(2 * np.pi * t), np.cos(2 * np.pi * t) + 0.001 * NOISE[:600], t)
+    assert summarize(fast).spikes == 0
+    ringing = np.sin(2 * np.pi * t / 25) + 0.3 * np.exp(-((t - 20) ** 2)) * np.sin(2 * np.pi * 9 * t / 4.3)
+    assert summarize(hf.Record(np.sin(2 * np.pi * t / 25), ringing + 0.001 * NOISE[:600], t)).spikes == 0

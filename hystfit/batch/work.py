@@ -17,7 +17,7 @@ from hystfit.errors import HystfitError, ParameterError
 from hystfit.fitting.entry import fit
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit import changed_settings, judge
-from hystfit.fitting.fit_setup import FitSetup, check_settings, set_up_fit, solve, starting_vectors
+from hystfit.fitting.fit_setup import PLAIN_NOISE, FitSetup, check_settings, set_up_fit, solve, starting_vectors
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status
@@ -89,7 +89,7 @@ class Work:
         """Whether a loop is expected to take milliseconds."""
         if self.searches or self.options["method"] not in ("auto", _TOGETHER):
             return False
-        return make_model(self.model).estimator is None and self.options["noise"] in ("auto", "iid")
+        return make_model(self.model).estimator is None and self.options["noise"] in PLAIN_NOISE
 
 
 @dataclasses.dataclass
@@ -171,7 +171,11 @@ def _pose(work: Work, loop: _Loop) -> None:
     options = {name: work.options[name] for name in _POSED}
     named = isinstance(work.model, str)
     loop.fit_setup = fit_setup = set_up_fit(
-        make_model(work.model), Dataset.of(_in_common_units(work, loop)), held=not named, **options
+        make_model(work.model),
+        Dataset.of(_in_common_units(work, loop)),
+        held=not named,
+        keep_outliers=work.options["noise"] not in PLAIN_NOISE,
+        **options,
     )
     if fit_setup.method == _TOGETHER:
         starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)

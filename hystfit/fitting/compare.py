@@ -18,7 +18,7 @@ from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.fit import fit
-from hystfit.fitting.fit_setup import choose_method, solve, started_problem, without_saturated
+from hystfit.fitting.fit_setup import choose_method, solve, started_problem, without_faults
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
@@ -87,7 +87,7 @@ def compare(
         raise ModelError("reversal curves have no order in time: use left_out='blocks'")
     named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named), "") if named else candidates(data)
-    data = without_saturated(data)
+    data = without_faults(data)
     judge = _Judge(data, left_out, purpose, seed, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
         judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))

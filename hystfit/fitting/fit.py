@@ -16,13 +16,14 @@ from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.covariance import Uncertainty, uncertainty
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.fit_setup import (
+    PLAIN_NOISE,
     FitSetup,
     Start,
     check_settings,
     choose_method,
     set_up_fit,
     solve,
-    without_saturated,
+    without_faults,
 )
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
@@ -81,7 +82,7 @@ def fit(
     if isinstance(model, str) and model == SEARCH and not is_sequential(method):
         if isinstance(start, Mapping):
             raise ParameterError(f"{SEARCH} chooses its terms on the data: leave out starting values by name")
-        found = search_structure(without_saturated(data))
+        found = search_structure(without_faults(data))
         model, start, notes = found.model, "model", list(found.notes())
     model = make_model(model)
     watch = Stopwatch()
@@ -95,8 +96,9 @@ def fit(
         raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
     check_settings(method, starts, loss, noise, start)
     fit_setup = set_up_fit(
-        model, data, method=method, fix=fix, free=free, start=start, loss=loss, held=not named, notes=tuple(notes)
-    )
+        model, data, method=method, fix=fix, free=free, start=start, loss=loss, held=not named,
+        keep_outliers=noise not in PLAIN_NOISE, notes=tuple(notes),
+    )  # fmt: skip
     estimate = solve(fit_setup.problem, fit_setup.method, starts, seed, fit_setup.points)
     result = judge(fit_setup, estimate, noise=noise, seed=seed, watch=watch)
     return result if test is None else with_test(result, test)
@@ -107,7 +109,7 @@ def judge(
 ) -> FitResult:
     """The result of a solved fit: standard errors under the noise, and the verdict."""
     problem, notes = fit_setup.problem, list(fit_setup.notes)
-    if noise in ("auto", "iid"):
+    if noise in PLAIN_NOISE:
         errors = uncertainty(problem, estimate, correlated=noise == "auto")
         slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
         noise_estimate = NoiseEstimate(str(noise), slow.noise.parameters if slow else {})

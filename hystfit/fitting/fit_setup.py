@@ -22,7 +22,9 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import saturated_samples
+from hystfit.quality.summary import outliers_of
 
+PLAIN_NOISE = ("auto", "iid")  # the others have a likelihood of their own, in which outliers may have a place
 Start = Literal["data", "model"] | Mapping[str, float]
 _MANY = 4  # weights on a bound from which the convex solve is the default
 
@@ -54,15 +56,17 @@ def set_up_fit(
     start: Start = "data",
     loss: Loss = "linear",
     held: bool = False,
+    keep_outliers: bool = False,
     notes: tuple[Note, ...] = (),
 ) -> FitSetup:
     """Set up a fit: the problem, its estimator and starting points.
 
     Arguments as in `hystfit.fit`, and notes on choices made before. With `held`, parameters in `fix` without a value keep that of
-    the model where starting values are read off the data.
+    the model where starting values are read off the data. With `keep_outliers`, isolated outliers of the output are fitted; a robust
+    loss always has them.
     """
     check_fittable(model, data)
-    data = without_saturated(data)
+    data = without_faults(data, keep_outliers=keep_outliers or loss != "linear")
     points: tuple[AbstractHysteresis, ...] = (model,)
     if start != "model":
         fix = _fixed_values(model, fix) if held else fix
@@ -80,11 +84,18 @@ def set_up_fit(
     return FitSetup(problem, name, points, notes)
 
 
-def without_saturated(data: Dataset) -> Dataset:
-    """Records in which the samples of a saturated sensor have no weight."""
+def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
+    """Records in which the samples of a saturated sensor, and isolated outliers of the output, have no weight.
+
+    Args:
+        data: the records.
+        keep_outliers: whether outliers keep their weights.
+    """
 
     def free(record: Record) -> Record:
-        found = saturated_samples(record.u, record.y) & record.used
+        found = saturated_samples(record.u, record.y)
+        found[[] if keep_outliers else outliers_of(record)] = True
+        found &= record.used
         return record.replace(weight=np.where(found, 0.0, record.weight)) if found.any() else record
 
     return data.map(free)

@@ -19,7 +19,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.summary import delay_of, summarize
+from hystfit.quality.summary import delay_of, outliers_of, summarize
 from hystfit.results.accuracy import (
     accuracy_note,
     better_family_warning,
@@ -109,6 +109,7 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         better_family_warning(fitted.train, fitted.baselines),
         _at_an_end(fitted),
         _clipped(fitted.data),
+        _outliers(fitted.data),
         _delayed(fitted),
     )
     notes += [note for note in found if note is not None]
@@ -131,6 +132,18 @@ def _clipped(data: Dataset) -> Note | None:
         f"{count} samples of the output stay at its limit while the input moves, and were fitted: if the sensor was saturated, "
         "mark them as missing or fit a window without them (window=)",
     )
+
+
+def _outliers(data: Dataset) -> Note | None:
+    """A warning where isolated outliers were left out, between the first and the last sample that was fitted."""
+    count = 0
+    for record in data:
+        used, found = np.flatnonzero(record.used), outliers_of(record)
+        count += int(np.sum(~record.used[found] & (found > used[0]) & (found < used[-1])))
+    if not count:
+        return None
+    which = "1 isolated outlier of the output is" if count == 1 else f"{count} isolated outliers of the output are"
+    return warn(Code.SPIKES, f"{which} left out of the fit and of its error; a robust loss (loss='huber') keeps them")
 
 
 def _delayed(fitted: Fitted) -> Note | None:

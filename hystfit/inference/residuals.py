@@ -196,7 +196,10 @@ def diagnose(analysis: ResidualAnalysis) -> Diagnosis:
         )
         findings.append(Note(Code.CORRELATED_RESIDUALS, text))
     if kurtosis > _TAILS:
-        text = f"residuals have heavy tails (excess kurtosis {kurtosis:.2g}): there are outliers"
+        text = (
+            f"residuals have heavy tails (excess kurtosis {kurtosis:.2g}): there are outliers, or the model errs most at a "
+            "few places"
+        )
         findings.append(Note(Code.HEAVY_TAILS, text, Severity.WARNING))
         recommended = "ou" if correlated else "student-t"
     if repeating is not None and repeating.shown:

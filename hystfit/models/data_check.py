@@ -119,6 +119,8 @@ def _determined(advice: Advice | None, report: QualityReport) -> Advice | None:
 def _lagging(report: QualityReport, kinds: tuple[DataKind, ...], verdicts: dict[str, Determination]) -> Advice:
     """Plays with lag and creep where there is time; a Preisach model for magnetic loops of several amplitudes."""
     reasons = ["the loop runs counter-clockwise"]
+    if all(record.switches for record in report.records):
+        return Advice("preisach", "the output switches between two values")
     if kinds[0] == "lagging-untimed" and not has(report.findings, Code.MINOR_LOOPS):
         reasons.append("without time, at several amplitudes")
         return Advice("preisach-magnetic" if "point-symmetric" in kinds else "preisach", ", ".join(reasons))

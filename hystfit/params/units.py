@@ -144,7 +144,12 @@ _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
     "molar moment": "magnetization", "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
-_BY_SYMBOL = {r"emu/.*": "magnetization", r"m?bar|psi|[tT]orr|hPa": "pressure", r".*strain|([mun]?m)/m?m": "strain"}
+_BY_SYMBOL = {
+    r"emu/.*": "magnetization",
+    r"m?Ah(/.*)?": "state of charge",
+    r"m?bar|psi|[tT]orr|hPa": "pressure",
+    r".*strain|([mun]?m)/m?m": "strain",
+}
 _MARKS = str.maketrans("\u00b5\u03bc\u2126\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu\u03a9**231-")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
 

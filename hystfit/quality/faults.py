@@ -8,6 +8,8 @@ import math
 import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
+_ABOUT = 2  # samples on each side of an outlier that must be smooth without it
+_ROUGH = 0.5  # their largest second difference, as a part of its height
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
@@ -137,7 +139,8 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whether the output stays at its largest or smallest value while the input moves on, shape (T,).
 
     Counted are runs of four samples or more that repeat this value exactly while u goes on in its direction by more than 2 % of its
-    range; slow or rounded signals, which repeat values elsewhere too, are not counted, nor is backlash, which begins at a reversal.
+    range; slow or rounded signals, which repeat values elsewhere too, are not counted, nor is backlash, which begins at a reversal, nor
+    the limits of a device that stays at them for much of the record, as a switch does.
 
     Args:
         u: input, shape (T,).
@@ -156,7 +159,7 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
             onward = np.sign(u[start] - u[start - 1]) if start else np.sign(u[stop - 1] - u[0])
             if stop - start >= max(4, 2 * (usual + 1)) and np.max(onward * (u[start:stop] - u[start])) > 0.02 * span:
                 found[start:stop] = True
-    return found
+    return found if found.mean() < _MOST_CLIPPED else np.zeros_like(found)
 
 
 def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -167,8 +170,8 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         y: output, shape (T,).
     """
     clipped = clipped_samples(u, y)
-    if not 0 < clipped.mean() < _MOST_CLIPPED:
-        return np.zeros_like(clipped)
+    if not clipped.any():
+        return clipped
     slope = np.abs(np.diff(y)) / np.maximum(np.abs(np.diff(u)), 1e-3 * np.ptp(u) / u.size)
     usual = float(np.nanmedian(slope[~clipped[1:] & ~clipped[:-1]]))
     for start, stop in runs(clipped):
@@ -178,8 +181,19 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return clipped
 
 
+def _is_isolated(y: np.ndarray, k: int, height: float) -> bool:
+    """Whether the output about sample k bends little beside the height of that sample, once it is replaced by the mean of its neighbors."""
+    about = y[max(k - _ABOUT, 0) : k + _ABOUT + 1].copy()
+    place = min(k, _ABOUT)
+    about[place] = 0.5 * (about[place - 1] + about[place + 1])
+    bends = np.abs(np.diff(about, 2))
+    return bool(np.nanmax(bends) < _ROUGH * height)
+
+
 def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None) -> np.ndarray:
     """Sample numbers of isolated outliers: beyond both neighbors on one side by more than 10 times the noise and 3 % of the range.
+
+    Without it the output about it is smooth: the peak of a wave of few samples is no outlier.
 
     Args:
         y: output, shape (T,).
@@ -191,8 +205,9 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     before, after = y[1:-1] - y[:-2], y[1:-1] - y[2:]
     limit = max(10 * (noise or 0.0), 0.03 * float(np.nanmax(y) - np.nanmin(y)))
     with np.errstate(invalid="ignore"):
-        out = (np.sign(before) == np.sign(after)) & (np.minimum(np.abs(before), np.abs(after)) > limit)
-    outliers = np.flatnonzero(out) + 1
+        least = np.minimum(np.abs(before), np.abs(after))
+        out = (np.sign(before) == np.sign(after)) & (least > limit)
+    outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, int(k), float(least[k - 1]))], dtype=int)
     if ignore is not None and ignore.size and outliers.size:
         outliers = outliers[np.min(np.abs(outliers[:, None] - ignore[None, :]), axis=1) > 1]
     return outliers

@@ -57,7 +57,10 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
             "sensor; fits leave them out where the output reaches this limit at a slope",
         )
     if record.spikes:
-        yield warn(Code.SPIKES, f"outliers (spikes) in the output: {record.spikes}; fit with a robust loss")
+        yield warn(
+            Code.SPIKES,
+            f"outliers (spikes) in the output: {record.spikes}; fits leave them out, and a robust loss (loss='huber') keeps them",
+        )
     if record.motion.chatter_percent > MOST:
         length = record.motion.smoothing
         remedy = "measure the input with less noise"

@@ -22,6 +22,7 @@ LONG_HOLD = 50  # samples of a hold in which creep would show
 _BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
 _SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
+_MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
 
 
@@ -150,9 +151,14 @@ class RecordQuality:
         return opposite[way] if self.falls and way is not None else way
 
     @property
+    def switches(self) -> bool:
+        """Whether the output has two values, as that of a thermostat or another switch."""
+        return self.y.range > 0 and self.y.range == self.y.resolution
+
+    @property
     def degrading(self) -> bool:
-        """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance."""
-        if self.shape is None or self.dynamic or self.shape.crossing:
+        """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance or of a switch."""
+        if self.shape is None or self.dynamic or self.shape.crossing or self.switches:
             return False
         left = 1.0 if self.stiffness_left is None else self.stiffness_left
         return self.weakens or self.softens or left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
@@ -214,6 +220,15 @@ def delay_of(record: Record) -> PureDelay | None:
     return estimate_delay(record.u, np.where(record.used, record.y, np.nan), interval, turns)
 
 
+def outliers_of(record: Record) -> np.ndarray:
+    """Sample numbers of isolated outliers of the output; none where there are so many that they belong to its noise."""
+    noise, _ = noise_rms(record.y)
+    if not noise:
+        return np.empty(0, dtype=int)
+    found = spikes(record.y, noise, geometry.reversals(record.u, _threshold(_column(record.u))))
+    return found if found.size <= _MOST_OUTLIERS * len(record) else found[:0]
+
+
 def _summarize(record: Record) -> RecordQuality:
     u, y, t = record.u, record.y, record.t
     u_column, y_column = _column(u), _column(y)
@@ -246,7 +261,7 @@ def _summarize(record: Record) -> RecordQuality:
         unloading_left=unloading_left(u, y, cycles),
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
-        spikes=int(spikes(y, y_column.noise_rms, turns).size),
+        spikes=int(outliers_of(record).size),
     )
 
 

@@ -15,9 +15,10 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
+from hystfit.reading.curves import divider_of, labels_of, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Table
 from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
+from hystfit.reading.side_by_side import stacked
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 from hystfit.reading.two_branches import unfolded
 
@@ -57,6 +58,9 @@ def assemble(
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
     if input is None and output is None and time in (None, False) and not others and (loop := unfolded(table)):
         (table, input, output), time = loop, False
+        notes = [*table.notes]
+    elif input is None and output is None and time in (None, False) and not others and (loops := stacked(table)):
+        table, time = loops, False
         notes = [*table.notes]
     marked, dividers = marked_by_kind(table, others)
     choice = choose(table, time, input, output, [*others, *dividers])
@@ -207,10 +211,13 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
     step = np.diff(time)
     if (step < 0).any():
         k = int(np.argmax(step < 0))
+        divider = divider_of(table, line, step < 0)
+        apart = (
+            "give by= or put a blank line between them" if divider is None else f"by={divider!r} reads each as a record"
+        )
         raise DataError(
             f"{table.source}, line {line[k + 1]}: time decreases from {time[k]:g} to {time[k + 1]:g} "
-            f"({int((step < 0).sum())} time(s)). If several curves follow each other give by= or put a blank line "
-            "between them; time=False reads without time"
+            f"({int((step < 0).sum())} time(s)). If several curves follow each other {apart}; time=False reads without time"
         )
     if not (step > 0).any():
         raise DataError(

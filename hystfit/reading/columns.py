@@ -28,7 +28,7 @@ for _kind, _list in {
     "field": "h hfield field feld applied_field 磁场 磁場",
     "electric field": "efield e_field electric_field 电场 電場",
     "current": "current strom amps amperes 电流 電流 ток",
-    "pressure": "pressure druck 压力 圧力",
+    "pressure": "pressure druck suction saugspannung 压力 圧力",
     "strain": "strain eps epsilon dehnung e etrue engstrain 应变 應變 ひずみ деформация",
     "displacement": "x d disp displ displacement position pos stroke deflection drift weg dist distance "
     "elongation extension travel angle theta rotation rot lvdt 位移 変位 перемещение",
@@ -38,6 +38,7 @@ for _kind, _list in {
     "induction": "b induction flux",
     "polarization": "polarization polarisation pol p 极化 分極",
     "charge": "charge q 电荷 電荷",
+    "state of charge": "soc dod capacity ladezustand kapazität",
     "force": "f force load kraft shear forc torque fx fy fz base_shear lateral_load 荷重 载荷 сила",
     "stress": "stress sigma sig s 应力 応力",
     "temperature": "temperature temp temperatur kelvin celsius 温度 температура",
@@ -65,7 +66,8 @@ _BY_NAME = {  # quantities in the unit of another, which their name tells
 # In the names of columns beside another column of the same quantity.
 _SECONDARY = frozenset("min max raw quad system peak center bridge trans background".split())
 _AS_INPUT = (
-    "input", "voltage", "field", "electric field", "current", "pressure", "strain", "displacement", "induction", "", "temperature"
+    "input", "voltage", "field", "electric field", "current", "pressure", "strain", "displacement", "induction", "", "temperature",
+    "velocity",
 )  # fmt: skip
 _MAGNETIC = ("moment", "magnetization", "induction")
 _ELECTRIC = ("polarization", "charge")
@@ -81,6 +83,7 @@ _LAST = ("velocity", "frequency", "status", "error", "index", "time")
 _SPECIFIC = tuple(
     [("field", output) for output in _MAGNETIC]
     + [("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge")]
+    + [("state of charge", "voltage")]  # of a battery
 )
 _COMMON = (
     ("voltage", "displacement"),
@@ -299,15 +302,20 @@ def _guess_pair(
     if not given and {kinds[k] for k in best} == _EITHER:
         best, note = _by_wave(table, *best)
         notes.append(note)
+    nameless = not (table.named or given)
     for role, position in zip(("input", "output"), best, strict=True):
         if role not in given:
             given[role] = position
             notes.append(_choice_note(table, role, position, kinds))
+    if nameless:  # nothing but the order of the columns tells which drives the other
+        swapped = f"if column {best[1]} drives the device, set input='{best[1]}' and output='{best[0]}'"
+        notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
     pair = [re.fullmatch(r"(.*)\[\d+\]", table.names[given[role]]) for role in ("input", "output")]
     if pair[0] and pair[1] and pair[0][1] == pair[1][1] and kinds[given["input"]] == kinds[given["output"]] != "":
         raise DataError(
             f"{table.source}: every column is {pair[0][1]!r} ({kinds[given['input']]}), so input and output cannot be "
-            f"guessed; give input= and output=. The columns are {table.describe()}"
+            f"guessed: name them with input= and output=, or give the file of the other quantity too (u.mat+y.mat). The columns are "
+            f"{table.describe()}"
         )
     others = [k for k in free if k not in given.values()]
     if others:

@@ -11,12 +11,14 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import has
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
 _MOST_CURVES = 10_000
+_NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
 
 def text_of(value: object) -> str:
@@ -72,8 +74,33 @@ def split_curves(
         raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
     if len(pieces) == 1:
         return [("", pieces[0])], False
-    notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
+    if choice.time is None and _follow_each_other(table.columns[choice.input], table.columns[choice.output], pieces):
+        text = (
+            f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the one before ends, and the input "
+            "runs back"
+        )
+        notes.append(Note(Code.CURVES, text))
+        return [("", np.concatenate(pieces))], False
+    if not has(table.notes, Code.CURVES):
+        notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+
+
+def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
+    """Whether the input runs up and down in turn from block to block, and each block begins near the end of the one before."""
+    near, way = _NEAR * np.ptp(u[np.isfinite(u)]), 0.0
+    for before, piece in itertools.pairwise([pieces[0], *pieces]):
+        ends = u[piece[0]], u[piece[-1]]
+        stroke = float(ends[1] - ends[0])
+        # A block is one branch: nowhere does it leave the range between its ends.
+        inside = np.all((u[piece] >= min(ends) - near) & (u[piece] <= max(ends) + near))
+        if not inside or abs(stroke) <= near or stroke * way > 0:
+            return False
+        apart = [abs(x[piece[0]] - x[before[-1]]) for x in (u, y)]
+        if way and not (apart[0] <= near and apart[1] <= _NEAR * np.ptp(y[np.isfinite(y)])):
+            return False
+        way = stroke
+    return True
 
 
 def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
@@ -128,6 +155,22 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
+
+
+def divider_of(table: Table, line: np.ndarray, begins: np.ndarray) -> str | None:
+    """Name of the column whose value changes at the rows where curves begin, and nowhere else; None without one.
+
+    Args:
+        table: the rows.
+        line: lines of the file that are looked at, shape (n,).
+        begins: whether the next of these lines begins a curve, shape (n - 1,).
+    """
+    rows = np.searchsorted(table.line, line)
+    for position, name in enumerate(table.names):
+        labels = labels_of(table, position)[rows]
+        if np.array_equal(labels[1:] != labels[:-1], begins):
+            return name
+    return None
 
 
 def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> list[tuple[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from hystfit.params.units import quantity
 from hystfit.reading import cells
 
 _BASE = (
@@ -50,7 +51,7 @@ def is_unit(text: str) -> bool:
 
 
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
-    """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "Force [kN]", "Force (kN)", "Force / kN"."""
+    """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "v_m/s", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip().translate(_WIDE)
     if len(name) > _LONGEST_NAME:
         return name, ""
@@ -69,6 +70,9 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
         over, under = filter(None, match.groups()[1:])
         if not (match[1].lower() in _LENGTHS and over in ("A", "V", "C")):  # x_A_m is the position of A
             return match[1], f"{over}/{under}"
+    # H_kA/m is H in kA/m; of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
+    if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
+        return match[1], match[2]
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)([^\s/,]+(?:/[^\s/,]+)?)", name)) and is_unit(
         match[2]
     ):
