@@ -57,8 +57,8 @@ def batch(
     Args:
         model: name (see hystfit models), my_model.py:MyModel, or auto: the winner of hystfit compare on each loop.
         method: auto (suits the model), {methods}.
-        fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model holds by default; repeatable.
+        fix: parameter to keep fixed, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that is fixed by default; repeatable.
         noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
         loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
         start: starting values estimated from the data, or those of the model.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hystfit.cli.options import STDOUT, Output
+from hystfit.cli.options import NO_TABLE, Output, TableOutput
 from hystfit.cli.write import finish, record_columns, show, write_csv, write_netcdf
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
@@ -75,10 +75,8 @@ def _parameters(model: Any) -> Table:
     return Table(columns, list(rows.values()))
 
 
-def datasets(name: str | None = None, /, *, output: Output = STDOUT) -> int:
+def datasets(name: str | None = None, /, *, output: TableOutput = NO_TABLE) -> int:
     """List the data sets known by name, describe one, or write one as CSV (downloading it where necessary).
-
-    --out is the CSV file to write, or a folder for it.
 
     Args:
         name: a data set.

@@ -66,8 +66,8 @@ def fit(
         model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
             chosen by cross-validation), or auto: the winner of hystfit compare.
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
-        fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model holds by default; repeatable.
+        fix: parameter to keep fixed, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that is fixed by default; repeatable.
         noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
             does not; the other noise models refine the fit by their likelihood.
         loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.

@@ -90,13 +90,13 @@ def forc_page(
         ("Next", f"hystfit fit {loop} --model preisach-forc --out fit"),
     ]
     captions = {
-        "forc": f"FORC diagram ({how}); red: positive, blue: negative; contours of a smoothed copy",
+        "forc": f"FORC diagram ({how}); red: positive, blue: negative; contour lines of the smoothed density",
         "coercivity": "Coercivity distribution: the density integrated over the interaction",
         "curves": "Reversal curves",
     }
     shown = [Picture(figures[name], caption) for name, caption in captions.items()]
     return page_of(
-        title, Status.OK, "forc", answer, [("Pictures", [shown]), ("Numbers", [table]), ("Notes", [list(notes)])]
+        title, Status.OK, "forc", answer, [("Plots", [shown]), ("Numbers", [table]), ("Notes", [list(notes)])]
     )
 
 
@@ -106,20 +106,20 @@ def compare_page(comparison: Comparison, folder: Path) -> Page:
     wording = Wording(translate=as_options).at(folder / "winner")
     answer = [
         ("Winner", best.name),
-        ("Error on left-out data", f"{number(best.score_percent, '.3g')} % of the range"),
-        ("Report on its fit", "winner/report.html"),
+        ("Cross-validation error", f"{number(best.score_percent, '.3g')} % of the range"),
+        ("Full report of its fit", "winner/report.html"),
         ("Next", "\n".join(next_commands(winner, wording))),
     ]
     figures = (
         ("loop", "Winner: measured loop and model"),
-        ("residuals-input", "Winner: residuals (measured less model)"),
+        ("residuals-input", "Winner: residuals (measured minus model)"),
     )
     shown = [Picture(_of_fit(winner, kind), caption) for kind, caption in figures]
     sections = [
         ("Ranking", [comparison.table(), *comparison.explanations()]),
-        ("Left-out error of each model", [[Picture(_ranking(comparison), "Error on left-out data and on the samples fitted")]]),
+        ("Errors of all models", [[Picture(_ranking(comparison), "Cross-validation error and error on the fitted samples")]]),
         ("Remarks", [comparison.remarks()]),
-        ("Pictures", [shown]),
+        ("Plots", [shown]),
     ]  # fmt: skip
     title = f"{len(comparison.rows)} models compared on {winner.data.name or winner.data[0].name}"
     return page_of(title, winner.status, "fit", answer, sections)
@@ -147,9 +147,11 @@ def _ranking(comparison: Comparison) -> Figure:
     figure = _sheet(5.6, 1.4 + 0.32 * len(rows))
     ax = figure.subplots()
     for k, row in enumerate(rows):
-        ax.plot(row.score_percent, k, "o", color="#0072b2", label="left out" if k == 0 else None)
+        ax.plot(row.score_percent, k, "o", color="#0072b2", label="cross-validation" if k == 0 else None)
         if row.in_sample_percent is not None:
-            ax.plot(row.in_sample_percent, k, "o", mfc="none", color="#d55e00", label="fitted" if k == 0 else None)
+            ax.plot(
+                row.in_sample_percent, k, "o", mfc="none", color="#d55e00", label="fitted samples" if k == 0 else None
+            )
     ax.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=8)
     ax.set(xscale="log", xlabel="error [% of the range]")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -176,16 +178,16 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
         commands.insert(0, f"hystfit invert {at(folder)} REFERENCE")
     answer += [("Next", "\n".join(commands))]
     captions = {
-        "corner": "Joint distributions: contours of 50 and 90 %",
-        "bands": "The loop, and 90 % bands over time: of the model output (blue), of a measurement (orange)",
+        "corner": "Joint distributions of the parameters; contours contain 50 and 90 % of the draws",
+        "bands": "Loop, and output over time with 90 % bands: model output (blue), new measurement (orange)",
         "trace": "Draws of each chain",
-        "rank": "Ranks of the draws",
+        "rank": "Ranks of the draws of each chain; flat histograms mean that the chains agree",
     }
     shown = [Picture(posterior.plot(kind), caption, wide=kind == "corner") for kind, caption in captions.items()]
     sections = [
         ("Parameters", [posterior.summary()]),
-        ("Quantities that follow (median and 95 % interval)", [posterior.derived_table()]),
-        ("Pictures", [shown]),
+        ("Derived quantities (median and 95 % interval)", [posterior.derived_table()]),
+        ("Plots", [shown]),
         ("Notes", [notes_of(posterior.notes)]),
         ("Priors", [[f"{name}: {text}" for name, text in posterior.priors.items()]]),
     ]
@@ -196,12 +198,12 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
 def profile_page(profiles: Profiles, fit: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
-    answer = [(f"{p.name} ({level})", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
+    answer = [(f"{p.name} ({level} limits)", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
     answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {opened(profiles.result, shlex.quote(str(fit)))}")]
     figure = Picture(
-        profiles.plot(), "Profiles with their limits; dashed: the quadratic of the standard error", wide=True
+        profiles.plot(), "Likelihood profiles with confidence limits; dashed: parabola of the standard error", wide=True
     )
-    sections = [("Pictures", [[figure]]), ("All limits", [list(map(str, profiles.profiles.values()))])]
+    sections = [("Plots", [[figure]]), ("All limits", [list(map(str, profiles.profiles.values()))])]
     title = f"{level} limits of {profiles.result.name} by profile likelihood"
     return page_of(title, profiles.status, "profile", answer, [*sections, ("Notes", [notes_of(profiles.notes)])])
 
@@ -213,12 +215,12 @@ def calibrate_page(calibration: Calibration, _: Path) -> Page:
     answer = [("Replicates", f"{len(calibration.ranks)}, {len(calibration.failures)} failed")]
     if low is not None and high is not None:
         answer += [("Coverage consistent with 95 %", f"{100 * low:.1f} % to {100 * high:.1f} %")]
-    caption = "Above: ranks of the truth among the draws; below: coverage, gray: 99 % by chance"
+    caption = "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of chance"
     shown = [[Picture(calibration.plot(), caption, wide=True)]] if len(calibration.ranks) else []
     failures = [f"replicate {k} failed: {why}" for k, why in calibration.failures[:10]]
     sections = [
         ("Coverage", [calibration.table()]),
-        ("Pictures", shown),
+        ("Plots", shown),
         ("Remarks", [[*failures, *calibration.broken]]),
     ]
     return page_of(head.rpartition(":")[0], calibration.status, "calibrate", answer, sections)
@@ -231,7 +233,9 @@ def design_page(proposal: Design, folder: Path) -> Page:
     answer = [("Proposed input", best.name), ("Aim", ", ".join(aims))]
     for name, members in list(aims.items())[:4]:
         now, then = proposal.median(proposal.present, members), proposal.median(best.stderr, members)
-        answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
+        answer.append(
+            (f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with the proposed input")
+        )
     command = (
         f"hystfit fit NEW_LOOP {loops_of(proposal.result.data)} --model {shlex.quote(proposal.result.name)} --out fit"
     )
@@ -244,10 +248,10 @@ def design_page(proposal: Design, folder: Path) -> Page:
     ax.set_xlabel("sample" if proposal.dt is None else axis_label("time", record.t_unit))
     shown = [
         Picture(figure, f"Proposed input ({best.name})"),
-        Picture(_gains(proposal), "Predicted standard errors over the present ones"),
+        Picture(_gains(proposal), "Predicted standard errors, relative to the present ones"),
     ]
     sections = [
-        ("Pictures", [shown]),
+        ("Plots", [shown]),
         ("Predicted standard errors", [proposal.table()]),
         ("Notes", [notes_of(proposal.notes)]),
     ]
@@ -270,7 +274,7 @@ def _gains(proposal: Design) -> Figure:
         ax.plot(ratio, range(len(names)), marker, color=color, ls="none", label=candidate.name)
     ax.axvline(1.0, color="black", lw=0.7)
     ax.set_yticks(range(len(names)), names)
-    ax.set(xlabel="standard error, new over present")
+    ax.set(xlabel="predicted / present standard error")
     ax.invert_yaxis()
     figure.legend(fontsize=8, frameon=False, ncols=2, loc="outside upper center")
     return figure
@@ -290,17 +294,15 @@ def invert_page(title: str, content: Mapping[str, Any], lines: Sequence[str], fi
     missed = {name: count for name, count in content["counts"].items() if count and name != "ok"}
     answer = [
         ("Input", f"{number(reach['lowest'])} to {number(reach['highest'])} {unit}".rstrip()),
-        ("Samples met", f"{content['counts']['ok']} of {sum(content['counts'].values())}"),
-        ("Not met", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
+        ("Reference reached", f"{content['counts']['ok']} of {sum(content['counts'].values())} samples"),
+        ("Not reached", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
         ("Next", following),
     ]
     shown = [
-        Picture(
-            figure, "Reference and output of the model (above), input (middle) and tracking error (below)", wide=True
-        )
+        Picture(figure, "Top: reference and output of the model. Middle: input. Bottom: tracking error", wide=True)
     ]
     words = [as_options(line.strip().removeprefix("- ")) for line in lines]
-    return page_of(title, content["status"], "invert", answer, [("Pictures", [shown]), ("Remarks", [words])])
+    return page_of(title, content["status"], "invert", answer, [("Plots", [shown]), ("Remarks", [words])])
 
 
 def inverse_figure(target: Record, inverse: Inverse, bands: InverseBands | None, unit: str) -> Figure:
@@ -318,7 +320,9 @@ def inverse_figure(target: Record, inverse: Inverse, bands: InverseBands | None,
     above.plot(axis, target.y, color=MEASURED, lw=2.6, label="reference")
     above.plot(axis, inverse.y, color=MODEL, lw=0.9, label="output of the model")
     missed = inverse.codes != 0
-    above.plot(axis[missed], inverse.y[missed], ".", ms=4, color="#d55e00", label="not met" if missed.any() else None)
+    above.plot(
+        axis[missed], inverse.y[missed], ".", ms=4, color="#d55e00", label="not reached" if missed.any() else None
+    )
     middle.plot(axis, inverse.u, color=MODEL, lw=0.9)
     below.plot(axis, inverse.y - target.y, color=MODEL, lw=0.9)
     for ax, of in ((middle, "u"), (below, "error")):

@@ -319,7 +319,7 @@ class _Judge:
                 result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
             else:
                 result = fit(given, self.data, seed=self.seed)
-        progress("error on left-out data")
+        progress("cross-validation")
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):
             result = with_left_out(result, float(score))
@@ -368,8 +368,8 @@ class _Judge:
         if not np.isfinite(error) or error <= first.limit * best:
             return None
         note = (
-            f"stopped after a first fit with an error of {error:.2g} %, because another model has {best:.2g} % on left-out data "
-            f"(hystfit compare --models {name} validates it)"
+            f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
+            f"of {best:.2g} % (hystfit compare --models {name} validates it)"
         )
         return Row(name, name, None, error, None, first.parameters, 0.0, Status.UNTESTED, note)
 

@@ -135,7 +135,7 @@ def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") ->
         min((row.score_percent for row in comparison.rows if row.score_percent is not None), default=None)
         != best.score_percent
     ):
-        reason = f"predicts left-out data as well as the best of {count} models, with a simpler or converged fit"
+        reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
     choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
     failed = [row for row in comparison.rows if row.status is Status.FAILED]
     left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]

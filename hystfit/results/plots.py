@@ -53,7 +53,7 @@ def fit(
     Args:
         result: the fit.
         kind: "loop" (output over input), "series" (output over time), "residuals" (over time), "residuals-input" (over
-            the input), "worst" (output over time around the largest lasting error), "cycle-errors" (residuals of the first, last and
+            the input), "worst" (output over time around the largest persistent error), "cycle-errors" (residuals of the first, last and
             worst cycle over the input), "autocorrelation" (of the residuals), "parameters" (their relative standard errors), "weights"
             (of plays or stops over their thresholds) or "density" (over the Preisach plane).
         ax: axes to draw on; new ones where None.
@@ -210,7 +210,7 @@ def _worst(traces: list[_Trace], ax: Axes) -> None:
     at = part.start + thin(_POINTS, trace.y[part], trace.predicted[part])
     ax.plot(trace.axis[at], trace.y[at], color=MEASURED, lw=2.6, label="measured")
     ax.plot(trace.axis[at], trace.predicted[at], color=MODEL, lw=0.9, label="model")
-    ax.axvline(trace.axis[middle], color="#d55e00", lw=0.8, ls="--", label="largest lasting error")
+    ax.axvline(trace.axis[middle], color="#d55e00", lw=0.8, ls="--", label="largest persistent error")
     column_label(ax, "y", *trace.columns["y"])
     ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)
