@@ -15,7 +15,7 @@ PLACES = {
     "core": "Hysteresis",
     "beside": "Added to the output (join by +)",
     "before": "Before the hysteresis (join by +)",
-    "after": "After it (join by +)",
+    "after": "After the hysteresis (join by +)",
 }
 _EXAMPLE = """Example: hystfit fit LOOP --model lag+prandtl-ishlinskii-generalized:plays=8+creep; or my_model.py:MyModel
 Settings follow a name (preisach:n=60:reversible=no); hystfit models NAME lists them
