@@ -203,7 +203,7 @@ def export(
     low, high = span or result.input_range
     step = result.data.sampling_interval or 1.0
     values = shlex.join([f"{low:.6g}", *(f"{u:.6g} {step:.6g}" for u in (0.5 * (low + high), high))])
-    print("Try it: the first input, then an input and a time step a line, give the outputs")
+    print("Try it (first line: first input; further lines: input and time step; prints the output of each line):")
     print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")
     print(f"  printf '%s\\n' {values} | ./{name} f")
     if s_function:

@@ -61,13 +61,13 @@ class Inverse:
     def notes(self) -> tuple[str, ...]:
         """Warnings, one sentence each."""
         texts = {
-            Status.SATURATED: "lie beyond what the input's limits reach: the input is held there",
-            Status.NOT_MONOTONE: "lie where the model's output does not rise with its input: the input may jump there",
+            Status.SATURATED: "cannot be reached within the limits of the input: the input stays at its limit there",
+            Status.NOT_MONOTONE: "lie where the output of the model does not rise with its input: the input may jump there",
             Status.OUT_OF_RANGE: "cannot be reached in the range in which the model is known: the nearest input is given",
         }
         places = {kind: np.flatnonzero(self.codes == kind) for kind in texts}
         return tuple(
-            f"{at.size} of {self.codes.size} samples, the first number {at[0]}, {texts[kind]}"
+            f"{at.size} of {self.codes.size} samples (first: sample {at[0]}) {texts[kind]}"
             for kind, at in places.items()
             if at.size
         )
