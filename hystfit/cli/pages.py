@@ -233,9 +233,8 @@ def design_page(proposal: Design, folder: Path) -> Page:
     answer = [("Proposed input", best.name), ("Aim", ", ".join(aims))]
     for name, members in list(aims.items())[:4]:
         now, then = proposal.median(proposal.present, members), proposal.median(best.stderr, members)
-        answer.append(
-            (f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with the proposed input")
-        )
+        known = lambda value: "not determined" if value is None else number(value, ".3g")
+        answer.append((f"Standard error of {name}", f"{known(now)} now, {known(then)} with the proposed input"))
     command = (
         f"hystfit fit NEW_LOOP {loops_of(proposal.result.data)} --model {shlex.quote(proposal.result.name)} --out fit"
     )

@@ -56,6 +56,7 @@ class Nuts(AbstractSampler):
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder."""
+        _kernel()  # a missing package is named before minutes of compilation
         drawn: dict[int, list[np.ndarray]] = {number: [] for number in range(self.chains)}
         reporting, halted = threading.Lock(), threading.Event()
 
