@@ -34,7 +34,7 @@ from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
-from hystfit.sampling.setup import checked, prepare
+from hystfit.sampling.setup import Setup, checked, prepare
 from hystfit.sampling.target import Target
 
 
@@ -652,5 +652,5 @@ def test_a_missing_package_is_named_before_the_compilation(kind, monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
     reported = []
     with pytest.raises(MissingExtraError, match=r"hystfit\[bayes\]"):
-        SAMPLERS[kind]().run(None, 0, None, lambda *words: reported.append(words))
+        SAMPLERS[kind]().run(object.__new__(Setup), 0, None, lambda *words: reported.append(words))
     assert reported == []
