@@ -83,11 +83,11 @@ def invert(
 ) -> Inverse:
     """The input that makes a model follow a reference.
 
-    A resonance at the end of a `Series` is undone by leading the reference (see `lead`), everything before it sample by sample.
+    A resonance at the end of a `Series` is inverted by filtering the reference (see `lead`), everything before it sample by sample.
 
     Args:
         model: a model, or a fit.
-        reference: wanted output, shape (T,); samples that are not finite hold the input.
+        reference: desired output, shape (T,); where it is not finite, the input keeps its value.
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
         resume: state and last input before the first sample. None: the input on which the model, at rest, gives the first
             sample, as `simulate` starts; where rest gives the same output on every input, it rests on the input nearest zero.
@@ -160,7 +160,7 @@ def prepare(
 
 def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
     if resume is not None:
-        raise ModelError("a model with a resonance is led, not stepped: its inverse starts from rest, leave resume out")
+        raise ModelError("a model with a resonance at its end is inverted as a whole and starts from rest: leave resume out")
     known, inverted = fitted_inputs(model)
     resonant = inverted.output_resonance()
     assert resonant is not None

@@ -48,7 +48,7 @@ def fit(
     test: Any = None,
     **settings: Any,
 ) -> FitResult:
-    """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
+    """Fit a model to measured loops by least squares on its simulated output, or by a sequential identifier.
 
     `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
 
