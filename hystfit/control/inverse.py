@@ -160,7 +160,9 @@ def prepare(
 
 def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
     if resume is not None:
-        raise ModelError("a model with a resonance at its end is inverted as a whole and starts from rest: leave resume out")
+        raise ModelError(
+            "a model with a resonance at its end is inverted as a whole and starts from rest: leave resume out"
+        )
     known, inverted = fitted_inputs(model)
     resonant = inverted.output_resonance()
     assert resonant is not None
