@@ -42,9 +42,8 @@ VERBS = {
 }
 # A value that is not quoted is left alone: records are called by column=value, too; --name=value is an option already.
 _ARGUMENT = re.compile(r"(?<!-)\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
-_OPTIONS = re.compile(
-    r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)"
-)  # options in parentheses, without other words
+# Options in parentheses, without other words.
+_OPTIONS = re.compile(r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)")
 
 
 def place(verb: str) -> str:
