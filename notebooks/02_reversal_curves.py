@@ -78,7 +78,7 @@ print(len(family), "curves,", sum(len(r) for r in family), "samples")
 
 # %% [markdown]
 # ## The density
-# Every other curve is fitted; the others test the prediction. The plane is divided into cells of uniform density: with one point
+# Every other curve is fitted; the others test the prediction. The plane is divided into cells of uniform density, because with one
 # relay per cell the output would jump. The levels are closer where the output is steep. The masses are non-negative and smooth,
 # and the smoothing penalty is chosen by cross-validation over curves. At the shell use
 # `hystfit fit FILE --by CURVE --model preisach-forc`; `hystfit check` reports whether a file contains such curves.
@@ -154,8 +154,9 @@ plt.show()
 
 # %% [markdown]
 # ## Speed
-# Which relays are up does not depend on their weights. An input is compiled once into the states that it visits; every further
-# run, and its gradient, is a few look-ups in a table of sums, with the same numbers as the scan over samples.
+# The states of the relays depend on the input, but not on the weights. The input is therefore compiled once into the sequence of relay
+# states. Every further simulation, and its gradient, takes a few look-ups in a table of sums and gives the same numbers as the scan over
+# the samples.
 
 # %%
 compiled = compile_for(fit.model, nested)

@@ -64,7 +64,7 @@ plt.show()
 decades = np.log10(since[creeping] / 0.1)
 slope, first = np.polyfit(decades, slow.y[creeping], 1)
 before = float(np.mean(slow.y[since < 0]))
-print(f"{slope:.3f} µm a decade on a step of {first - before:.2f} µm: {100 * slope / (first - before):.2f} % a decade")
+print(f"{slope:.3f} µm per decade on a step of {first - before:.2f} µm: {100 * slope / (first - before):.2f} % per decade")
 
 # %% [markdown]
 # The same law on a measured piezo stack (yan9a, MIT license; `hystfit datasets piezo_dbo/model`), 40 equal cycles at 1 Hz: if the
@@ -84,7 +84,7 @@ means = cyclic.y[: cycles * period].reshape(cycles, period).mean(axis=1)[1:]  # 
 middles = (cyclic.t[::period][:cycles] - cyclic.t[0])[1:] + 0.5 * period * cyclic.sampling_interval
 drift, at_one_second = np.polyfit(np.log10(middles), means, 1)
 shown = 1 - np.var(means - drift * np.log10(middles) - at_one_second) / np.var(means)
-print(f"mean of a cycle: {drift:.2f} {cyclic.y_unit} a decade of time, which explains {100 * shown:.0f} % of its variance")
+print(f"mean of a cycle: {drift:.2f} {cyclic.y_unit} per decade of time, which explains {100 * shown:.0f} % of its variance")
 
 figure, ax = plt.subplots(figsize=(5.6, 3.4), layout="constrained")
 ax.semilogx(middles, means, "o", ms=4)

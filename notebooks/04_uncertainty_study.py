@@ -189,7 +189,7 @@ for name in again.free_names:
 # Error bars assume that the model is right. Here is a measured loop where it is not: a magnetorheological damper on a shaking table
 # (labcontrol, MIT license; `hystfit datasets mr_labcontrol/4.1` prints address and SHA-256), read from the folder that
 # `HYSTFIT_DATA` names; without it, a damper with a saturating force is simulated, which the models below lack. Two models are
-# fitted to the first 6 s, and `kappa_x`, the stiffness after yielding, is read from each. Its standard error allows for autocorrelated
+# fitted to the first 6 s, and each gives a value of `kappa_x`, the stiffness after yielding. Its standard error allows for autocorrelated
 # residuals, but not for a wrong force law. Read the status before the errors: a stiffness from a model that is `rough` belongs to that
 # model, and may not be that of the device.
 

@@ -13,8 +13,8 @@
 # %% [markdown]
 # # A population of actuators: make it, fit it, compare it with the truth
 #
-# Piezo actuators of one type differ. A controller that must work with all of them is designed for the spread, and the spread is
-# measured by fitting every device. Here the devices are simulated, so their parameters are known: we see how much of the spread of the
+# Piezo actuators of one type differ from each other. A controller that must work with all of them is designed for their spread, and the
+# spread is measured by fitting every device. Here the devices are simulated, so their parameters are known: we see how much of the spread of the
 # fits is real, and how much is the error of each fit.
 
 # %%
@@ -56,7 +56,8 @@ plt.show()
 
 # %% [markdown]
 # ## The fits
-# `fit_many` fits each device on its own, in one compiled program, and keeps what is finished in a folder: the same call resumes.
+# `fit_many` fits each device on its own, in one compiled program. Finished fits are kept in a folder, so that the same call resumes after an
+# interruption.
 
 # %%
 fits = hf.fit_many("bouc-wen+log-creep", data, starts=1 if QUICK else 2, folder=folder / "run")

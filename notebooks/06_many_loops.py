@@ -60,7 +60,7 @@ fits = hf.fit_many("bouc-wen", str(folder / "loops" / "*.csv"), starts=1 if QUIC
 fits
 
 # %% [markdown]
-# ## Files that need a look
+# ## Files that need attention
 
 # %%
 for row in fits.worst(2):

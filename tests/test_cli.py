@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.cli import run
+from hystfit.cli import app, run
+from hystfit.cli.help_text import EXAMPLES
 from hystfit.cli.options import Reading, bounds_of, named_values
-from hystfit.cli.verbs import as_options
+from hystfit.cli.verbs import VERBS, as_options
 from hystfit.cli.write import show
 from hystfit.errors import HystfitError, optional
 from hystfit.outcome import Status
@@ -587,6 +588,37 @@ def test_help_lists_the_choices_that_the_library_accepts(option, loop, capsys):
     assert run(["fit", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert all(name in text for name in names)
+
+
+@pytest.mark.parametrize("verb", list(VERBS))
+def test_help_of_a_verb_ends_with_commands_that_can_be_typed(verb, monkeypatch, capsys):
+    """Each example parses and takes one line of 80 columns; no description is broken in mid-sentence but at the margin."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run([verb, "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    shown = [line.strip() for line in lines if line.startswith("  hystfit ")]
+    assert shown == list(EXAMPLES[verb])
+    for line in shown:
+        assert shlex.split(line)[1] == verb
+        app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
+    assert max(map(len, lines)) <= 80
+
+
+def test_descriptions_in_help_are_broken_at_the_margin_only(monkeypatch, capsys):
+    """A line that goes on below is filled: its text and the first word below would not fit."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run(["fit", "--help"]) == 0
+    rows = [line[1:-1].rstrip() for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    pairs = [(above, below.split()[0]) for above, below in itertools.pairwise(rows) if below.startswith(" " * 8)]
+    assert len(pairs) > 20
+    assert [pair for pair in pairs if len(pair[0]) + 1 + len(pair[1]) <= 77] == []
+
+
+def test_the_list_of_verbs_begins_with_those_of_a_first_session(capsys):
+    assert run(["--help"]) == 0
+    listed = re.findall(r"^│ ([a-z]+) ", capsys.readouterr().out, flags=re.MULTILINE)
+    assert listed == list(VERBS)
+    assert listed[:2] == ["check", "fit"]
 
 
 def test_windows_and_held_parameters_are_read():

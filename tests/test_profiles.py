@@ -16,7 +16,7 @@ from hystfit.inference.residuals import analyze
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.uncertainty.input_design import Candidate, Design, design
-from hystfit.uncertainty.profiles import _whitened, profile
+from hystfit.uncertainty.profiles import Profile, _whitened, profile
 from hystfit.uncertainty.robust_errors import FEWEST, _Blocks, covariance
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
@@ -486,3 +486,18 @@ def test_coefficients_are_no_weights():
     masses = hf.Preisach.of(8)
     assert weights(masses).sum() == masses.w.size + masses.slopes.size
     assert weights(hf.SignedPreisach.of(8)).sum() == masses.w.size
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "said"),
+    [
+        (0.5, 2.0, "n = 1 V: 0.5 to 2"),
+        (0.5, None, "n = 1 V: at least 0.5, no upper limit (up to +infinity)"),
+        (None, 2.0, "n = 1 V: at most 2, no lower limit (down to its bound 0)"),
+        (None, None, "n = 1 V: not bounded by the data on either side"),
+    ],
+)
+def test_limits_in_words(lower, upper, said):
+    below, above = ("its bound 0" if lower is None else None), ("+infinity" if upper is None else None)
+    empty = np.zeros(0)
+    assert str(Profile("n", "V", 1.0, empty, empty, lower, upper, below, above)) == said

@@ -187,6 +187,7 @@ def test_page_is_whole_and_self_contained(result):
         assert all(cell in text for cell in cells)  # the page and the text show the same tables
     assert "part of the slope that the hysteresis takes at a reversal" in text
     assert 'name="viewport"' in page
+    assert '<div class="next"><dt>Next</dt>' in page  # commands have a line of their own, in a monospaced font
 
 
 def test_files(result, tmp_path):

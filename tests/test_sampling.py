@@ -21,7 +21,7 @@ import scipy.stats
 import hystfit as hf
 import hystfit.models
 from hystfit import priors
-from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError
 from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
@@ -32,8 +32,9 @@ from hystfit.sampling.files import load_posterior
 from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
+from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
-from hystfit.sampling.setup import checked, prepare
+from hystfit.sampling.setup import Setup, checked, prepare
 from hystfit.sampling.target import Target
 
 
@@ -645,3 +646,12 @@ def test_bands_under_heavy_tails_have_the_tails_of_students_t(fitted):
     ahead = hf.Record(u=np.linspace(-1, 1, 30), y=np.zeros(30))
     low, _, high = drawn.bands(ahead, 0.9, count=4000)
     assert np.median(high - low) == pytest.approx(2 * 0.5 * scipy.stats.t.ppf(0.95, dof), rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["nuts", "nested"])
+def test_a_missing_package_is_named_before_the_compilation(kind, monkeypatch):
+    monkeypatch.setitem(sys.modules, "blackjax", None)
+    reported = []
+    with pytest.raises(MissingExtraError, match=r"hystfit\[bayes\]"):
+        SAMPLERS[kind]().run(object.__new__(Setup), 0, None, lambda *words: reported.append(words))
+    assert reported == []

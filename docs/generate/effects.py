@@ -15,6 +15,7 @@ from generate.style import LINES, save_both
 from hystfit.models.base import AbstractHysteresis
 
 COLUMNS = 3
+WIDTHS = {1: 4.0, 2: 6.6, 3: 7.5}  # of a figure with this many columns [in]; a page has room for 6.7
 DT = 0.01  # sampling interval of the pictures [s]
 
 Curve = tuple[np.ndarray, np.ndarray]
@@ -53,7 +54,7 @@ def _curve(model: AbstractHysteresis, view: str) -> Curve:
 def _figure(entry: Facts, curves: dict[str, list[Curve]]) -> Figure:
     columns = COLUMNS if len(curves) in (3, 5, 6) else min(2, len(curves))
     rows = -(-len(curves) // columns)
-    size = (max(3.4, 2.5 * columns), 2.2 * rows)
+    size = (WIDTHS[columns], 2.4 * rows)
     figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
     for ax in grid.flat[len(curves) :]:
         ax.remove()

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from generate.markdown import docstring, plain, table
+from hystfit.cli.verbs import as_options
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
@@ -35,8 +36,8 @@ def quantities() -> str:
 
 
 def statuses() -> str:
-    """Every status with its advice."""
-    rows = [(f"`{status}`", "0" if status.usable else "1", plain(status.advice())) for status in Status]
+    """Every status with its advice, in the words of the shell."""
+    rows = [(f"`{status}`", "0" if status.usable else "1", plain(as_options(status.advice()))) for status in Status]
     return table(["status", "exit status", "what to do"], rows)
 
 

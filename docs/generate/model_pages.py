@@ -49,8 +49,8 @@ def index_page() -> str:
     """The list of models in the groups of the command line, with what each can do."""
     parts = [
         "# Models",
-        'Each name works in `hystfit fit --model NAME` and in `hf.fit("NAME", data)`; names are joined by `+`, and settings follow '
-        "after colons (`preisach:n=60`). [Choosing a model](../guide/choosing.md) says which to try.",
+        'Each name works in `hystfit fit --model NAME` and in `hf.fit("NAME", data)`; join several by `+`, and write settings '
+        "after a colon (`preisach:n=60`). [Choosing a model](../guide/choosing.md) helps to decide.",
     ]
     for place, heading in PLACES.items():
         rows = [
@@ -77,7 +77,7 @@ def model_page(name: str, entry: Entry, known: Facts) -> str:
         lines = known.equation.replace(r"\qquad", r"\\[0.5ex]")  # one below the other, for narrow windows
         parts.append(f"$$\n\\begin{{gathered}}\n{lines}\n\\end{{gathered}}\n$$")
     if known.makes:
-        parts.append(f"## Loops\n\n**It makes:** {known.makes}\n\n**It cannot make:** {known.cannot}")
+        parts.append(f"## What it describes\n\n**Suited for:** {known.makes}\n\n**Not suited for:** {known.cannot}")
     parts.append(f"## Parameters\n\n{_parameters(model)}")
     if settings := entry.settings():
         rows = [(f"`{key}`", f"`{value}`") for key, value in settings.items()]
@@ -86,7 +86,7 @@ def model_page(name: str, entry: Entry, known: Facts) -> str:
         drawn = f" Drawn with `{known.example}`." if known.example != name else ""
         picture = both(name, f"Effect of the parameters of {name}")
         parts.append(
-            f"## What each parameter does\n\nThree values of one parameter; the others stay.{drawn}\n\n{picture}"
+            f"## What each parameter does\n\nEach plot varies one parameter and keeps the others fixed.{drawn}\n\n{picture}"
         )
     parts.append(f"## Details\n\n{docstring(inspect.getdoc(type(model)) or '')}")
     parts.append(f"## Data and cost\n\n{_needs(name, model)}")
@@ -115,8 +115,8 @@ def _parameters(model: AbstractHysteresis) -> str:
         about = plain(leaf.info.doc) + (f" *({', '.join(marks).replace('_', ' ')})*" if marks else "")
         rows.append((f"`{name}`{count}", about, plain(unit) or "1", _default(model, name), interval(leaf.info.bounds)))
     note = (
-        "`[u]` and `[y]` are the units of the data. *Fixed* parameters keep their value unless freed by `--free`; *per record*: each "
-        "record has its own value; *linear*: the output is linear in it. A fit estimates starting values from the data."
+        "`[u]` and `[y]` are the units of the data. *Fixed*: the parameter keeps its default value unless `--free` is given. *Per "
+        "record*: each record has its own value. *Linear*: the output is linear in it. A fit estimates starting values from the data."
     )
     return f"{table(['name', 'meaning', 'unit', 'default', 'bounds'], rows)}\n\n{note}"
 
@@ -137,7 +137,7 @@ def _needs(name: str, model: AbstractHysteresis) -> str:
     rows = [
         ("time", "not needed: rate independent" if model.rate_independent else "needed (a clock, `--rate` or `--dt`)"),
         ("free parameters", str(free)),
-        ("states per sample", f"{states}; a simulation costs in proportion to samples times states"),
+        ("states per sample", f"{states}; the cost of a simulation is proportional to samples times states"),
         ("estimator (`--method auto`)", plain(estimator)),
     ]
     needs = model.needs
@@ -152,7 +152,7 @@ def _needs(name: str, model: AbstractHysteresis) -> str:
         rows += (
             [("loops with default bounds", f"{needs.symmetry}; {_DIRECTIONS[needs.direction]}")] if needs.loop else []
         )
-        rows += [("with too few", plain(needs.too_few))] if needs.too_few else []
+        rows += [("with fewer", plain(needs.too_few))] if needs.too_few else []
     for use, label in (("inverse", "inverse"), ("export", "C code")):
         obstacle = model.obstacle(use)
         rows.append((label, "yes" if obstacle is None else f"no: {plain(obstacle)}"))

@@ -40,7 +40,7 @@ def fit_many(
 ) -> Fits:
     """Fit one model to each of many loops, each on its own, with the estimates, errors and verdicts of `hystfit.fit`.
 
-    Levenberg-Marquardt runs for many loops of like length in one compiled program. A loop that does not converge there, ends on a
+    Levenberg-Marquardt runs for many loops of similar length in one compiled program. A loop that does not converge there, ends on a
     bound, or has a model with another estimator is fitted as `hystfit.fit` does it. A loop that cannot be read or fitted is a row
     with the reason. All loops are converted to the units of the first one that can be read.
 

@@ -32,7 +32,7 @@ class Row(WithStatus):
         values, stderr: of the free parameters; the standard error is None where it means nothing.
         rmse: root mean square error [y].
         error_percent, max_error_percent: rms and largest error, percent of the output's range.
-        quantities: of the steady loop of the fitted model over the fitted input range (loss a cycle, coercivity, remanence, ...), and
+        quantities: of the steady loop of the fitted model over the fitted input range (loss per cycle, coercivity, remanence, ...), and
             those that the model derives from its parameters.
         units: of parameters and quantities.
     """

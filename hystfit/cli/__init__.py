@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import platformdirs
 from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 
+from hystfit.cli.help_text import WrappedHelp, examples
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
 from hystfit.cli.verbs import VERBS, as_options, place, verb_options
 from hystfit.config import PROGRAM_FOLDER, compile_whole_loops
@@ -23,9 +24,11 @@ from hystfit.version import __version__
 
 _HELP = """Fit hysteresis models to measured loops, report what the data determine, and use the fitted model.
 
-LOOP is a file (csv, txt, dat, mat, npz, xlsx, h5), a pattern ('loops/*.csv') or the name of a data set (hystfit datasets).
+LOOP is a file (csv, txt, dat, mat, npz, xlsx, h5), a pattern ('loops/*.csv') or the name of a data set (see hystfit datasets).
 u.csv+y.csv is one record with its input in the first file and its output in the second.
-Start with: hystfit fit LOOP --out fit
+
+Start with: hystfit check LOOP, then hystfit fit LOOP --out fit
+Options and examples of a verb: hystfit fit --help
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
 _COLLECTION = 100_000  # new objects between garbage collections; imports and traces make a million that stay
@@ -36,13 +39,14 @@ app = App(
     name="hystfit",
     help=_HELP,
     help_format="plaintext",
+    help_formatter=WrappedHelp(),
     version=__version__,
     default_parameter=Parameter(negative=""),
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _verb, (_, _help) in VERBS.items():
-    app.command(place(_verb), name=_verb, help=_help)
+for _place, (_verb, (_, _help)) in enumerate(VERBS.items()):
+    app.command(place(_verb), name=_verb, help=_help, sort_key=_place, help_epilogue=examples(_verb))
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hystfit.cli.options import STDOUT, Output
+from hystfit.cli.options import NO_TABLE, TableOutput
 from hystfit.cli.write import finish, finish_table, record_columns, show
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
@@ -13,7 +13,7 @@ PLACES = {
     "core": "Hysteresis",
     "beside": "Added to the output (join by +)",
     "before": "Before the hysteresis (join by +)",
-    "after": "After it (join by +)",
+    "after": "After the hysteresis (join by +)",
 }
 _EXAMPLE = """Example: hystfit fit LOOP --model lag+prandtl-ishlinskii-generalized:plays=8+creep; or my_model.py:MyModel
 Settings follow a name (preisach:n=60:reversible=no); hystfit models NAME lists them
@@ -75,10 +75,8 @@ def _parameters(model: Any) -> Table:
     return Table(columns, list(rows.values()))
 
 
-def datasets(name: str | None = None, /, *, output: Output = STDOUT) -> int:
+def datasets(name: str | None = None, /, *, output: TableOutput = NO_TABLE) -> int:
     """List the data sets known by name, describe one, or write one as CSV (downloading it where necessary).
-
-    --out is the CSV file to write, or a folder for it.
 
     Args:
         name: a data set.

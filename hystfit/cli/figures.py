@@ -45,9 +45,9 @@ def ranking_figure(comparison: Comparison) -> Figure:
     figure = sheet(5.6, 1.4 + 0.32 * len(rows))
     ax = figure.subplots()
     for k, row in enumerate(rows):
-        ax.plot(row.score_percent, k, "o", color=MODEL, label="left out" if k == 0 else None)
+        ax.plot(row.score_percent, k, "o", color=MODEL, label="cross-validation" if k == 0 else None)
         if row.in_sample_percent is not None:
-            ax.plot(row.in_sample_percent, k, "o", mfc="none", color=SECOND, label="fitted" if k == 0 else None)
+            ax.plot(row.in_sample_percent, k, "o", mfc="none", color=SECOND, label="fitted samples" if k == 0 else None)
     ax.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=8)
     ax.set(xscale="log", xlabel="error [% of the range]")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -87,7 +87,7 @@ def gain_figure(proposal: Design) -> Figure:
         ax.plot(ratios, range(len(families)), marker, color=color, ls="none", label=candidate.name)
     ax.axvline(1.0, color="black", lw=0.7)
     ax.set_yticks(range(len(families)), list(families))
-    ax.set(xlabel="standard error, new over present")
+    ax.set(xlabel="predicted / present standard error")
     _finish_rows(figure, ax)
     return figure
 
@@ -100,7 +100,7 @@ def inverse_figure(target: Record, inverse: Inverse, bands: InverseBands | None,
     above.plot(axis, target.y, color=MEASURED, lw=2.6, label="reference")
     above.plot(axis, inverse.y, color=MODEL, lw=0.9, label="output of the model")
     missed = inverse.codes != 0
-    above.plot(axis[missed], inverse.y[missed], ".", ms=4, color=SECOND, label="not met" if missed.any() else None)
+    above.plot(axis[missed], inverse.y[missed], ".", ms=4, color=SECOND, label="not reached" if missed.any() else None)
     middle.plot(axis, inverse.u, color=MODEL, lw=0.9)
     below.plot(axis, inverse.y - target.y, color=MODEL, lw=0.9)
     if bands is not None:

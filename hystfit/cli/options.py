@@ -202,7 +202,19 @@ class Output:
         check_writable(self.out)
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TableOutput(Output):
+    """Options for the output of a verb that writes one table.
+
+    Args:
+        out: CSV file to write (netCDF with the suffix .nc), or a folder for it.
+        json: print result.json instead of the text.
+    """
+
+
 DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), SequentialSettings()
+NO_TABLE = TableOutput()
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:

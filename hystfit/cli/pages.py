@@ -63,12 +63,12 @@ def forc_page(
         ("Next", f"hystfit fit {loop} --model preisach-forc --out fit"),
     ]
     captions = {
-        "forc": f"FORC diagram ({how}); red: positive, blue: negative; contours of a smoothed copy",
+        "forc": f"FORC diagram ({how}); red: positive, blue: negative; contour lines of the smoothed density",
         "coercivity": "Coercivity distribution: the density integrated over the interaction",
         "curves": "Reversal curves",
     }
     shown = [Picture(figures[name], caption) for name, caption in captions.items()]
-    sections = [("Pictures", [shown]), ("Numbers", [table]), ("Notes", [list(notes)])]
+    sections = [("Plots", [shown]), ("Numbers", [table]), ("Notes", [list(notes)])]
     return page_of(title, Status.OK, "forc", answer, sections)
 
 
@@ -78,20 +78,20 @@ def compare_page(comparison: Comparison, folder: Path) -> Page:
     wording = Wording(translate=as_options).at(folder / "winner")
     answer = [
         ("Winner", best.name),
-        ("Error on left-out data", f"{number(best.score_percent, '.3g')} % of the range"),
-        ("Report on its fit", "winner/report.html"),
+        ("Cross-validation error", f"{number(best.score_percent, '.3g')} % of the range"),
+        ("Full report of its fit", "winner/report.html"),
         ("Next", "\n".join(next_commands(winner, wording))),
     ]
-    errors = Picture(ranking_figure(comparison), "Error on left-out data and on the samples fitted")
+    errors = Picture(ranking_figure(comparison), "Cross-validation error and error on the fitted samples")
     shown = [
         Picture(fit_figure(winner, "loop"), "Winner: measured loop and model"),
         Picture(fit_figure(winner, "residuals-input"), "Winner: residuals (measured minus model)"),
     ]
     sections = [
         ("Ranking", [comparison.table(), *comparison.explanations()]),
-        ("Left-out error of each model", [[errors]]),
+        ("Errors of all models", [[errors]]),
         ("Remarks", [comparison.remarks()]),
-        ("Pictures", [shown]),
+        ("Plots", [shown]),
     ]
     title = f"{len(comparison.rows)} models compared on {winner.data.name or winner.data[0].name}"
     return page_of(title, winner.status, "fit", answer, sections)
@@ -111,16 +111,16 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
         commands.insert(0, f"hystfit invert {at(folder)} REFERENCE")
     answer += [("Next", "\n".join(commands))]
     captions = {
-        "corner": "Joint distributions: contours of 50 and 90 %",
-        "bands": "The loop, and 90 % bands over time: of the model output (blue), of a measurement (orange)",
+        "corner": "Joint distributions of the parameters; contours contain 50 and 90 % of the draws",
+        "bands": "Loop, and output over time with 90 % bands: model output (blue), new measurement (orange)",
         "trace": "Draws of each chain",
-        "rank": "Ranks of the draws",
+        "rank": "Ranks of the draws of each chain; flat histograms mean that the chains agree",
     }
     shown = [Picture(posterior.plot(kind), caption, wide=kind == "corner") for kind, caption in captions.items()]
     sections = [
         ("Parameters", [posterior.summary()]),
-        ("Quantities that follow (median and 95 % interval)", [posterior.derived_table()]),
-        ("Pictures", [shown]),
+        ("Derived quantities (median and 95 % interval)", [posterior.derived_table()]),
+        ("Plots", [shown]),
         ("Notes", [notes_of(posterior.notes)]),
         ("Priors", [[f"{name}: {text}" for name, text in posterior.priors.items()]]),
     ]
@@ -131,11 +131,11 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
 def profile_page(profiles: Profiles, fit: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
-    answer = [(f"{p.name} ({level})", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
+    answer = [(f"{p.name} ({level} limits)", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
     answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {opened(profiles.result, shlex.quote(str(fit)))}")]
-    caption = "Profiles with their limits; dashed: the quadratic of the standard error"
+    caption = "Likelihood profiles with confidence limits; dashed: parabola of the standard error"
     sections = [
-        ("Pictures", [[Picture(profiles.plot(), caption, wide=True)]]),
+        ("Plots", [[Picture(profiles.plot(), caption, wide=True)]]),
         ("All limits", [list(map(str, profiles.profiles.values()))]),
         ("Notes", [notes_of(profiles.notes)]),
     ]
@@ -151,12 +151,12 @@ def calibrate_page(calibration: Calibration) -> Page:
     if len(calibration.ranks):
         low, high = calibration.coverage_band()
         answer += [("Coverage consistent with 95 %", f"{100 * low:.1f} % to {100 * high:.1f} %")]
-        caption = "Above: ranks of the truth among the draws; below: coverage, gray: 99 % by chance"
+        caption = "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of chance"
         shown = [[Picture(calibration.plot(), caption, wide=True)]]
     failures = [f"replicate {k} failed: {why}" for k, why in calibration.failures[:10]]
     sections = [
         ("Coverage", [calibration.table()]),
-        ("Pictures", shown),
+        ("Plots", shown),
         ("Remarks", [[*failures, *calibration.broken]]),
     ]
     return page_of(title, calibration.status, "calibrate", answer, sections)
@@ -168,15 +168,16 @@ def design_page(proposal: Design, folder: Path) -> Page:
     answer = [("Proposed input", best.name), ("Aim", ", ".join(aims))]
     for name, members in list(aims.items())[:4]:
         now, then = proposal.median(proposal.present, members), proposal.median(best.stderr, members)
-        answer.append((f"Standard error of {name}", f"{number(now, '.3g')} now, {number(then, '.3g')} with it"))
+        known = lambda value: "not determined" if value is None else number(value, ".3g")
+        answer.append((f"Standard error of {name}", f"{known(now)} now, {known(then)} with the proposed input"))
     command = f"hystfit fit NEW_LOOP {loops_of(result.data)} --model {shlex.quote(result.name)} --out fit"
     answer.append(("Next", f"measure with {folder / 'input.csv'}, then fit both records:\n{command}"))
     shown = [
         Picture(input_figure(proposal), f"Proposed input ({best.name})"),
-        Picture(gain_figure(proposal), "Predicted standard errors over the present ones"),
+        Picture(gain_figure(proposal), "Predicted standard errors, relative to the present ones"),
     ]
     sections = [
-        ("Pictures", [shown]),
+        ("Plots", [shown]),
         ("Predicted standard errors", [proposal.table()]),
         ("Notes", [notes_of(proposal.notes)]),
     ]
@@ -189,13 +190,13 @@ def invert_page(title: str, content: Mapping[str, Any], remarks: Sequence[str], 
     missed = {name: count for name, count in content["counts"].items() if count and name != "ok"}
     answer = [
         ("Input", f"{number(reach['lowest'])} to {number(reach['highest'])} {unit}".rstrip()),
-        ("Samples met", f"{content['counts']['ok']} of {sum(content['counts'].values())}"),
-        ("Not met", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
+        ("Reference reached", f"{content['counts']['ok']} of {sum(content['counts'].values())} samples"),
+        ("Not reached", ", ".join(f"{count} {name}" for name, count in missed.items()) or "none"),
         ("Next", following),
     ]
-    caption = "Reference and output of the model (above), input (middle) and tracking error (below)"
+    caption = "Top: reference and output of the model. Middle: input. Bottom: tracking error"
     sections = [
-        ("Pictures", [[Picture(figure, caption, wide=True)]]),
+        ("Plots", [[Picture(figure, caption, wide=True)]]),
         ("Remarks", [[as_options(remark) for remark in remarks]]),
     ]
     return page_of(title, content["status"], "invert", answer, sections)

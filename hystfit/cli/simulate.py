@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.options import STDOUT, Output, Trust, lists, named_values
+from hystfit.cli.options import NO_TABLE, TableOutput, Trust, lists, named_values
 from hystfit.cli.write import finish_table, items, record_columns
 from hystfit.errors import DataError, ParameterError
 from hystfit.outcome import Code, Severity, Table
@@ -38,12 +38,12 @@ def simulate(
     population: int | None = None,
     spread: list[str] | None = None,
     trust: Trust = False,
-    output: Output = STDOUT,
+    output: TableOutput = NO_TABLE,
     **shape: str,
 ) -> int:
     """Simulate a record: the piezo stage, a model, or a fit, driven by a signal.
 
-    --out is the CSV or netCDF (.nc) file to write, or a folder for data.csv. The file of a population has a column "device" (read
+    The file of a population has a column "device" (read
     it with --by device); the true parameters are beside it (truth.csv, or NAME.truth.csv).
 
     Args:

@@ -10,32 +10,35 @@ import re
 from collections.abc import Mapping
 
 VERBS = {
+    "check": ("check:check", "Check the quality of a record and which models it can determine."),
     "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
+    "explore": ("explore:explore", "Open a page with a slider for each parameter of a model over the measured loop."),
     "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
-    "check": ("check:check", "Check the quality of a record and which models it can determine."),
-    "forc": ("reversals:forc", "Draw the FORC diagram of reversal curves, and give its numbers."),
-    "explore": ("explore:explore", "Move the parameters of a model by sliders beside a measured loop, in the browser."),
+    "forc": ("reversals:forc", "Compute the FORC diagram of first-order reversal curves and its key numbers."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),
     "invert": ("control:invert", "Compute the input that makes a fitted model follow a reference."),
     "export": ("control:export", "Write a fitted model and its inverse as C code, or the fit for MATLAB."),
     "sample": ("uncertainty:sample", "Sample the posterior of a fit, with convergence diagnostics."),
-    "profile": ("uncertainty:profile", "Confidence limits of the parameters of a fit by profile likelihood."),
+    "profile": ("uncertainty:profile", "Compute confidence limits of the parameters by profile likelihood."),
     "errors": (
         "uncertainty:errors",
-        "Standard errors by several methods: i.i.d. residuals, sandwich, block bootstrap.",
+        "Compare standard errors of several methods: i.i.d. residuals, sandwich, block bootstrap.",
     ),
-    "calibrate": ("uncertainty:calibrate", "Check by simulation whether the error bars of a fit hold."),
-    "design": ("uncertainty:design", "Propose the next input, which reduces the standard errors most."),
-    "report": ("predict:report", "Print the report of a saved fit and draw its pictures again."),
+    "calibrate": (
+        "uncertainty:calibrate",
+        "Test by simulation whether the confidence intervals of a fit cover the true values.",
+    ),
+    "design": ("uncertainty:design", "Propose the next input to measure, which reduces the standard errors most."),
+    "report": ("predict:report", "Print the report of a saved fit and draw its plots again."),
     "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
     "run": (
         "run_file:run",
-        "Run the steps of a study from one file; steps that are done with unchanged inputs are not run again.",
+        "Run the steps of a study from one file, and only those whose inputs have changed.",
     ),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
-    "completion": ("completion:completion", "Complete verbs and options by the tabulator key in bash, zsh or fish."),
+    "completion": ("completion:completion", "Set up completion with the Tab key in bash, zsh or fish."),
 }
 # A value that is not quoted is left alone: records are called by column=value, too; --name=value is an option already.
 _ARGUMENT = re.compile(r"(?<!-)\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")

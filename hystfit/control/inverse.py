@@ -62,13 +62,13 @@ class Inverse:
     def notes(self) -> tuple[str, ...]:
         """Warnings, one sentence each."""
         texts = {
-            Status.SATURATED: "lie beyond what the input's limits reach: the input is held there",
-            Status.NOT_MONOTONE: "lie where the model's output does not rise with its input: the input may jump there",
+            Status.SATURATED: "cannot be reached within the limits of the input: the input stays at its limit there",
+            Status.NOT_MONOTONE: "lie where the output of the model does not rise with its input: the input may jump there",
             Status.OUT_OF_RANGE: "cannot be reached in the range in which the model is known: the nearest input is given",
         }
         places = {kind: np.flatnonzero(self.codes == kind) for kind in texts}
         return tuple(
-            f"{at.size} of {self.codes.size} samples, the first number {at[0]}, {texts[kind]}"
+            f"{at.size} of {self.codes.size} samples (first: sample {at[0]}) {texts[kind]}"
             for kind, at in places.items()
             if at.size
         )
@@ -84,11 +84,11 @@ def invert(
 ) -> Inverse:
     """The input that makes a model follow a reference.
 
-    A resonance at the end of a `Series` is undone by leading the reference (see `lead`), everything before it sample by sample.
+    A resonance at the end of a `Series` is inverted by filtering the reference (see `lead`), everything before it sample by sample.
 
     Args:
         model: a model, or a fit.
-        reference: wanted output, shape (T,); samples that are not finite hold the input.
+        reference: desired output, shape (T,); where it is not finite, the input keeps its value.
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
         resume: state and last input before the first sample. None: the input on which the model, at rest, gives the first
             sample, as `simulate` starts; where rest gives the same output on every input, it rests on the input nearest zero.
@@ -161,7 +161,9 @@ def prepare(
 
 def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
     if resume is not None:
-        raise ModelError("a model with a resonance is led, not stepped: its inverse starts from rest, leave resume out")
+        raise ModelError(
+            "a model with a resonance at its end is inverted as a whole and starts from rest: leave resume out"
+        )
     known, inverted = fitted_inputs(model)
     resonant = inverted.output_resonance()
     assert resonant is not None

@@ -51,21 +51,21 @@ def compare(
     progress: Callable[..., object] | None = None,
     workers: int | None = None,
 ) -> Comparison:
-    """Fit several models and rank them by their error on left-out data.
+    """Fit several models and rank them by their cross-validation error.
 
-    Of models within 2 % of the smallest error, those whose fit converged and those with fewer parameters rank first.
-    Whole records are left out in turn where there are three or more, else five contiguous blocks of each: the input drives the
-    model through a block, its output is not fitted. Samples are never left out one by one, because their neighbors give them away.
-    Test data never enter. A model that cannot be fitted is named with the reason, and the others are compared.
+    With three or more records, each is held out in turn; otherwise five contiguous blocks of each record. The input drives the
+    model through a held-out block, but its output is not fitted. Single samples are never held out, because they are correlated
+    with their neighbors. Test data are not used. Among models within 2 % of the smallest error, those whose fit converged and
+    those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
 
     Args:
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit errs
-            more than twice as much as the best model on left-out data. A first fit starts from two points and is judged on the
-            samples fitted; that of a model with elements has its default size, is judged on left-out data, and may err three
-            times as much.
+            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit has
+            more than twice the cross-validation error of the best model. A first fit starts from two points and is judged on the
+            fitted samples; that of a model with elements has its default size, is judged by cross-validation, and may have three
+            times the error.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -299,7 +299,7 @@ class _Judge:
                 result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
             else:
                 result = fit(given, self.data, seed=self.seed)
-        progress("error on left-out data")
+        progress("cross-validation")
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):
             result = with_left_out(result, float(score))
@@ -350,8 +350,8 @@ class _Judge:
         if not np.isfinite(error) or error <= first.limit * best:
             return None
         note = (
-            f"stopped after a first fit with an error of {error:.2g} %, because another model has {best:.2g} % on left-out data "
-            f"(hystfit compare --models {name} validates it)"
+            f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
+            f"of {best:.2g} % (hystfit compare --models {name} validates it)"
         )
         return Row(name, name, None, error, None, first.parameters, 0.0, Status.UNTESTED, note)
 

@@ -12,7 +12,7 @@ from hystfit.results.result import FitResult
 SCHEMA = "hystfit.compare/1"
 Purpose = Literal["prediction", "inverse", "export"]
 _WORDS = {
-    "blocks": "on contiguous blocks (or records) that the fit did not use",
+    "blocks": "on contiguous blocks (or records) held out of the fit in turn",
     "future": "on the last three fifths of each record, each fifth predicted from a fit to what came before it",
 }
 
@@ -75,8 +75,8 @@ class Comparison:
         """The ranking."""
         columns = (
             Column("model"),
-            Column("left out %", "score_percent", ".3g"),
-            Column("fitted %", "in_sample_percent", ".3g"),
+            Column("cross-val. %", "score_percent", ".3g"),
+            Column("in sample %", "in_sample_percent", ".3g"),
             Column("largest %", "max_error_percent", ".3g"),
             Column("params", "parameters"),
             Column("BIC above", "bic_above", ".1f"),
@@ -106,7 +106,7 @@ class Comparison:
     def explanations(self) -> list[str]:
         """What the columns of the ranking mean, and why these models were compared."""
         lines = [
-            f"Error in percent of the output's range; 'left out': {_WORDS[self.left_out]}.",
+            f"Error in percent of the output's range; 'cross-val.': {_WORDS[self.left_out]}.",
             "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
             "'invert', 'export': whether the model has an inverse and C code.",
         ]

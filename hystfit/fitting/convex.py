@@ -266,11 +266,11 @@ class Convex(AbstractEstimator):
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
         note = (
-            f"ridge {fit.strength:.0e} chosen on {system.block.max() + 1} blocks left out "
-            f"(error there {100 * fit.score / (2 * size):.2f} % of the range)"
+            f"ridge {fit.strength:.0e} chosen by cross-validation on {system.block.max() + 1} blocks "
+            f"(error {100 * fit.score / (2 * size):.2f} % of the range)"
         )
         if fit.strength == max(self.strengths):
-            note += "; it is the largest tried: the model hardly helps to predict what was left out"
+            note += "; it is the largest tried: the model hardly helps to predict held-out samples"
         cost = 0.5 * fit.rss / size**2
         chosen = (Note(Code.CHOICE, note),)
         return Estimate(

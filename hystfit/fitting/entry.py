@@ -48,7 +48,7 @@ def fit(
     test: Any = None,
     **settings: Any,
 ) -> FitResult:
-    """Fit a model to measured loops by least squares on its free run, or by a sequential identifier.
+    """Fit a model to measured loops by least squares on its simulated output, or by a sequential identifier.
 
     `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
 
@@ -127,7 +127,7 @@ def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") ->
     if count > 1:
         reason = f"is the best of {count} models by cross-validation"
     if min(scores, default=None) != best.score_percent:
-        reason = f"predicts left-out data as well as the best of {count} models, with a simpler or converged fit"
+        reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
     choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
     failed = [row for row in comparison.rows if row.status is Status.FAILED]
     left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]

@@ -59,7 +59,7 @@ def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[st
         best = other
     words = next(iter(best.sizes(list(data))))
     error = 100 * score(best) / output_range(data).width
-    text = f"{words}: the smallest error on left-out data ({error:.2g} % of the range) of {len(scores)} choices"
+    text = f"{words}: the smallest cross-validation error ({error:.2g} % of the range) of {len(scores)} choices"
     return Sized(best, (Note(Code.CHOICE, text),))
 
 

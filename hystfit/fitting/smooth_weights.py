@@ -67,7 +67,7 @@ class SmoothWeights(AbstractEstimator):
         if fit.error is not None:
             texts.append(
                 f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {int(now.system.judged.sum())} blocks "
-                f"(error there {100 * fit.error:.2g} % of the range)"
+                f"(error {100 * fit.error:.2g} % of the range)"
             )
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2

@@ -186,7 +186,7 @@ def _step(change: str, before: float, after: float, span: float) -> str:
     before, after = 100 * before / span, 100 * after / span
     digits = max(0, 1 - int(np.floor(np.log10(after)))) if after > 0 else 2
     return (
-        f"{change} cut the error on left-out data by {100 * (1 - after / before):.0f} %, from {before:.{digits}f} to "
+        f"{change} reduced the cross-validation error by {100 * (1 - after / before):.0f} %, from {before:.{digits}f} to "
         f"{after:.{digits}f} % of the range"
     )
 

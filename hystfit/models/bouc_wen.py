@@ -38,13 +38,13 @@ COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is
 class BoucWen(AbstractHysteresis):
     """Normalized Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
 
-    delta = rho tau with |rho| < 1 keeps the loop dissipative, |h| <= mu c / (tau + delta). The form is normalized (h enters
-    with gain one), so that no two parameters do the same thing; one amplitude alone still determines mu and rho poorly.
-    In the classic form with A, beta, gamma and n the scale of the hysteretic state is arbitrary, and A = 1 is recommended; here
-    that is built in, and n = 1. One amplitude needs one more value from elsewhere: `--fix rho=1` at the shell, `fix={"rho": 1}` in Python.
+    Here delta = rho tau. With |rho| < 1 the loop is dissipative, and |h| <= mu c / (tau + delta). The classic form with A, beta, gamma
+    and n has a redundant parameter, because the scale of its hysteretic state is arbitrary. This form removes it (h enters with gain
+    one) and sets n = 1. A record with one amplitude still determines mu and rho poorly: fix one of them, for example by `--fix rho=1`
+    at the shell or `fix={"rho": 1}` in Python.
 
-    `scheme`: "exact" is the closed form of the law for any step; "semi-implicit" is second order, several times cheaper,
-    bounded, dissipative and continuous in its parameters for any step, and warned about where the sampling is coarse.
+    `scheme`: "exact" is the closed-form solution for any step. "semi-implicit" has second order and is several times cheaper; it is
+    bounded, dissipative and continuous in its parameters for any step. A note warns if the sampling is too coarse for it.
 
     Raises:
         ModelError: an unknown scheme.
@@ -67,7 +67,7 @@ class BoucWen(AbstractHysteresis):
         bounds=(-1.0, 1.0),
         per_record=True,
         fixed=True,
-        doc="hysteretic state at the first sample, part of its bound",
+        doc="hysteretic state at the first sample, as a fraction of its bound",
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
     scheme: Literal["semi-implicit", "exact"] = eqx.field(static=True, default="semi-implicit")

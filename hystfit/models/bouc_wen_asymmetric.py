@@ -70,7 +70,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         bounds=(-1.0, 1.0),
         per_record=True,
         fixed=True,
-        doc="hysteretic state at the first sample, part of its bound",
+        doc="hysteretic state at the first sample, as a fraction of its bound",
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
     center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range")

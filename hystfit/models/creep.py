@@ -182,7 +182,7 @@ class LinearCreep(AbstractHysteresis):
         scale=0.02,
         linear=True,
         vector=True,
-        doc="weight of the relaxations, one or one each",
+        doc="weight of the relaxations, one for all or one for each",
     )
     tau: Float[Array, " modes"] = param(
         tuple(np.geomspace(0.05, 200.0, 7)),
@@ -193,7 +193,7 @@ class LinearCreep(AbstractHysteresis):
     )
     low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
     high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
-    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
     rest: Literal["level", "first"] = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:

@@ -52,7 +52,7 @@ class Duhem(AbstractHysteresis):
     )
 
     alpha: Scalar = param(
-        1.0, bounds=(0.0, np.inf), unit="1/u", scale=2.0, doc="rate of approach to f; 1/alpha is forgotten"
+        1.0, bounds=(0.0, np.inf), unit="1/u", scale=2.0, doc="rate of approach to f; 1/alpha is the range of memory"
     )
     f: Float[Array, " m"] = param(
         (0.0, 1.0, 0.0, 0.0), unit="y", doc="anhysteretic curve, Legendre coefficients", linear=True

@@ -96,7 +96,7 @@ class Lag(AbstractHysteresis):
     only to tau / (2 dt) of a jump, until the sample after. The exact response of both lags together would not have this error, but
     its inverse is unstable: a zero of the sampled transfer function lies outside the unit circle.
 
-    `level` is the input on which it rested before the record, so that a jump at the first sample is smoothed too.
+    `level` is the input at which the device rested before the record, so that a jump at the first sample is smoothed too.
     """
 
     rate_independent: ClassVar[bool] = False
@@ -105,7 +105,7 @@ class Lag(AbstractHysteresis):
     has_rest: ClassVar[bool] = True
 
     tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
-    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
     rest: Literal["level", "first"] = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:

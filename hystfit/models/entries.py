@@ -114,7 +114,7 @@ MODELS: dict[str, Entry] = {
     "preisach-magnetic": Entry(
         "preisach.model:Preisach.of",
         "core",
-        "Preisach of a material without remembered sign: mirror cells are tied",
+        "Preisach, symmetric about zero input (magnetic materials): mirror cells share a weight",
         lambda model: model.symmetric,
         compared_on=("point-symmetric",),
         preset={"n": 40, "symmetric": True, "spacing": "square"},
@@ -137,7 +137,7 @@ MODELS: dict[str, Entry] = {
     "preisach-forc-signed": Entry(
         "preisach.signed:SignedPreisach.of",
         "core",
-        "the same with masses of either sign: closer to the curves, no inverse",
+        "as preisach-forc, with weights of either sign: closer to the curves, no inverse",
         compared_on=("reversal-curves",),
         preset={"n": 40, "spacing": "reversal-curves"},
     ),
@@ -188,7 +188,7 @@ MODELS: dict[str, Entry] = {
     "viscous": Entry(
         "rate:Viscous",
         "beside",
-        "force in proportion to the input's rate; needs time",
+        "force proportional to the rate of the input; needs time",
         compared_on=("leading-with-rate",),
         compared_as=("bouc-wen-force+viscous",),
     ),

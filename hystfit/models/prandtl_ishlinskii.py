@@ -80,12 +80,12 @@ class PrandtlIshlinskii(AbstractHysteresis):
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     hardening: Float[Array, " fading"] = param(
-        (), unit="y", linear=True, doc="weights that fade with the path, none or one a play"
+        (), unit="y", linear=True, doc="weights that decay with the path, none or one per play"
     )
     s0: Scalar = param(3.0, bounds=(0.0, np.inf), fixed=True, doc="path, in input ranges, over which hardening fades")
     low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
     high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
-    level: Scalar = param(0.0, unit="u", fixed=True, doc="input on which it rested before the record")
+    level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
     envelopes: tuple[Envelope, ...] = eqx.field(static=True, default=("identity",))
     operator: Operator = eqx.field(static=True, default="play")
     rest: Rest = eqx.field(static=True, default="level")
@@ -109,7 +109,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
                 f"w must have shape (envelopes, plays) = {(len(self.envelopes), *self.r.shape)}, got {self.w.shape}"
             )
         if self.hardening.shape not in ((0,), self.r.shape):
-            raise ModelError(f"hardening must have no weight or one a play, got shape {self.hardening.shape}")
+            raise ModelError(f"hardening must have no weight or one per play, got shape {self.hardening.shape}")
 
     def plays(self) -> tuple[PlayWeights, ...]:
         """The weights of each envelope."""

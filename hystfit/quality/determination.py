@@ -238,7 +238,7 @@ def _judge_creep(facts: _Facts) -> tuple[Verdict, tuple[str, ...]]:
     if facts.creeps:
         return Verdict.YES, (f"the output creeps during holds of up to {facts.longest_hold} samples",)
     if facts.drifts_logarithmically:
-        return Verdict.YES, ("the mean of like cycles drifts with the logarithm of time",)
+        return Verdict.YES, ("the mean of similar cycles drifts with the logarithm of time",)
     if facts.longest_hold >= LONG_HOLD:
         return Verdict.NO, (f"no creep above the noise during holds of up to {facts.longest_hold} samples",)
     if facts.lags:

@@ -11,7 +11,7 @@ _VISIBLE = 1e-4  # least drift, as a fraction of the range of y
 
 @dataclasses.dataclass(frozen=True)
 class Drift:
-    """Drift of the mean output of like cycles.
+    """Drift of the mean output of similar cycles.
 
     Attributes:
         cycles: number of cycles compared: those between the turning levels that occur most often.
@@ -68,7 +68,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         cycles: see `loops.cycles`, shape (C, 3).
 
     Returns:
-        None with fewer than four like cycles.
+        None with fewer than four similar cycles.
     """
     means, moment = cycle_means(u, y, t, cycles)
     if len(means) < 4:
@@ -98,7 +98,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
 def cycle_means(
     u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean output of like cycles, and the middle of each in time; arguments as in `drift`.
+    """Mean output of similar cycles, and the middle of each in time; arguments as in `drift`.
 
     Returns:
         Means [unit of y] and times since the record began [unit of t], shapes (K,); the times are None where there are

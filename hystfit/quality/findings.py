@@ -151,7 +151,7 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         if drift.law == "logarithmic" and drift.per_decade is not None and drift.r2_log is not None:
             slope, per, r2 = drift.per_decade, "decade of time", drift.r2_log
         size = f"{slope:.3g} {record.units['y']}".rstrip()
-        text = f"the mean of like cycles drifts by {size} per {per} ({drift.law}, R2 {r2:.3f})"
+        text = f"the mean of similar cycles drifts by {size} per {per} ({drift.law}, R2 {r2:.3f})"
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
         yield warn(Code.DRIFT, text + more)

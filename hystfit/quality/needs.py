@@ -13,7 +13,7 @@ class Needs:
     Attributes:
         loop: it describes an undamaged loop; False for a law of time beside the hysteresis.
         time: it depends on time.
-        creep: holds of the input, or logarithmic drift of the mean of like cycles.
+        creep: holds of the input, or logarithmic drift of the mean of similar cycles.
         amplitudes: number of different strokes.
         dynamics: a response that changes with frequency.
         turning_pairs: (some, enough) different pairs of turning levels: below the first number only a major loop is described,

@@ -280,9 +280,9 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
 
 
 def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
-    """Change of the loop's area from the slowest to the fastest of like cycles, as a fraction of the mean area.
+    """Change of the loop's area from the slowest to the fastest of similar cycles, as a fraction of the mean area.
 
-    None without time, or where the durations of like cycles differ by less than a factor of 1.5: rate dependence is not
+    None without time, or where the durations of similar cycles differ by less than a factor of 1.5: rate dependence is not
     visible at one frequency. Arguments as in `loop_shape`.
     """
     if t is None or np.ptp(u) == 0:

@@ -24,7 +24,7 @@ _SHARE = 0.7  # of the error of a single-valued curve, above which the loop itse
 
 
 class Limits(NamedTuple):
-    """Largest rms error and largest lasting error of a usable description, percent of the output's range."""
+    """Largest rms error and largest persistent error of a usable description, percent of the output's range."""
 
     error: float
     largest: float
@@ -108,22 +108,22 @@ def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None
 
 
 def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
-    """The error beside its limits and beside plain descriptions, in numbers."""
+    """The error with its limits, and relative to the noise and simpler descriptions."""
     if metrics.nrmse_percent is None or metrics.max_error_percent is None:
         return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
     limits, over = Limits.of(baselines), ratios(metrics, baselines)
     names = {
         "noise": "the noise",
-        "line": "a straight line's",
-        "curve": "a single-valued curve's",
+        "line": "the error of a straight line",
+        "curve": "that of a single-valued curve",
         "plays": "that of ten plays",
     }
     beside = [f"{value:.2g} times {names[name]}" for name, value in over.items() if value is not None]
     text = (
-        f"{what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
+        f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
         f"(limit {limits.largest:.2g} % over three samples)"
     )
-    return Note(Code.ACCURACY, text + (": " + ", ".join(beside) if beside else ""))
+    return Note(Code.ACCURACY, text + (f"; the rms {what} is " + ", ".join(beside) if beside else ""))
 
 
 def verdict_dict(metrics: Metrics | None, baselines: Baselines | None) -> dict[str, Any] | None:

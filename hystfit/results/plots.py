@@ -55,7 +55,7 @@ def fit(
     Args:
         result: the fit.
         kind: "loop" (output over input), "series" (output over time), "residuals" (over time), "residuals-input" (over
-            the input), "worst" (output over time around the largest lasting error), "cycle-errors" (residuals of the first, last and
+            the input), "worst" (output over time around the largest persistent error), "cycle-errors" (residuals of the first, last and
             worst cycle over the input), "autocorrelation" (of the residuals), "parameters" (their relative standard errors), "weights"
             (of plays or stops over their thresholds) or "density" (over the Preisach plane).
         ax: axes to draw on; new ones where None.

@@ -47,7 +47,7 @@ class Quantity:
 CREEP = "creep_percent_per_decade"
 QUANTITIES: dict[str, Quantity] = {
     "loop_area": Quantity(
-        "loss a cycle", "area of the steady loop over the fitted input range", "{y} {u}", lambda loops: loops.area,
+        "loss per cycle", "area of the steady loop over the fitted input range", "{y} {u}", lambda loops: loops.area,
         leads=REMANENT | STRUCTURAL,
     ),
     "coercive_input": Quantity(
@@ -71,11 +71,11 @@ QUANTITIES: dict[str, Quantity] = {
         lambda loops: loops.secant_stiffness, trades=STRUCTURAL, leads=STRUCTURAL,
     ),
     "equivalent_damping_percent": Quantity(
-        "equivalent damping", "damping ratio: loss a cycle over 4 pi times the elastic energy at the secant stiffness", "%",
+        "equivalent damping", "damping ratio: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
         lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), trades=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
-        "creep a decade", "output between 1 s and 10 s after a step over the range, in percent of the step", "%", None,
+        "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of the step", "%", None,
         leads=frozenset(Trade),
     ),
 }  # fmt: skip

@@ -160,7 +160,7 @@ def draw_worst(traces: list[Trace], ax: Axes) -> None:
     at = part.start + thin(_POINTS, trace.y[part], trace.predicted[part])
     ax.plot(trace.axis[at], trace.y[at], color=MEASURED, lw=2.6, label="measured")
     ax.plot(trace.axis[at], trace.predicted[at], color=MODEL, lw=0.9, label="model")
-    ax.axvline(trace.axis[middle], color=SECOND, lw=0.8, ls="--", label="largest lasting error")
+    ax.axvline(trace.axis[middle], color=SECOND, lw=0.8, ls="--", label="largest persistent error")
     column_label(ax, "y", *trace.columns["y"])
     ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)

@@ -110,7 +110,7 @@ class FitResult(WithStatus):
 
     @functools.cached_property
     def quantities(self) -> tuple[QuantityEstimate, ...]:
-        """Quantities of the trade (coercivity, remanence, loss a cycle, hysteresis in percent, ...), with standard errors.
+        """Engineering quantities (coercivity, remanence, loss per cycle, hysteresis in percent, ...), with standard errors.
 
         Which ones there are follows from the units of the records and from the model: see `hystfit.results.quantities`.
         """

@@ -61,6 +61,7 @@ class Nested(AbstractSampler):
         Raises:
             DataError: hardly any draw from the prior has a finite likelihood.
         """
+        _blackjax()  # a missing package is named before any other work
         runs = [self._once(setup, seed, number, folder, report) for number in range(self.chains)]
         keep = min(self.draws, *(int(run.effective_count) for run in runs))
         rng = np.random.default_rng(seed)
@@ -198,8 +199,12 @@ def _likelihood(density: Density, z: Array) -> Array:
     return jax.lax.map(density.log_likelihood_lean, z, batch_size=50)
 
 
+def _blackjax() -> Any:
+    return optional("blackjax", "bayes", "nested sampling")
+
+
 def _sampler(density: Density, moves: int, batch: int) -> Any:
-    blackjax = optional("blackjax", "bayes", "nested sampling")
+    blackjax = _blackjax()
 
     def likelihood(z: Array) -> Array:
         value = density.log_likelihood_lean(z)

@@ -35,7 +35,7 @@ class Nuts(AbstractSampler):
     """Settings of NUTS.
 
     Attributes:
-        chains, draws: how many, and how many each.
+        chains, draws: number of chains, and of draws in each.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
         target_accept: acceptance for which the step size is tuned; 0.65 is best for Gaussian posteriors (Beskos et al. 2013), and
             most are nearly so once whitened; curved ones need more.
@@ -56,6 +56,7 @@ class Nuts(AbstractSampler):
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder."""
+        optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
         drawn: dict[int, list[np.ndarray]] = {number: [] for number in range(self.chains)}
         reporting, halted = threading.Lock(), threading.Event()
 

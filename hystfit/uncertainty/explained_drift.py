@@ -19,7 +19,7 @@ _STEP = 1e-3  # finite difference, in standard errors: the output is nearly line
 
 @dataclasses.dataclass(frozen=True)
 class DriftExplained:
-    """Drift of the mean of like cycles, measured and as a fit explains it, all per decade of time since the record began.
+    """Drift of the mean of similar cycles, measured and as a fit explains it, all per decade of time since the record began.
 
     Attributes:
         measured: slope of the measured means against log10 of time [unit of y per decade], and `r2`, the variance that it explains.
@@ -44,7 +44,7 @@ class DriftExplained:
         error = "" if self.stderr is None else f" +- {self.stderr:.2g}"
         per = f"{self.unit}/decade".lstrip("/")
         return (
-            f"the mean of {self.cycles} like cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep makes "
+            f"the mean of {self.cycles} similar cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep makes "
             f"{self.modeled:.3g}{error}, its hysteresis alone {self.without_creep:.2g}, and {self.left:.2g} remains in the residuals"
         )
 
@@ -61,7 +61,7 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
 
     Raises:
         ModelError: the model has no creep.
-        DataError: fewer than four like cycles, or no time.
+        DataError: fewer than four similar cycles, or no time.
     """
     require_x64()
     number = 0 if name is None else [record.name for record in result.data].index(result.data[name].name)
@@ -74,7 +74,7 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     found = drift(record.u, y, record.t, loops)
     if found is None or found.per_decade is None or found.r2_log is None:
         raise DataError(
-            f"record {record.name!r}: drift shows in four or more like cycles over time, which it does not have"
+            f"record {record.name!r}: drift shows in four or more similar cycles over time, which it does not have"
         )
     kept = np.isfinite(y)
 

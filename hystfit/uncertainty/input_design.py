@@ -235,7 +235,7 @@ def _notes(
     if None in present.values():
         text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to that"
         notes.append(warn(Code.NOT_DETERMINED, text))
-    notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
+    notes.append(Note(Code.LOCAL, "the design is optimal for the fitted values: repeat it after the next fit"))
     for note in coverage_notes(result.data):
         text = f"{note.text}. The design takes the model as true and does not propose inputs that test it"
         notes.append(dataclasses.replace(note, text=text))

@@ -63,11 +63,14 @@ class Profile:
         return self.lower is not None and self.upper is not None
 
     def __str__(self) -> str:
-        if self.lower is None and self.upper is None:
-            limits = "not bounded by the data on either side"
+        if self.lower is not None and self.upper is not None:
+            limits = f"{self.lower:.5g} to {self.upper:.5g}"
+        elif self.lower is not None:
+            limits = f"at least {self.lower:.5g}, no upper limit (up to {self.open_upper})"
+        elif self.upper is not None:
+            limits = f"at most {self.upper:.5g}, no lower limit (down to {self.open_lower})"
         else:
-            side = lambda limit, bound: f"not bounded (open to {bound})" if limit is None else f"{limit:.5g}"
-            limits = f"{side(self.lower, self.open_lower)} to {side(self.upper, self.open_upper)}"
+            limits = "not bounded by the data on either side"
         return f"{self.name} = {self.value:.5g} {self.unit}: {limits}".replace(" :", ":")
 
     __repr__ = __str__
@@ -291,7 +294,9 @@ def _whitened(
     sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))
     text = "independent"
     if np.any(wider != 1):
-        text = f"independent, widths times {wider.min():.3g} to {wider.max():.3g} for autocorrelated residuals"
+        text = (
+            f"independent, intervals widened {wider.min():.3g} to {wider.max():.3g} times for autocorrelated residuals"
+        )
     return text, x, problem.whitened(White(noise_white=sd)), wider
 
 

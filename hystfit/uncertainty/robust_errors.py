@@ -100,7 +100,7 @@ class StandardErrors:
         return Table(["parameter", "value", *rules], rows)
 
     def __str__(self) -> str:
-        lines = [f"Standard errors of {self.result.name}, by rule", *self.table().lines()]
+        lines = [f"Standard errors of {self.result.name} by several methods", *self.table().lines()]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
     __repr__ = __str__
@@ -166,7 +166,7 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
     if unknown:
-        text = f"no rule has a standard error for parameters that the data do not determine: {', '.join(unknown)}"
+        text = f"no method gives a standard error for parameters that the data do not determine: {', '.join(unknown)}"
         notes.append(warn(Code.NOT_DETERMINED, text))
     return StandardErrors(result, errors, factors, span, tuple(notes))
 

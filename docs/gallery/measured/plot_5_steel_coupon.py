@@ -16,5 +16,5 @@ result.plot("loop")
 print(f"rms error {result.train.nrmse_percent:.2f} %, largest {result.train.max_error_percent:.1f} %")
 
 # %%
-# Where the largest lasting error is.
+# Part of the record with the largest persistent error.
 result.plot("worst")

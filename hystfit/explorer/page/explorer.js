@@ -269,7 +269,7 @@ async function choose(model) {
 }
 
 async function fit() {
-  if (!source.live) return say("Fits run on your machine: hystfit explore loop.csv opens this page for your loop.");
+  if (!source.live) return say("This demonstration has no fits. On your machine, hystfit explore loop.csv opens this page for your loop, with fits.");
   if (element("fit").disabled) return;
   element("fit").disabled = true;
   const before = state.view.first ?? state.view;
@@ -342,7 +342,7 @@ function tellCommands() {
     element(kind).hidden = !text;
     tell(element(kind).querySelector("pre"), text);
   }
-  tell(element("what"), state.made ? "Repeats the fit that is shown." : "Fits from the values that are shown.");
+  tell(element("what"), state.made ? "These commands repeat the fit shown above." : "These commands start a fit at the values shown above.");
 }
 
 async function copy(kind) {
@@ -428,4 +428,5 @@ for (const button of document.querySelectorAll("[data-copy]")) button.addEventLi
 element("model").replaceChildren(...scene.choices.map((name) => new Option(name)));
 element("model").addEventListener("change", (event) => choose(event.target.value));
 showView(scene.view, {}, null);
+if (!source.live) say("Demonstration: a simulated piezo actuator (gray) and a Bouc-Wen model. Drag a slider to change the model.");
 new ResizeObserver(updateMeasured).observe(element("series"));

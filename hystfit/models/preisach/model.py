@@ -76,7 +76,7 @@ class Preisach(AbstractPlane):
         unit="y",
         scale=0.01,
         linear=True,
-        doc="masses of the cells or relays, (i, j) row by row, j <= i",
+        doc="weights of the cells or relays, (i, j) row by row, j <= i",
     )
     levels: Float[Array, " levels"] = param(unit="u", fixed=True, doc="thresholds, rising")
     slopes: Float[Array, " intervals"] = param(

@@ -21,7 +21,7 @@ class SignedPreisach(Preisach):
     needs: ClassVar[None] = None  # as `Preisach`, which `check` judges
 
     w: Float[Array, " cells"] = param(
-        unit="y", scale=0.01, linear=True, doc="masses of the cells or relays, (i, j) row by row, j <= i"
+        unit="y", scale=0.01, linear=True, doc="weights of the cells or relays, (i, j) row by row, j <= i"
     )
     slopes: Float[Array, " intervals"] = param(
         (), unit="y", scale=0.1, linear=True, doc="rises of the piecewise linear reversible part"

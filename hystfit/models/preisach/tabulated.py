@@ -29,7 +29,7 @@ class TabulatedPreisach(Preisach):
     needs: ClassVar[None] = None  # as `Preisach`, which `check` judges
 
     w: Float[Array, " cells"] = param(
-        unit="y", scale=0.01, linear=True, doc="masses of the cells, (i, j) row by row, j <= i; 0 on the diagonal"
+        unit="y", scale=0.01, linear=True, doc="weights of the cells, (i, j) row by row, j <= i; 0 on the diagonal"
     )
     slopes: Float[Array, " intervals"] = param(
         (), unit="y", scale=0.1, linear=True, doc="differences X(L_k+1, L_k) next to the diagonal"

@@ -1,4 +1,4 @@
-"""The answer at the top of a report: error beside noise, the numbers of the trade, lag, what is not determined, and what to do next."""
+"""The answer at the top of a report: error beside noise, engineering quantities, lag, what is not determined, and what to do next."""
 
 from __future__ import annotations
 

@@ -28,14 +28,14 @@ _DPI = 150
 _CAPTIONS = {
     "loop": "Measured loop and model",
     "cycle-errors": "Residuals (measured minus model) of these cycles over the input",
-    "series": "Measured and simulated output",
-    "worst": "The stretch with the largest lasting error",
-    "residuals": "Residuals: measured minus model",
+    "series": "Measured and simulated output over time",
+    "worst": "Part of the record with the largest persistent error",
+    "residuals": "Residuals (measured minus model) over time",
     "residuals-input": "Residuals over the input",
     "autocorrelation": "Autocorrelation of the residuals",
-    "parameters": "Relative standard errors",
+    "parameters": "Standard error of each parameter, in percent of its value",
     "weights": "Weights of the plays or stops over their thresholds",
-    "density": "Density over the Preisach plane; hatched: no fitted sample switches these cells",
+    "density": "Preisach density; hatched: cells that no fitted sample switches",
     "test": "Test data (not fitted): loop",
     "test-series": "Test data (not fitted): output",
 }
@@ -88,7 +88,7 @@ def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str
     in_words = lambda notes: [wording.translate(str(note)) for note in notes]
     sections = [
         ("Verdict", [in_words(verdict(result))]),
-        ("Pictures", [list(shown.values())]),
+        ("Plots", [list(shown.values())]),
         (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
         (ERRORS, [metrics_table(result)]),
         ("Parameters", [parameter_table(result, meaning=True), fixed_words(result)]),
