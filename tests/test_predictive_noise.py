@@ -111,7 +111,8 @@ def test_bands_of_a_posterior_cover_spikes(noise):
     u = np.sin(2 * np.pi * np.arange(n) / 100)
     y = np.asarray(hf.simulate(model, u)[0])
     fit = hf.fit(model, hf.Record(u=u, y=y + 0.02 * spikes(rng, (n,))), start="model", starts=1)
-    size = {"noise_white": 0.02}
+    sd = float(np.std(fit.data[0].y - fit.predict(fit.data[0])))
+    size = {"noise_white": sd}
     if noise == "discrepancy":
         size |= {"noise_slow": 1e-4, "noise_time": 5.0, "noise_loop": 1e-3, "noise_length": 0.4}
     row = np.concatenate([fit.x, list(size.values())])
@@ -123,4 +124,4 @@ def test_bands_of_a_posterior_cover_spikes(noise):
     measured = y + 0.02 * spikes(rng, (n,))
     low, _, high = posterior.bands(hf.Record(u=u, y=y), count=300)
     assert np.mean((measured >= low) & (measured <= high)) == pytest.approx(0.9, abs=0.025)
-    assert np.mean(np.abs(measured - y) < 1.645 * 0.02) > 0.95  # Gaussian bands
+    assert np.mean(np.abs(measured - y) < 1.645 * sd) > 0.95  # Gaussian bands

@@ -85,7 +85,7 @@ CASES = (
     Case(
         "damper",
         "mr_labcontrol/4.1",
-        "bouc-wen-force+viscous",
+        "bouc-wen-force:substeps=16+viscous",
         {},
         ("w0",),
         every=2,
