@@ -1,4 +1,4 @@
-"""Linear dynamics beside a hysteresis: a delay, a lag, a resonance."""
+"""Linear dynamics before or after a hysteresis: a delay, a lag, a resonance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
-from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.summary import delay_of
 
@@ -135,8 +134,7 @@ class Lag(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
-        typical = sampling_interval(records)
-        return eqx.tree_at(lambda m: m.tau, self, to_device(3.0 * typical))
+        return dataclasses.replace(self, tau=3.0 * sampling_interval(records))
 
     def with_rest(self, rest: str) -> Lag:
         """See the base class."""
