@@ -22,6 +22,7 @@ import hystfit as hf
 from hystfit.cli import run
 from hystfit.models import simulate
 from hystfit.outcome import Code
+from hystfit.sampling.sample import notes_of_fit
 
 from .conftest import ROOT
 
@@ -338,6 +339,15 @@ def test_a_prediction_notes_an_unstable_step(tmp_path: Path, capsys: pytest.Capt
     run(["predict", str(tmp_path / "fit"), str(tmp_path / "coarse.csv"), "--input-only", "--json"])
     codes = [note["code"] for note in json.loads(capsys.readouterr().out)["notes"]]
     assert codes.count(Code.MODEL_ADVICE) == 1
+
+
+def test_a_posterior_notes_a_coarse_step_of_its_fit() -> None:
+    """The clipped steps of a coarsely sampled friction element make its posterior rough, and no chain mixes there."""
+    model, u = hf.BoucWenForce(rho=20.0), np.sin(2 * np.pi * np.arange(120) / 40)
+    y = np.asarray(hf.simulate(model, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=u.size)
+    fixed = {"kappa_x": 1.0, "rho": 20.0, "sigma": 0.8, "n": 1.5}
+    result = hf.fit(model, hf.Record(u=u, y=y), start="model", starts=1, fix=fixed, noise="iid")
+    assert [note.code for note in notes_of_fit(result)].count(Code.MODEL_ADVICE) == 1
 
 
 def solved_duhem(u: np.ndarray) -> np.ndarray:

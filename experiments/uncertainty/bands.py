@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 from common import Results, table
@@ -84,7 +85,7 @@ CASES = (
     Case(
         "damper",
         "mr_labcontrol/4.1",
-        "bouc-wen-force+viscous",
+        "bouc-wen-force:substeps=16+viscous",
         {},
         ("w0",),
         every=2,
@@ -112,7 +113,8 @@ def _stored(results: Results, case: Case, data: hf.Record | Dataset, noise: str)
     file = results.out / "bands" / f"{case.name}-{noise}.json"
     if not file.exists():
         fitted, held = case.split(data)
-        made = one(case.name, hf.fit(case.model, fitted, fix=case.fix, free=case.free), held, noise)
+        fit = hf.fit(case.model, fitted, fix=case.fix, free=case.free)
+        made = one(case.name, fit, held, noise, file.with_suffix(""))
         file.parent.mkdir(exist_ok=True)
         scratch = file.with_suffix(".part")
         scratch.write_text(json.dumps(made), encoding="utf-8")
@@ -131,9 +133,9 @@ def crps(draws: np.ndarray, y: np.ndarray) -> float:
     return float(np.mean(np.mean(np.abs(draws - y), axis=0) - apart))
 
 
-def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str) -> dict[str, object]:
-    """A row of the table, and the numbers in it."""
-    made = hf.sample(fit, "nuts", noise=noise, seed=0, **SETTINGS)
+def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str, run: Path) -> dict[str, object]:
+    """A row of the table, and the numbers in it; the chains are stored in the folder `run` and resumed from there."""
+    made = hf.sample(fit, "nuts", noise=noise, seed=0, folder=run, **SETTINGS)
     draws, y = predictive_draws(made, held, COUNT, 0)[:, held.used], held.y[held.used]
     low, middle, high = np.quantile(draws, [0.5 - BAND / 2, 0.5, 0.5 + BAND / 2], axis=0)
     span, words = float(np.ptp(y)), "default" if noise == "auto" else noise

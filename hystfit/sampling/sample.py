@@ -95,7 +95,7 @@ def sample(
         convergence=convergence,
         status=status,
         notes=(
-            *_fit_status_notes(result),
+            *notes_of_fit(result),
             *drift,
             *setup.notes,
             *raw.notes,
@@ -204,12 +204,13 @@ def _agreement_notes(result: FitResult, setup: Setup, draws: Float[np.ndarray, "
     return differences(result, errors, "the posterior", reason)
 
 
-def _fit_status_notes(result: FitResult) -> list[Note]:
-    """A note where the fit itself is not usable."""
+def notes_of_fit(result: FitResult) -> list[Note]:
+    """A note where the fit itself is not usable, and what its model says about its steps: coarse ones make the posterior rough."""
+    advice = [note for note in result.notes if note.code is Code.MODEL_ADVICE]
     if result.usable:
-        return []
+        return advice
     text = f"the fit behind these draws is not usable ({result.status}): {result.advice}"
-    return [Note(Code.FIT_STATUS, text, Severity.ERROR)]
+    return [Note(Code.FIT_STATUS, text, Severity.ERROR), *advice]
 
 
 def _claim(folder: Path, setup: Setup, result: FitResult, chosen: AbstractSampler, seed: int) -> Path:

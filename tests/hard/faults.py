@@ -1,11 +1,12 @@
 """Shell verbs in hard use: full disks, folders that cannot be written or vanish, interrupts, and two runs into one folder.
 
-    python -m tests.hard.faults              # about 200 runs, some 15 minutes
+    python -m tests.hard.faults              # about 350 runs, some 30 minutes
     python -m tests.hard.faults --trials 2   # the moments of each fault; 12 in the full form
 
-Each verb (fit, sample, batch, calibrate) writes to a folder while something goes wrong. Afterwards the folder holds a result that
-opens, or none; the verb has ended with an exit status of its own and without a traceback; and the same verb, run again, succeeds and
-leaves no scratch files. Disks are full by a small file system in memory where mounting is allowed, else by a limit on the size of files.
+Each verb (fit, sample, batch, calibrate, profile, design, run) writes to a folder while something goes wrong. Afterwards the folder
+holds a result that opens, or none; the verb has ended with an exit status of its own and without a traceback; and the same verb, run
+again, succeeds and leaves no scratch files. Disks are full by a small file system in memory where mounting is allowed, else by a limit
+on the size of files.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ from pathlib import Path
 import hystfit as hf
 from hystfit.errors import HystfitError
 
+VERBS = ["fit", "sample", "batch", "calibrate", "profile", "design", "run"]
 ENDS = {0, 1, 2, 130}  # exit statuses of the shell command
 OPENED: dict[str, Callable[[Path], object]] = {"fit": hf.load_fit, "sample": hf.load_posterior}
+RESULT = {"run": "run.json"}  # where it is not result.json
 SIZES = (0, 4, 24, 120, 400)  # of a disk [KiB]
 
 
@@ -53,6 +56,8 @@ class Verbs:
             "sample": ["sample", fit, "--noise", "iid", "--chains", "1", "--draws", "40", "--warmup", "50"],
             "batch": ["batch", str(place / "loop?.csv"), "--model", "bouc-wen", "--starts", "1", "--workers", "1"],
             "calibrate": ["calibrate", fit, "--noise", "iid", "--replicates", "10"],
+            "profile": ["profile", fit, "--parameter", "c"],
+            "design": ["design", fit, "--method", "families", "--samples", "200"],
         }
         self.seconds = {
             "fit": self.timed("fit", place / "fit")
@@ -73,10 +78,23 @@ class Verbs:
         """A process with the verb; `limit` is that of its files [bytes]."""
         out.parent.mkdir(parents=True, exist_ok=True)
         held = None if limit is None else lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-        command = [sys.executable, "-m", "hystfit", *self.arguments[verb], "--out", str(out)]
+        words = self.study(out) if verb == "run" else [*self.arguments[verb], "--out", str(out)]
         return subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self.environment, preexec_fn=held
+            [sys.executable, "-m", "hystfit", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=self.environment,
+            preexec_fn=held,
         )
+
+    def study(self, out: Path) -> list[str]:
+        """Arguments that run a study of one fit; its file lies beside the record, not on the disk with the fault."""
+        file = self.place / f"{out.parent.name}-{out.name}.toml"
+        step = {"loops": str(self.place / "loop0.csv"), "model": "bouc-wen", "starts": 1}
+        lines = [f"out = {json.dumps(str(out))}", "[steps.fit]", *(f"{k} = {json.dumps(v)}" for k, v in step.items())]
+        file.write_text("\n".join(lines) + "\n")
+        return ["run", str(file)]
 
     def ended(self, process: subprocess.Popen[str], patience: float = 300.0) -> tuple[int, str]:
         """Exit status and standard error."""
@@ -97,10 +115,11 @@ def fault_of(verb: str, out: Path, status: int, said: str) -> str:
         return f"traceback: {said[-500:]}"
     if status == 2 and not said.startswith("hystfit: "):
         return f"no message: {said[-300:]}"
-    if not (out / "result.json").exists():
+    result = out / RESULT.get(verb, "result.json")
+    if not result.exists():
         return "" if status not in (0, 1) else "the verb ended well, without a result"
     try:
-        json.loads((out / "result.json").read_text())
+        json.loads(result.read_text())
         if verb in OPENED:
             OPENED[verb](out)
     except (HystfitError, ValueError) as error:
@@ -240,7 +259,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--trials", type=int, default=12)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--verbs", nargs="+", default=["fit", "sample", "batch", "calibrate"])
+    parser.add_argument("--verbs", nargs="+", default=VERBS)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     sys.exit(main(options.trials, options.kinds, options.verbs, options.seed))

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.inference.noise.innovations import drive, resample
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior
 from hystfit.models.shapes import Scalar, State
@@ -148,7 +149,10 @@ class AbstractNoise(eqx.Module):
     def predictive(
         self, new: Setting, key: Array, seen: Setting, residual: Float[Array, "R T"]
     ) -> Float[Array, "Q T2"]:
-        """Noise of a further measurement given the residuals of the fitted ones; by default independent of them.
+        """Noise of a further measurement given the residuals of the fitted ones.
+
+        By default the residuals decide the form of its distribution where the model is Gaussian, by resampled innovations, and
+        nothing else; a model with shapes of its own, or that is not Gaussian, draws a realization.
 
         Args:
             new: the records to predict.
@@ -156,7 +160,23 @@ class AbstractNoise(eqx.Module):
             seen: the fitted records.
             residual: measurement less prediction over them [y].
         """
-        return self.draw(new, key)
+        if self.has_shapes or not self.gaussian:
+            return self.draw(new, key)
+        return self.with_innovations_of(self.whiten(seen, residual[..., None])[0][..., 0], seen, new, key)
+
+    def with_innovations_of(
+        self, e: Float[Array, "R T"], seen: Setting, new: Setting, key: Array
+    ) -> Float[Array, "Q T2"]:
+        """Noise, less its shapes, whose innovations have the distribution of those of the fitted records.
+
+        Args:
+            e: innovations over the fitted records.
+            seen: the fitted records.
+            new: the records to predict.
+            key: of the random numbers.
+        """
+        values = resample(e.reshape(-1), (seen.weight > 0).reshape(-1), new.weight.shape, key)
+        return drive(self.step, self.init(), new, values)
 
     def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Scalar:
         """Log density of the residuals that count."""

@@ -74,11 +74,11 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
     def predictive(
         self, new: Setting, key: Array, seen: Setting, residual: Float[Array, "R T"]
     ) -> Float[Array, "Q T2"]:
-        """The curve is drawn given the residuals, which determine it; slow noise from its stationary distribution."""
+        """The curve is drawn given the residuals, which determine it; the rest has the innovations of the residuals less that curve."""
         columns = self.columns(seen)
         e, _ = self.whiten(seen, jnp.concatenate([residual[..., None], columns], axis=-1))
-        e = e.reshape(-1, e.shape[-1])
-        target, shapes = e[:, 0], e[:, 1:]
+        rows = e.reshape(-1, e.shape[-1])
+        target, shapes = rows[:, 0], rows[:, 1:]
         factor = jnp.linalg.cholesky(jnp.eye(shapes.shape[1]) + shapes.T @ shapes)
         mean = jax.scipy.linalg.cho_solve((factor, True), shapes.T @ target)
         first, second, third = jax.random.split(key, 3)
@@ -88,7 +88,7 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
         # Between inducing points the curve has some variance of its own.
         rest = jnp.sqrt(jnp.maximum(self.noise_loop**2 - jnp.sum(ahead**2, axis=-1), 0.0))
         curve = ahead @ weights + rest * jax.random.normal(second, rest.shape)
-        return curve + OrnsteinUhlenbeck.draw(self, new, third)
+        return curve + self.with_innovations_of(e[..., 0] - e[..., 1:] @ weights, seen, new, third)
 
 
 def on_branches(shapes: Float[Array, "R T k"], setting: Setting) -> Float[Array, "R T k2"]:
