@@ -148,7 +148,7 @@ def _with_noise(
         else (warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"),)
     )
     cost = 0.5 * float(squares) / problem.scales.y**2
-    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=(*estimate.notes, *rough))
+    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=(*estimate.notes, *rough), linearized=None)
     shown = ", ".join(
         f"{name} = {value:.3g} {unit}".rstrip()
         for name, value, unit in zip(refined.space.names, refined.values, refined.space.units, strict=True)

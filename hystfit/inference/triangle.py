@@ -1,11 +1,13 @@
-"""The triangular factor of tall matrices, in blocks of rows: least squares needs no more of a Jacobian of a million samples."""
+"""The triangular factor of tall matrices, in blocks of rows that stay in the cache: least squares needs no more of a Jacobian."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
 
-_ROWS = 2**16  # of a block; shorter matrices are factored at once
+# Entries of a block, and rows for each column at least. Larger blocks would be copied in memory that the system hands out page by
+# page, which takes several times as long as their factor.
+_ENTRIES, _TALL = 2**13, 8
 
 
 def triangle(
@@ -18,12 +20,13 @@ def triangle(
         last: a further column.
         order: of the columns of `rows`, shape (p,).
     """
-    factor = None
-    for start in range(0, max(len(rows), 1), _ROWS):
-        block = rows[start : start + _ROWS]
+    factor, columns = None, rows.shape[1] + (last is not None)
+    size = max(_ENTRIES // max(columns, 1), _TALL * columns, 1)
+    for start in range(0, max(len(rows), 1), size):
+        block = rows[start : start + size]
         block = block if order is None else block[:, order]
         if last is not None:
-            block = np.column_stack([block, last[start : start + _ROWS]])
+            block = np.column_stack([block, last[start : start + size]])
         factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
     assert factor is not None
     return factor

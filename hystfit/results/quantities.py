@@ -300,7 +300,10 @@ class Excitation:
         """The excitation over the range of the samples that count."""
         low = min(float(r.u[r.used].min()) for r in data)
         high = max(float(r.u[r.used].max()) for r in data)
-        return cls(low, high, _interval(data), Trade.of(data), _sinusoidal(data))
+        record, large = _cycles(data)
+        if record is None or record.t is None:
+            return cls(low, high, data[0].sampling_interval or 1.0, Trade.of(data))
+        return cls(low, high, _interval(record.t, large), Trade.of(data), _sinusoidal(record.u, record.t, large))
 
     @property
     def inputs(self) -> np.ndarray:
@@ -392,22 +395,16 @@ def _cycles(data: Dataset) -> tuple[Record | None, np.ndarray]:
     return None, np.empty((0, 3), int)
 
 
-def _interval(data: Dataset) -> float:
-    """Sampling interval of cycles as long as the large ones of the records; that of the records where they have none."""
-    record, found = _cycles(data)
-    if record is None or record.t is None:
-        return data[0].sampling_interval or 1.0
-    return float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / _POINTS
+def _interval(t: np.ndarray, large: np.ndarray) -> float:
+    """Sampling interval of cycles as long as the large ones of a record, shape (C, 3), with the time t."""
+    return float(np.median(t[large[:, 2]] - t[large[:, 0]])) / _POINTS
 
 
-def _sinusoidal(data: Dataset) -> bool:
-    """Whether the large cycles of the records are nearer to a sine than to a triangle, by their rms over time about their middle."""
-    record, found = _cycles(data)
-    if record is None or record.t is None:
-        return False
+def _sinusoidal(u: np.ndarray, t: np.ndarray, large: np.ndarray) -> bool:
+    """Whether the large cycles of a record are nearer to a sine than to a triangle, by their rms over time about their middle."""
     shares = []
-    for first, _, last in found:
-        t, u = record.t[first : last + 1], record.u[first : last + 1]
-        about = (u - 0.5 * (u.min() + u.max())) / (0.5 * np.ptp(u))
-        shares.append(np.sqrt(np.trapezoid(about**2, t) / (t[-1] - t[0])))
+    for first, _, last in large:
+        time, part = t[first : last + 1], u[first : last + 1]
+        about = (part - 0.5 * (part.min() + part.max())) / (0.5 * np.ptp(part))
+        shares.append(np.sqrt(np.trapezoid(about**2, time) / (time[-1] - time[0])))
     return bool(np.median(shares) > _SINE)
