@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hystfit.inference.blocks import triangle
 from hystfit.inference.problem import Problem
-from hystfit.inference.triangle import triangle
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
@@ -50,7 +50,7 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         gain: predicted decrease of the cost, relative to it, at which the fit has converged.
     """
     offsets = problem.space.offsets
-    order, bounded = np.argsort(~offsets, kind="stable"), np.asarray(problem.space.coordinates.kinds) != REAL
+    order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
     samples, largest = int(problem.used.sum()), _largest_output(problem)
     at, damping, converged, evaluations = _linearize(problem, z, order, samples), 1e-6, False, 1
     linearized = at.linearized
@@ -105,7 +105,7 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
 
 def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int) -> _Linearized:
     """The problem about a point, with the columns of J in an order; the factor is empty where the cost is not finite."""
-    x, bounded = problem.space.physical(z), np.asarray(problem.space.coordinates.kinds) != REAL
+    x, bounded = problem.space.physical(z), problem.space.kinds != REAL
     residual, jacobian = problem.linearize_misfit(x)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         cost = 0.5 * float(residual @ residual)

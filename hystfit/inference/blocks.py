@@ -1,4 +1,4 @@
-"""Linear algebra on long records in blocks of rows or columns: next to the data, memory holds what is asked for and one block."""
+"""Linear algebra on long records by blocks of rows or columns: memory holds the result and one block besides the data."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
+# Entries of a block of `triangle`, and rows for each of its columns at least. A larger block would be copied into memory that the
+# system hands out page by page, which takes several times as long as its factor.
+ENTRIES, TALL = 2**13, 8
 
 
 def parts(size: int, other: int) -> Iterator[slice]:
@@ -18,7 +21,7 @@ def parts(size: int, other: int) -> Iterator[slice]:
 
 
 def chosen(rows: np.ndarray, on: np.ndarray) -> np.ndarray:
-    """rows[on] for a mask on, shape (n,): a view where the rows chosen are the first ones, as they are of one padded record."""
+    """rows[on] for a mask of shape (n,); a view where the mask selects the first rows, as in one padded record."""
     count = int(np.count_nonzero(on))
     return rows[:count] if on[:count].all() else rows[on]
 
@@ -28,9 +31,7 @@ def qr(
 ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "m p"]]:
     """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), m = min(n, p).
 
-    Args:
-        rows: the matrix.
-        overwrite: whether Q may take its place.
+    With `overwrite`, Q may take the place of the rows.
     """
     n, p = rows.shape
     blocks = _tall(n, p)
@@ -56,12 +57,29 @@ def _tall(n: int, p: int) -> list[slice]:
     return blocks
 
 
-def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:
-    """X' apply(X) for columns X that stay where they are, with `apply` on as many of them at once as fit a block.
+def triangle(
+    rows: Float[np.ndarray, "n p"], last: Float[np.ndarray, " n"] | None = None, order: np.ndarray | None = None
+) -> Float[np.ndarray, "m p2"]:
+    """R of rows = Q R, or of [rows, last] = Q R, by blocks of rows: with at most as many rows as columns.
 
-    Args:
-        columns: arrays of shapes (n, k_i) or (n,), side by side in X.
-        apply: of some of the columns, in Fortran order as LAPACK takes them.
+    `order` is that of the columns of `rows` in R. Least squares needs no more of a Jacobian of a million samples.
+    """
+    factor, columns = None, rows.shape[1] + (last is not None)
+    size = max(ENTRIES // max(columns, 1), TALL * columns, 1)
+    for start in range(0, max(len(rows), 1), size):
+        block = rows[start : start + size]
+        block = block if order is None else block[:, order]
+        if last is not None:
+            block = np.column_stack([block, last[start : start + size]])
+        factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
+    assert factor is not None
+    return factor
+
+
+def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:
+    """X' apply(X) without a copy of the columns X; `apply` gets as many of them at once as fit into a block.
+
+    The columns have shapes (n, k_i) or (n,); `apply` gets them in Fortran order, as LAPACK takes them.
     """
     groups = [part[:, None] if part.ndim == 1 else part for part in columns]
     pieces = []

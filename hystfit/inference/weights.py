@@ -47,12 +47,7 @@ class Split:
     ) -> Split:
         """Split at given values of the other parameters.
 
-        Args:
-            space: the free parameters.
-            records: what is fitted.
-            x: physical parameters, shape (p,); those that are weights do not matter.
-            left_out: see `SmoothSystem.of`.
-            offsets: see `SmoothSystem.of`.
+        Values of x that are weights do not matter. `left_out` and `offsets` are those of `SmoothSystem.of`.
         """
         c = space.coordinates
         models = [space.assembled(x, k) for k in range(len(records))]
@@ -88,12 +83,7 @@ def responses(
 
     Exact columns for the weights, central differences of look-ups for the few others: no scan needs to be compiled.
 
-    Args:
-        space: the free parameters.
-        records: of the problem.
-        predict: output of every record at physical parameters.
-        x: physical parameters, shape (p,).
-        length: padded length T.
+    `predict` gives the output of every record at physical parameters; `length` is the padded length T.
     """
     now = Split.of(space, records, x)
     rows = np.zeros((len(records), length, x.size))
@@ -106,11 +96,9 @@ def responses(
             )
             source = next(b for b in design.blocks if b.leaf == block.leaf).columns
             rows[number, : len(record), mine] = source[:, now.place[mine] - first][design.index].T
-    c = space.coordinates
-    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
     for k in np.flatnonzero(now.place < 0):
-        step = _STEP * max(abs(x[k]), scale[k]) * np.eye(x.size)[k]
-        above, below = np.minimum(x + step, upper), np.maximum(x - step, lower)
+        step = _STEP * max(abs(x[k]), space.scale[k]) * np.eye(x.size)[k]
+        above, below = np.minimum(x + step, space.upper), np.maximum(x - step, space.lower)
         for row, high, low in zip(rows, predict(above), predict(below), strict=True):
             row[: high.size, k] = (high - low) / (above[k] - below[k])
     return rows

@@ -1,4 +1,4 @@
-"""What plain descriptions of the data leave unexplained: the yardsticks beside which the error of a fit is judged."""
+"""Errors of plain descriptions of the data, with which the error of a fit is compared."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Baselines:
     """Root mean square errors of plain descriptions, on the samples that count, and the extent of these samples [y].
 
     Attributes:
-        span: largest less smallest measured output.
+        span: largest minus smallest measured output.
         noise: rms noise as the differences of neighboring samples show it; None where they still contain the signal.
         line: of the best straight line over the input.
         curve: of the best single-valued curve over the input (a polynomial), without hysteresis.
@@ -46,9 +46,7 @@ class Baselines:
         """Fit the plain descriptions, with an offset for each record.
 
         Args:
-            train: records to fit.
             test: records to judge; those fitted by default. One that was not fitted has the offset of the first record.
-            refit_offset: shift the prediction of each test record to its mean.
         """
         judged = list(train if test is None else test)
         frame, own = _Frame.of(train), {record.name: k for k, record in enumerate(train)}
@@ -132,7 +130,7 @@ def _rows(x: np.ndarray, before: tuple[float, np.ndarray] | None) -> np.ndarray:
         before: the input before these, and the positions there; None at the start of a record.
     """
     rows, inside = np.empty((_ROWS, x.size)), np.clip(x, -1.0, 1.0)
-    # Beyond the fitted range the curve goes on as its end: a polynomial of high degree would not.
+    # Constant beyond the fitted range, where a polynomial of high degree would diverge.
     rows[0], rows[1], one = x, inside, np.ones(x.size)
     for n in range(1, _DEGREE):
         rows[n + 1] = ((2 * n + 1) * inside * rows[n] - n * (rows[n - 1] if n > 1 else one)) / (n + 1)
