@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
+import scipy.signal
 from loops import bouc_wen
 from rows import Row, beside
 from steps import BOUC_WEN, signal
@@ -26,11 +27,13 @@ LOWER, UPPER = np.array([1e-6, 1e-6, 1e-6, -0.999, -np.inf]), np.array([np.inf, 
 NAMES = ("c", "mu", "tau", "rho", "offset")
 
 
-def record(samples: int, seed: int = 0) -> hf.Record:
-    """A record of known parameters with white noise."""
-    u = signal(samples)
+def record(samples: int, seed: int = 0, slow: float = 0.0) -> hf.Record:
+    """A record of known parameters with white noise, and slow noise over 50 samples of a standard deviation `slow`."""
+    u, rng = signal(samples), np.random.default_rng(seed)
     y = np.asarray(hf.simulate(hf.BoucWen(**BOUC_WEN), u)[0])
-    noise = np.random.default_rng(seed).normal(0, 0.003, samples)
+    noise = rng.normal(0, 0.003, samples)
+    if slow:
+        noise = noise + scipy.signal.lfilter([slow * np.sqrt(1 - 0.98**2)], [1, -0.98], rng.standard_normal(samples))
     return hf.Record(u=u, y=y + noise, t=np.linspace(0, 20, samples), name=f"record {seed}")
 
 
@@ -107,8 +110,21 @@ def one(samples: int, repeats: int, peers: tuple[str, ...]) -> list[Row]:
     ]
 
 
+def correlated(samples: int, repeats: int) -> list[Row]:
+    """The default fit of a record with slow noise, whose standard errors need the covariance of that noise.
+
+    Args:
+        samples: of the record.
+        repeats: of each.
+    """
+    data = record(samples, slow=0.01)
+    calls: dict[str, Callable[[], Any]] = {"scipy trf + numba": by_scipy(data)}
+    calls["hystfit"] = lambda: hf.fit(hf.BoucWen(), data)
+    return beside(alternate(calls, repeats), f"fit of {samples} samples, autocorrelated residuals")
+
+
 def many(records: int, samples: int, repeats: int) -> list[Row]:
-    """Several records one after another, each with parameters of its own; a batch entry point would be one more call here.
+    """Several records one after another, and together by `fit_many`, from 8 starts and with everything that a row reports.
 
     Args:
         records: how many.
@@ -119,16 +135,24 @@ def many(records: int, samples: int, repeats: int) -> list[Row]:
     solves = [by_scipy(each) for each in data]
     calls = {
         "hystfit": lambda: [hf.fit(hf.BoucWen(), each, starts=1).x for each in data],
+        "fit_many": lambda: hf.fit_many("bouc-wen", data).values("tau"),
         "scipy trf + numba": lambda: [solve() for solve in solves],
     }
-    return beside(alternate(calls, repeats), f"{records} fits of {samples} samples, starts=1")
+    times = alternate(calls, repeats)
+    together = times.pop("fit_many")
+    rows = beside(times, f"{records} fits of {samples} samples, starts=1")
+    return [
+        *rows,
+        Row(f"fit_many of {records} records of {samples} samples / scipy trf + numba", together, rows[0].peer_s),
+    ]
 
 
 def measure(quick: bool) -> list[Row]:
     """Rows of the suite."""
     if quick:
-        return one(500, 1, tuple(PEERS)) + many(2, 500, 1)
-    return one(10_000, 5, tuple(PEERS)) + one(1_000_000, 1, ("scipy trf + numba",)) + many(10, 10_000, 1)
+        return one(500, 1, tuple(PEERS)) + correlated(500, 1) + many(2, 500, 1)
+    rows = one(10_000, 5, tuple(PEERS)) + correlated(10_000, 5) + one(1_000_000, 1, ("scipy trf + numba",))
+    return rows + many(10, 10_000, 1)
 
 
 if __name__ == "__main__":

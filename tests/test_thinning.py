@@ -100,13 +100,17 @@ def test_polish_reaches_the_minimum_that_minpack_finds():
     scatter = np.sqrt(np.diag(np.linalg.inv(_normal(made, oracle))) * 2 * found.cost / 2995)
     assert np.all(np.abs(found.z - oracle) < 1e-3 * scatter)
     assert found.evaluations < 15
+    assert found.linearized is not None
+    for kept, anew in zip(found.linearized, made.linearize_misfit(made.space.physical(found.z)), strict=True):
+        np.testing.assert_array_equal(kept, anew)
 
 
 def test_the_factor_in_blocks_is_that_of_all_rows(monkeypatch):
     rows, last = np.random.default_rng(0).normal(size=(50, 3)), np.arange(50.0)
     order = np.array([2, 0, 1])
     joint = np.column_stack([rows[:, order], last])
-    monkeypatch.setattr(blocks, "ROWS", 7)
+    monkeypatch.setattr(blocks, "ENTRIES", 28)  # 7 rows of four columns
+    monkeypatch.setattr(blocks, "TALL", 1)
     factor = blocks.triangle(rows, last, order)
     assert factor.shape == (4, 4)
     np.testing.assert_allclose(factor.T @ factor, joint.T @ joint, rtol=1e-12)

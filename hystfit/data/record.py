@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -150,7 +151,7 @@ class Record:
             return np.zeros(len(self))
         return np.concatenate([[self.sampling_interval or 0.0], np.diff(self.t)])
 
-    @property
+    @functools.cached_property
     def sampling_interval(self) -> float | None:
         """Median of the positive time steps [t_unit]; None without time."""
         return None if self.t is None else median_interval(np.diff(self.t))
@@ -372,6 +373,10 @@ class Record:
 
     def digest(self) -> str:
         """SHA-256 of the numbers, independent of file format and labels."""
+        return self._digest
+
+    @functools.cached_property
+    def _digest(self) -> str:
         hasher = hashlib.sha256()
         for column in (self.u, self.y, self.t, self.weight):
             hasher.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())

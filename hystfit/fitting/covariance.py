@@ -76,14 +76,14 @@ def uncertainty(
     """
     x, y = estimate.x, problem.scales.y
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
-    residual, jacobian = problem.linearize_misfit(x)
+    residual, jacobian = estimate.linearized or problem.linearize_misfit(x)
     used = problem.used.reshape(-1)
     # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
     rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
     at_bound, acts = problem.on_bound(x), _acting(problem, x, rows)
     live, relative = acts & ~at_bound, relative_size(problem.space, x)
     live_columns = lambda: chosen(jacobian, used)[:, live] * relative[live]
-    analysis = ResidualAnalysis.of(problem.setting, residual * y, live_columns if live.sum() <= FEW else None)
+    analysis = ResidualAnalysis.of(problem.host_setting, residual * y, live_columns if live.sum() <= FEW else None)
     plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:

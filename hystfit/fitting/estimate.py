@@ -28,6 +28,7 @@ class Estimate:
         notes: what was chosen on the way.
         left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
         toward_zero: the penalty is a ridge: nothing but its diagonal, toward zero.
+        linearized: `Problem.linearize_misfit` at x, where the estimator ended with it.
     """
 
     x: np.ndarray
@@ -40,6 +41,7 @@ class Estimate:
     notes: tuple[Note, ...] = ()
     left_out: float | None = None
     toward_zero: bool = False
+    linearized: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def in_best_basin(self) -> int:

@@ -140,7 +140,7 @@ def _with_noise(
     predicted = zip(problem.data, problem.predict(refined.x), strict=True)
     squares = sum(np.sum((r.weight * (r.y - y) ** 2)[r.used]) for r, y in predicted)
     cost = 0.5 * float(squares) / problem.scales.y**2
-    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=notes)
+    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=notes, linearized=None)
     rows = zip(refined.space.names, refined.values, refined.space.units, strict=True)
     values = ", ".join(f"{name} = {value:.3g} {unit}".rstrip() for name, value, unit in rows)
     description = Note(Code.NOISE_MODEL, f"noise model {label}: {values}")

@@ -63,14 +63,14 @@ class LeastSquares(AbstractEstimator):
             settings._continue(objective, ended, number)
         costs, steps = ended.cost, int(ended.evaluations.sum())
         number = int(np.argmin(costs))
-        z, cost, success = ended.z[number], float(costs[number]), bool(ended.converged[number])
+        z, cost, success, linearized = ended.z[number], float(costs[number]), bool(ended.converged[number]), None
         if np.isfinite(z).all() and np.isfinite(cost):
-            z, cost, success, more = polish(problem, z, *((_STEPS, _EXACT) if short is None else ()))
+            z, cost, success, more, linearized = polish(problem, z, *((_STEPS, _EXACT) if short is None else ()))
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, _ON_BOUND)):
-            return Estimate(x, float(costs[number]), True, "converged", steps, costs)
+            return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)
         finished = TrustRegion().estimate(problem, np.asarray(z)[None])
         message = "finished by the bounded trust region" if finished.converged else finished.message
         costs[number] = finished.cost

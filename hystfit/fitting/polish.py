@@ -25,12 +25,16 @@ _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, 
 
 
 class Polished(NamedTuple):
-    """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations."""
+    """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations.
+
+    `linearized` is `Problem.linearize_misfit` there, None where another point was linearized last.
+    """
 
     z: np.ndarray
     cost: float
     converged: bool
     evaluations: int
+    linearized: tuple[np.ndarray, np.ndarray] | None
 
 
 def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN) -> Polished:
@@ -47,50 +51,71 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
-    cost, factor = _linearize(problem, z, order)
-    damping, converged = 1e-6, False
-    for evaluations in range(1, steps):
-        floor = _floor(problem, z)
-        if not np.isfinite(cost + floor):
-            return Polished(z, cost, False, evaluations)
-        ordered, decrease = _step(factor, int(offsets.sum()), damping)
-        converged = decrease <= gain * cost + floor
+    samples, largest = int(problem.used.sum()), _largest_output(problem)
+    at, damping, converged, evaluations = _linearize(problem, z, order, samples), 1e-6, False, 1
+    linearized = at.linearized
+    while evaluations < steps:
+        floor = _floor(problem, at.x, samples, largest)
+        if not np.isfinite(at.cost + floor):
+            break
+        ordered, decrease = _step(at.factor, int(offsets.sum()), damping)
+        converged = decrease <= gain * at.cost + floor
         if converged or damping > _MOST:
-            return Polished(z, cost, converged, evaluations)
+            break
         step = np.zeros(z.size)
         step[order] = ordered
         step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
-        new_cost, new_factor = _linearize(problem, z + step, order)
-        blurred = _BLUR * np.sqrt(2 * cost * floor)  # where a smaller decrease cannot be seen, the linear model decides
-        if new_cost < cost + (blurred if decrease < blurred else 0.0):
-            z, factor, cost = z + step, new_factor, new_cost
+        at, linearized = at._replace(linearized=None), None  # of a long record there is no room for two
+        new, evaluations = _linearize(problem, at.z + step, order, samples), evaluations + 1
+        blurred = _BLUR * np.sqrt(
+            2 * at.cost * floor
+        )  # where a smaller decrease cannot be seen, the linear model decides
+        if new.cost < at.cost + (blurred if decrease < blurred else 0.0):
+            at, linearized = new, new.linearized
             damping = max(0.1 * damping, _LEAST)
         else:
             damping *= 10.0
-    return Polished(z, cost, converged, steps)
+        del new
+    return Polished(at.z, at.cost, converged, evaluations, linearized)
 
 
-def _floor(problem: Problem, z: np.ndarray) -> float:
+class _Linearized(NamedTuple):
+    """A point, unconstrained z and physical x; its cost, the triangular factor of [J, r] there, and `Problem.linearize_misfit`."""
+
+    z: np.ndarray
+    x: np.ndarray
+    cost: float
+    factor: np.ndarray
+    linearized: tuple[np.ndarray, np.ndarray] | None
+
+
+def _largest_output(problem: Problem) -> float:
+    return max(*(np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data), problem.scales.y)
+
+
+def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> float:
     """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output.
 
     Infinite where an offset has run away, as in a refit whose samples do not determine it.
     """
-    largest = [np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data]
-    largest = max(*largest, problem.scales.y, *np.abs(problem.space.physical(z))[problem.space.offsets])
+    largest = max(largest, *np.abs(x)[problem.space.offsets])
     with np.errstate(over="ignore"):
-        return float(problem.used.sum() * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
+        return float(samples * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
 
 
-def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray) -> tuple[float, np.ndarray]:
-    """The cost, and the triangular factor of [J, r] with the columns of J in an order; empty where the cost is not finite."""
-    residual, jacobian = problem.linearize_misfit(problem.space.physical(z))
-    bounded = problem.space.kinds != REAL
+def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int) -> _Linearized:
+    """The problem about a point, with the columns of J in an order; the factor is empty where the cost is not finite."""
+    x, bounded = problem.space.physical(z), problem.space.kinds != REAL
+    residual, jacobian = problem.linearize_misfit(x)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-        jacobian *= problem.space.slope(z)
-        size = np.sqrt(np.einsum("np,np->p", jacobian, jacobian))
-        jacobian[:, bounded & (size < _NOTHING * np.sqrt(problem.used.sum()))] = 0.0
         cost = 0.5 * float(residual @ residual)
-    return cost, triangle(jacobian, residual, order) if np.isfinite(cost) else np.empty((0, 0))
+        if not np.isfinite(cost):
+            return _Linearized(z, x, cost, np.empty((0, 0)), None)
+        factor = triangle(jacobian, residual, order)
+        columns = factor[:, :-1]
+        columns *= problem.space.slope(z)[order]
+        columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < _NOTHING * np.sqrt(samples))] = 0.0
+    return _Linearized(z, x, cost, factor, (residual, jacobian))
 
 
 def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
-ROWS = 2**16  # of a block of `triangle`; shorter matrices are factored at once
+# Entries of a block of `triangle`, and rows for each of its columns at least. A larger block would be copied into memory that the
+# system hands out page by page, which takes several times as long as its factor.
+ENTRIES, TALL = 2**13, 8
 
 
 def parts(size: int, other: int) -> Iterator[slice]:
@@ -62,12 +64,13 @@ def triangle(
 
     `order` is that of the columns of `rows` in R. Least squares needs no more of a Jacobian of a million samples.
     """
-    factor = None
-    for start in range(0, max(len(rows), 1), ROWS):
-        block = rows[start : start + ROWS]
+    factor, columns = None, rows.shape[1] + (last is not None)
+    size = max(ENTRIES // max(columns, 1), TALL * columns, 1)
+    for start in range(0, max(len(rows), 1), size):
+        block = rows[start : start + size]
         block = block if order is None else block[:, order]
         if last is not None:
-            block = np.column_stack([block, last[start : start + ROWS]])
+            block = np.column_stack([block, last[start : start + size]])
         factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
     assert factor is not None
     return factor

@@ -77,13 +77,15 @@ class Problem:
         require_x64()
         if not isinstance(model, AbstractHysteresis):
             raise ModelError(f"expected a hystfit model, got {type(model).__name__}")
-        self.data = Dataset.of(data).map(model.prepared)
+        given = Dataset.of(data)
+        self.data = given.map(model.prepared)
         check_fittable(model, self.data)
         self.model = model
         self.scales = scales_of(self.data)
         records = [record.name for record in self.data]
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
-        self.data = Dataset.of(data).map(self.prepared)
+        pairs = zip(given, self.data, strict=True)
+        self.data = Dataset(tuple(self._begun(record, ready) for record, ready in pairs), given.name)
         batch = Batch.of(self.data)
         # Smooth weights are many, and their number is not a measure of what the data must determine.
         if batch.count < len(self.space) and model.estimator != "preisach":
@@ -98,7 +100,11 @@ class Problem:
 
     def prepared(self, record: Record) -> Record:
         """The record as the model prepares it; with a free initial state, without the steady period that would come before it."""
-        ready, count = self.model.prepared(record), len(record)
+        return self._begun(record, self.model.prepared(record))
+
+    def _begun(self, record: Record, ready: Record) -> Record:
+        """`prepared`, from a record and what the model made of it."""
+        count = len(record)
         if len(ready) == count or not any(info.per_record and info.fixed for info in self.space.infos):
             return ready
         t = None if ready.t is None else ready.t[-count:]
@@ -108,7 +114,7 @@ class Problem:
 
     def _changed(self, **changes: Any) -> Problem:
         other = copy.copy(self)
-        for cached in ("setting", "density"):
+        for cached in ("host_setting", "setting", "density"):
             other.__dict__.pop(cached, None)
         for name, value in changes.items():
             setattr(other, name, value)
@@ -233,10 +239,16 @@ class Problem:
     # -- likelihoods ---------------------------------------------------------------------------------------------------
 
     @functools.cached_property
+    def host_setting(self) -> Setting:
+        """`setting` with arrays of NumPy."""
+        inputs = [record.u for record in self.data]
+        limits = float(min(u.min() for u in inputs)), float(max(u.max() for u in inputs))
+        return Setting.on_host(self.objective.batch, limits)
+
+    @functools.cached_property
     def setting(self) -> Setting:
         """The data as noise models need them; places in the input are relative to the range of all samples."""
-        inputs = np.concatenate([record.u for record in self.data])
-        return Setting.of(self.objective.batch, (float(inputs.min()), float(inputs.max())))
+        return self.host_setting.on_device()
 
     @functools.cached_property
     def density(self) -> Density:

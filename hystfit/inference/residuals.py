@@ -146,7 +146,7 @@ def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
     live = ~problem.on_bound(x)
     few = live.any() and int(live.sum()) <= FEW
     columns = lambda: jacobian[problem.used.reshape(-1)][:, live] * relative_size(problem.space, x)[live]
-    return ResidualAnalysis.of(problem.setting, residual * problem.scales.y, columns if few else None)
+    return ResidualAnalysis.of(problem.host_setting, residual * problem.scales.y, columns if few else None)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.data.batch import bucket
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
@@ -29,6 +30,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -223,13 +225,16 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
 
 def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarray:
     """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau))."""
-    state, out = np.zeros(tau.size), np.zeros((u.size, tau.size))
-    highest = 1 / (tau * (1 + rho))
-    up, down = 0.5 * tau * (1 + rho), tau * rho
-    for k, dv in enumerate(np.diff(u).tolist(), start=1):
-        x = abs(dv)
-        below = np.minimum(np.maximum(state if dv < 0 else -state, 0.0), x)
-        half = up * x - down * below
-        state = np.minimum(np.maximum(((1 - half) * state + dv) / (1 + half), -highest), highest)
-        out[k] = state
-    return out
+    steps = np.pad(np.diff(u, prepend=u[0]), (0, bucket(u.size) - u.size))
+    return np.asarray(_unit_hysteresis(steps, tau, rho))[: u.size]
+
+
+@compiled
+def _unit_hysteresis(steps: Array, tau: Array, rho: Array) -> Array:
+    one, up, down = jnp.ones_like(tau), tau * (1 + rho), tau * (1 - rho)
+
+    def once(h: Array, dv: Array) -> tuple[Array, Array]:
+        h = trapezoid(h, dv, one, up, down)
+        return h, h
+
+    return jax.lax.scan(once, jnp.zeros_like(tau), steps)[1]

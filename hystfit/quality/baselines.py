@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -14,11 +13,14 @@ from hystfit.quality.faults import noise_rms
 
 _DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
-_BLOCK = 2**16  # samples whose columns are held at once
+_BLOCK = 2**16  # samples whose rows are held at once
 _Part = tuple[np.ndarray, np.ndarray]
-_Before = tuple[float, np.ndarray] | None
-_Columns = Callable[[np.ndarray, _Before], np.ndarray]
 _SPARE = 4  # samples for each unknown of the plays, below which their error would be that of an overfit
+
+# Rows that the descriptions share (see `_rows`), and which of them each one takes beside the offsets.
+_ROWS = 1 + _DEGREE + _PLAYS
+_LINE, _CURVE = (0,), tuple(range(1, 1 + _DEGREE))
+_PLAYED = (0, 2, 3, *range(1 + _DEGREE, _ROWS))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,32 +49,25 @@ class Baselines:
             test: records to judge; those fitted by default. One that was not fitted has the offset of the first record.
         """
         judged = list(train if test is None else test)
-        frame = _Frame.of(train)
-        own = {record.name: k for k, record in enumerate(train)}
-        y = np.concatenate([record.y[record.used] for record in judged])
-
-        keep = (
-            functools.cache if sum(map(len, train)) <= _BLOCK else lambda make: make
-        )  # of long records no columns are kept
-
-        def error(columns: _Columns) -> float:
-            @keep
-            def parts(k: int) -> list[_Part] | Iterator[_Part]:
-                made = _parts(columns, frame.place(train[k]), train[k], k, len(own))
-                return list(made) if keep is functools.cache else made
-
-            theta = _least_squares(part for k in range(len(train)) for part in parts(k))
-            squares = 0.0
-            for record in judged:
-                k = own.get(record.name, 0)
-                mine = parts(k) if record is train[k] else _parts(columns, frame.place(record), record, k, len(own))
-                miss = np.concatenate([measured - rows @ theta for rows, measured in mine])
-                squares += float(np.sum((miss - (miss.mean() if refit_offset else 0.0)) ** 2))
-            return float(np.sqrt(squares / y.size))
+        frame, own = _Frame.of(train), {record.name: k for k, record in enumerate(train)}
+        short = sum(map(len, train)) <= _BLOCK  # of long records no rows are kept
+        kept = [list(frame.parts(record)) for record in train] if short else None
+        fitted = lambda k: kept[k] if kept else frame.parts(train[k])
 
         samples = sum(int(record.used.sum()) for record in train)
         enough = samples >= _SPARE * (_PLAYS + 3 + len(own))
-        return cls(float(np.ptp(y)), _noise(judged), error(_line), error(_curve), error(_plays) if enough else None)
+        chosen = (_LINE, _CURVE, _PLAYED) if enough else (_LINE, _CURVE)
+        theta = _least_squares([fitted(k) for k in range(len(train))], chosen)
+
+        squares, y = np.zeros(len(chosen)), np.concatenate([record.y[record.used] for record in judged])
+        for record in judged:
+            k = own.get(record.name, 0)
+            parts = fitted(k) if record is train[k] else frame.parts(record)
+            misses = [measured - theta[:, :_ROWS] @ rows - theta[:, _ROWS + k, None] for rows, measured in parts]
+            miss = np.concatenate(misses, axis=1)
+            squares += np.sum((miss - (miss.mean(axis=1, keepdims=True) if refit_offset else 0.0)) ** 2, axis=1)
+        line, curve, *plays = np.sqrt(squares / y.size).tolist()
+        return cls(float(np.ptp(y)), _noise(judged), line, curve, *(plays or [None]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,73 +82,88 @@ class _Frame:
         low, high = min(float(r.u[r.used].min()) for r in data), max(float(r.u[r.used].max()) for r in data)
         return cls(0.5 * (low + high), 0.5 * (high - low) or 1.0)
 
-    def place(self, record: Record) -> np.ndarray:
-        """Input in -1..1 over the fitted range, shape (T,)."""
-        return (record.u - self.middle) / self.half
+    def parts(self, record: Record) -> Iterator[_Part]:
+        """Rows of the descriptions and outputs at the samples of a record that count, block by block."""
+        place, used = (record.u - self.middle) / self.half, record.used  # -1 to 1 over the fitted range
+        before = None
+        for start in range(0, place.size, _BLOCK):
+            at = slice(start, start + _BLOCK)
+            rows = _rows(place[at], before)
+            before = place[at][-1], rows[-_PLAYS:, -1]
+            yield (rows, record.y[at]) if used[at].all() else (rows[:, used[at]], record.y[at][used[at]])
 
 
-def _least_squares(parts: Iterable[_Part]) -> np.ndarray:
-    """Solution by normal equations: few scaled columns, of which only the misfit counts; a tenth of the time of an SVD."""
-    gram, right = 0.0, 0.0
-    for rows, measured in parts:
-        gram, right = gram + rows.T @ rows, right + rows.T @ measured
-    size = np.sqrt(np.diag(gram))
-    size[size == 0] = 1.0
-    return np.linalg.lstsq(gram / np.outer(size, size), right / size, rcond=1e-13)[0] / size
+def _least_squares(records: Sequence[Iterable[_Part]], chosen: Sequence[Sequence[int]]) -> np.ndarray:
+    """Coefficients of each description, shape (K, rows and offsets), 0 where it has none.
 
-
-def _parts(columns: _Columns, place: np.ndarray, record: Record, number: int, count: int) -> Iterator[_Part]:
-    """Columns with one offset for each of `count` records, and outputs, at the samples that count, block by block.
+    By normal equations: few scaled columns, of which only the misfit counts, take a tenth of the time of an SVD.
 
     Args:
-        place: inputs, shape (T,).
+        records: parts of each of R records, which has an offset of its own.
+        chosen: rows of each of K descriptions.
     """
-    before = None
-    for start in range(0, place.size, _BLOCK):
-        at = slice(start, start + _BLOCK)
-        rows = columns(place[at], before)
-        before = place[at][-1], rows[-1]
-        offset = np.zeros((len(rows), count))
-        offset[:, number] = 1.0
-        yield np.hstack([rows, offset])[record.used[at]], record.y[at][record.used[at]]
+    count = _ROWS + len(records)
+    gram, right = np.zeros((count, count)), np.zeros(count)
+    for k, parts in enumerate(records, start=_ROWS):
+        for rows, measured in parts:
+            gram[:_ROWS, :_ROWS] += rows @ rows.T
+            gram[k, :_ROWS] += rows.sum(axis=1)
+            gram[k, k] += measured.size
+            right[:_ROWS] += rows @ measured
+            right[k] += measured.sum()
+    gram[:_ROWS, _ROWS:] = gram[_ROWS:, :_ROWS].T
+    size = np.sqrt(np.diag(gram))
+    size[size == 0] = 1.0
+    theta = np.zeros((len(chosen), count))
+    for one, own in zip(theta, chosen, strict=True):
+        at = [*own, *range(_ROWS, count)]
+        scaled = gram[np.ix_(at, at)] / np.outer(size[at], size[at])
+        one[at] = np.linalg.lstsq(scaled, right[at] / size[at], rcond=1e-13)[0] / size[at]
+    return theta
 
 
-def _line(x: np.ndarray, before: _Before) -> np.ndarray:
-    return x[:, None]
+def _rows(x: np.ndarray, before: tuple[float, np.ndarray] | None) -> np.ndarray:
+    """Input, Legendre polynomials of it, and positions of plays, shape (_ROWS, T).
 
-
-def _curve(x: np.ndarray, before: _Before) -> np.ndarray:
+    Args:
+        x: input, -1 to 1 over the fitted range, shape (T,).
+        before: the input before these, and the positions there; None at the start of a record.
+    """
+    rows, inside = np.empty((_ROWS, x.size)), np.clip(x, -1.0, 1.0)
     # Constant beyond the fitted range, where a polynomial of high degree would diverge.
-    return np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), _DEGREE)[:, 1:]
-
-
-def _plays(x: np.ndarray, before: _Before) -> np.ndarray:
-    radii = np.linspace(0.0, 1.0, _PLAYS + 2)[1:-1]
-    bend = np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), 3)[:, 2:]
+    rows[0], rows[1], one = x, inside, np.ones(x.size)
+    for n in range(1, _DEGREE):
+        rows[n + 1] = ((2 * n + 1) * inside * rows[n] - n * (rows[n - 1] if n > 1 else one)) / (n + 1)
+    radii, positions = np.linspace(0.0, 1.0, _PLAYS + 2)[1:-1], rows[-_PLAYS:].T
     if before is None:
-        return np.hstack([x[:, None], bend, play_positions(x, radii)])
-    positions = play_positions(np.append(before[0], x), radii, before[1][-_PLAYS:])
-    return np.hstack([x[:, None], bend, positions[1:]])
+        play_positions(x, radii, out=positions)
+    else:
+        positions[:] = play_positions(np.append(before[0], x), radii, before[1])[1:]
+    return rows
 
 
-def play_positions(u: np.ndarray, radii: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+def play_positions(
+    u: np.ndarray, radii: np.ndarray, first: np.ndarray | None = None, out: np.ndarray | None = None
+) -> np.ndarray:
     """Positions of plays, run by run of monotonic input, shape (T, K).
 
     Args:
         u: input, shape (T,).
         radii: half widths of the plays [u], shape (K,).
         first: positions at the first input, shape (K,); None where they rest on it.
+        out: where they are written; its transpose is best contiguous, as a run then lies together in memory.
     """
-    p = np.empty((u.size, radii.size))
-    p[0] = u[0] if first is None else first
+    p, radii = np.empty((radii.size, u.size)) if out is None else out.T, radii[:, None]
+    p[:, 0] = u[0] if first is None else first
     rising = np.diff(u) > 0
     ends = np.concatenate([[0], np.flatnonzero(rising[1:] != rising[:-1]) + 1, [u.size - 1]])
-    for start, stop in itertools.pairwise(ends):
-        way = u[start + 1 : stop + 1, None]
-        p[start + 1 : stop + 1] = (
-            np.maximum(way - radii, p[start]) if rising[start] else np.minimum(way + radii, p[start])
-        )
-    return p
+    for start, stop in itertools.pairwise(ends.tolist()):
+        way, at, run = u[start + 1 : stop + 1], p[:, start, None], p[:, start + 1 : stop + 1]
+        if rising[start]:
+            np.maximum(np.subtract(way, radii, out=run), at, out=run)
+        else:
+            np.minimum(np.add(way, radii, out=run), at, out=run)
+    return p.T
 
 
 def _noise(records: Sequence[Record]) -> float | None:

@@ -32,10 +32,10 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
     values = values[np.isfinite(values)]
     if values.size < 16:
         return None, False
-    sizes = []
+    sizes, differences = [], np.diff(values)
     for order in range(2, 7):
-        size = np.abs(np.diff(values, order)) / math.sqrt(math.comb(2 * order, order))
-        sizes.append(MAD_TO_RMS * float(np.median(size)))
+        differences = np.diff(differences)
+        sizes.append(MAD_TO_RMS * float(np.median(np.abs(differences))) / math.sqrt(math.comb(2 * order, order)))
     floor = float(np.finfo(float).eps * np.max(np.abs(values)))
     least = min(sizes)
     if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one with jumps

@@ -21,13 +21,14 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
         Sample numbers in rising order, shape (R,), the ends of the record excluded; on a flat top the first sample.
     """
     u = np.asarray(u, dtype=float)
-    moves = np.flatnonzero(np.diff(u)) + 1
+    steps = np.diff(u)
+    moves = np.flatnonzero(steps)
     if moves.size == 0:
         return np.empty(0, dtype=int)
-    direction = np.sign(np.diff(u))[moves - 1]
+    rises = steps[moves] > 0
     # only local extremes can be turning points: the value before each change of direction, first of its flat run
-    change = np.flatnonzero(direction[1:] != direction[:-1])
-    corners = np.concatenate([[0], moves[change], [moves[-1]]])
+    change = np.flatnonzero(rises[1:] != rises[:-1])
+    corners = np.concatenate([[0], moves[change] + 1, [moves[-1] + 1]])
     turns: list[int] = []
     extreme, rising = 0, 0  # rising: +1, -1, or 0 while the direction is unknown
     low = high = 0

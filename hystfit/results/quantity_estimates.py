@@ -11,6 +11,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
+from hystfit.models.base import AbstractHysteresis
 from hystfit.params.space import relative_size
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured_quantities import measured_quantities
@@ -26,8 +27,7 @@ _OPEN = 1.0  # a quantity is undetermined when its standard error is its natural
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
     """The quantities of a fit without errors, by name; None where one is unknown."""
-    at = np.asarray(result.x)[None]
-    values = _values(result, Excitation.of(result.data), lambda record: _simulated(result, record, at))
+    values = _values(result, Excitation.of(result.data), lambda record: _run(result, record, result.model)[None])
     return {name: float(one[0]) if np.isfinite(one[0]) else None for name, one in values.items()}
 
 
@@ -101,9 +101,12 @@ def _simulated_outputs(outputs: Any, record: Record) -> np.ndarray:
 
 def _simulated(result: FitResult, record: Record, x: np.ndarray) -> np.ndarray:
     """Outputs of the first record's model over a record for parameter vectors (count, p), shape (count, T)."""
-    space, dt = result.problem.space, None if result.model.rate_independent else record.dt
-    models = [space.assembled(row) for row in x]
-    return np.stack([type(model).free_run(model, record.u, dt) for model in models])
+    return np.stack([_run(result, record, result.problem.space.assembled(row)) for row in x])
+
+
+def _run(result: FitResult, record: Record, model: AbstractHysteresis) -> np.ndarray:
+    """Output of a model of the fit's type over a record, shape (T,)."""
+    return type(model).free_run(model, record.u, None if result.model.rate_independent else record.dt)
 
 
 def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.ndarray) -> np.ndarray:

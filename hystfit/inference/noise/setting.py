@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.data.record import median_interval
-from hystfit.models.shapes import Scalar
 from hystfit.params.host_arrays import to_device
 
 _UNEVEN = 0.02  # deviation from even sampling, relative, below which the filters take one interval for all samples
@@ -26,16 +26,21 @@ class Setting(eqx.Module):
         log_weight: sum of the logarithms of their weights.
     """
 
-    gap: Float[Array, "*samples"]
-    weight: Float[Array, "R T"]
-    place: Float[Array, "R T"]
-    rising: Array
-    count: Scalar
-    log_weight: Scalar
+    gap: Float[Array | np.ndarray, "*samples"]
+    weight: Float[Array | np.ndarray, "R T"]
+    place: Float[Array | np.ndarray, "R T"]
+    rising: Array | np.ndarray
+    count: Float[Array | np.ndarray, ""]
+    log_weight: Float[Array | np.ndarray, ""]
 
     @classmethod
     def of(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:
         """The setting of a batch; records without time count as evenly sampled. `limits` are those of the input, by default the batch's."""
+        return cls.on_host(batch, limits).on_device()
+
+    @classmethod
+    def on_host(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:
+        """`of` with arrays of NumPy, which is all that the analysis of residuals needs."""
         u, dt, weight = (np.asarray(v) for v in (batch.u, batch.dt, batch.weight))
         low, high = limits or (float(u.min()), float(u.max()))
         typical = median_interval(dt) or 1.0
@@ -45,13 +50,17 @@ class Setting(eqx.Module):
         even = bool(np.all(np.abs(inside - 1.0) < _UNEVEN))
         turning = np.sign(np.diff(u, axis=1, prepend=u[:, :1]))
         return cls(
-            gap=to_device(1.0 if even else gap),
-            weight=to_device(weight),
-            place=to_device((u - low) / (high - low)),
-            rising=to_device(np.stack([_held(row) for row in turning]) > 0),
-            count=to_device(float(np.count_nonzero(weight))),
-            log_weight=to_device(float(np.sum(np.log(weight[weight > 0])))),
+            gap=np.array(1.0) if even else gap,
+            weight=weight,
+            place=(u - low) / (high - low),
+            rising=np.stack([_held(row) for row in turning]) > 0,
+            count=np.array(float(np.count_nonzero(weight))),
+            log_weight=np.array(float(np.sum(np.log(weight[weight > 0])))),
         )
+
+    def on_device(self) -> Setting:
+        """The same with arrays of JAX."""
+        return jax.tree_util.tree_map(to_device, self)
 
 
 def _held(sign: np.ndarray) -> np.ndarray:
