@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
 from hystfit.fitting.estimate import Estimate
-from hystfit.inference.blocks import chosen
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
-from hystfit.inference.triangle import triangle
 from hystfit.params.coordinates import BOTH
 from hystfit.params.space import relative_size
 
@@ -79,18 +79,16 @@ def uncertainty(
     """
     x, y = estimate.x, problem.scales.y
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
-    residual, jacobian = problem.linearize_misfit(x)
-    used = problem.used.reshape(-1)
-    # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
-    rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
-    at_bound, acts = problem.on_bound(x), _acting(problem, x, rows)
-    live, relative = acts & ~at_bound, relative_size(problem.space, x)
-    columns = lambda: chosen(jacobian, used)[:, live] * relative[live]
+    linear, at_bound = problem.linearization(x), problem.on_bound(x)
+    residual, relative = linear.misfit, relative_size(problem.space, x)
+    rows, acts = _factor(problem, x, linear, at_bound)
+    live = acts & ~at_bound
+    columns = lambda: linear.columns(live) * relative[live]
     analysis = ResidualAnalysis.of(problem.setting, residual * y, columns if live.sum() <= FEW else None)
-    plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
+    plain = float(np.sum(residual**2)) / max(int(linear.used.sum()) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
-        measured = chosen(jacobian, used)[:, acts]
+        measured = linear.columns(acts)
         measured *= y
         part = least_squares_root(analysis.of_errors, measured, overwrite=True)
         root = np.zeros((len(part), x.size))
@@ -99,12 +97,13 @@ def uncertainty(
     if root is None:
         ratio, information = float(np.sqrt(time)), _Information(rows, plain * time, ridge)
     else:
-        ratio = _ratio(root[:, live] * relative[live], columns(), plain)
+        ratio = _ratio(root[:, live] * relative[live], rows[:, live] * relative[live], plain)
         information = _Information(root, 1.0, ridge / plain)
     inside = None
     if live.any() and plain > 0:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(at_bound & (not refined), residual @ jacobian, -ridge * x)
+        on_bound = at_bound & (not refined)
+        slope = lambda: np.where(on_bound, linear.gradient() if on_bound.any() else 0.0, -ridge * x)
         near = _NearBounds.of(problem, x, rows, information, slope, ridge, acts)
         if near is not None:
             share = np.ones(x.size)
@@ -143,10 +142,28 @@ def _arrays(problem: Problem) -> np.ndarray:
     return np.array([name.split("[")[0] for name in problem.space.names])
 
 
-def _acting(problem: Problem, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Parameters with an influence on the data, shape (p,), bool."""
-    natural = np.minimum(relative_size(problem.space, x), np.asarray(problem.space.coordinates.scale))
-    gain = np.linalg.norm(_centered(rows, problem.space.offsets)[0] * natural, axis=0)
+def _factor(
+    problem: Problem, x: np.ndarray, linear: Linearization, at_bound: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The triangular factor of the derivatives, and which parameters have an influence on the data, shape (p,), bool.
+
+    Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
+    """
+    offsets = problem.space.offsets
+    if x.size <= FEW:
+        factor = linear.triangle()
+        return factor, _acting(problem, x, np.linalg.norm(_centered(factor, offsets)[0], axis=0))
+    acts = _acting(problem, x, _centered_sizes(linear, offsets))
+    needed = acts if np.count_nonzero(acts & at_bound) <= FEW else acts & ~at_bound
+    part = linear.triangle(needed)
+    factor = np.zeros((len(part), x.size))
+    factor[:, needed] = part
+    return factor, acts
+
+
+def _acting(problem: Problem, x: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Parameters with an influence on the data, by the length of their centered derivatives, shape (p,), bool."""
+    gain = size * np.minimum(relative_size(problem.space, x), np.asarray(problem.space.coordinates.scale))
     return gain > 1e-9 * max(gain.max(initial=0.0), 1e-300)
 
 
@@ -277,7 +294,7 @@ class _NearBounds(NamedTuple):
         x: np.ndarray,
         rows: np.ndarray,
         information: _Information,
-        slope: np.ndarray,
+        slope: Callable[[], np.ndarray],
         ridge: np.ndarray,
         acts: np.ndarray,
     ) -> _NearBounds | None:
@@ -288,7 +305,7 @@ class _NearBounds(NamedTuple):
             x: where it ended, physical, shape (p,).
             rows: Jacobian of what was minimized, or its triangular factor, shape (n, p).
             information: about the parameters.
-            slope: of the cost without the ridge at the estimate, shape (p,).
+            slope: of the cost without the ridge at the estimate, shape (p,), computed when it is needed.
             ridge: added to the normal matrix of the cost, shape (p,).
             acts: parameters with influence, shape (p,), bool.
         """
@@ -301,13 +318,13 @@ class _NearBounds(NamedTuple):
             return None
         centered, back = _centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(centered, axis=0)
-        back = back / size
+        back, unit = back / size, centered / size
         root = information.root[:, acts] @ back
         return cls(
             x[acts] * size,
-            (centered / size).T @ (centered / size),
+            unit.T @ unit,
             ridge[acts] / size**2,
-            slope[acts] / size,
+            slope()[acts] / size,
             root.T @ root / information.variance,
             information.ridge[acts] / size**2 / information.variance,
             room * size,
@@ -361,6 +378,27 @@ def _centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarra
     centered[:, ~offsets] -= J[:, offsets] @ explained
     back[np.ix_(offsets, ~offsets)] = -explained
     return centered, back
+
+
+def _centered_sizes(linear: Linearization, offsets: np.ndarray) -> np.ndarray:
+    """Length of every column of `_centered` derivatives, shape (p,), in two passes over their blocks."""
+    at = np.flatnonzero(offsets)
+    cross, squares = np.zeros((at.size, linear.size)), np.zeros(linear.size)
+    for rows in linear.blocks():
+        mine = rows[:, at].any(axis=0)
+        cross[mine] += rows[:, at[mine]].T @ rows
+        squares += np.einsum("np,np->p", rows, rows)
+    whole = np.sqrt(squares)
+    if not at.size:
+        return whole
+    explained = np.linalg.lstsq(cross[:, at], cross, rcond=None)[0]
+    explained[:, at], squares[:] = 0.0, 0.0
+    for rows in linear.blocks():
+        mine = rows[:, at].any(axis=0)
+        rest = rows - rows[:, at[mine]] @ explained[mine]
+        squares += np.einsum("np,np->p", rest, rest)
+    size = np.sqrt(squares)
+    return np.where(size <= _REST * whole, whole, size)
 
 
 def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.lapack import dtpqrt
 
+_PANEL = 64  # columns that are eliminated together
 _ROWS = 2**16  # of a block; shorter matrices are factored at once
 
 
@@ -26,4 +30,20 @@ def triangle(
             block = np.column_stack([block, last[start : start + _ROWS]])
         factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
     assert factor is not None
+    return factor
+
+
+def triangle_of_blocks(blocks: Iterable[Float[np.ndarray, "n p"]], size: int) -> Float[np.ndarray, "p p"]:
+    """R of a matrix Q R of which blocks of rows come one after another, each eliminated below the factor of those before it.
+
+    The cost is that of one factorization of the whole, however small the blocks are.
+
+    Args:
+        blocks: of rows.
+        size: p, number of their columns.
+    """
+    factor = np.zeros((size, size), order="F")
+    for rows in blocks:
+        if len(rows) and size:
+            factor = dtpqrt(0, min(_PANEL, size), factor, rows, overwrite_a=True)[0]
     return factor
