@@ -16,8 +16,8 @@ from timing import alternate
 
 import hystfit as hf
 from hystfit.inference.problem import Problem
-from hystfit.models.base import run
 from hystfit.models.parallel.route import on_gpu
+from hystfit.models.simulation import run
 
 LONG = ("20 stops", "Duhem", "linear creep", "resonance")  # models with an associative form
 WORK = (*(f"{name}, one long record" for name in LONG), "Bouc-Wen, Jacobians of many starts", "Bouc-Wen, many walkers")

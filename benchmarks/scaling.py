@@ -19,7 +19,7 @@ from steps import MODELS, signal
 from timing import alternate
 
 import hystfit as hf
-from hystfit.models.base import run
+from hystfit.models.simulation import run
 from hystfit.params.space import ParameterSpace
 
 HERE = Path(__file__).parent

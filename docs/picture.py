@@ -20,7 +20,7 @@ from generate.style import save_both  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from hystfit.params.units import axis_label  # noqa: E402
-from hystfit.results.plots import thin  # noqa: E402
+from hystfit.results.record_plots import thin  # noqa: E402
 
 PANELS = {
     "plot_1_piezo.py": "piezo stack, predicted",

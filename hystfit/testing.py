@@ -20,8 +20,9 @@ from jaxtyping import Array
 from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, run, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model
+from hystfit.models.simulation import run, simulate
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.space import ParameterSpace
 

@@ -13,8 +13,8 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify import DuhemRegressor, GradientCorrection, Sample, identify, run_stream
 from hystfit.identify.gradient_correction import check_weights
-from hystfit.models.base import simulate
 from hystfit.models.duhem import Duhem
+from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 

@@ -38,8 +38,8 @@ from hystfit.models import (
     registry,
     simulate,
 )
-from hystfit.models.base import run
 from hystfit.models.bracketed import Root
+from hystfit.models.simulation import run
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.testing import check_model

@@ -10,9 +10,12 @@ import pytest
 
 import hystfit as hf
 from hystfit.quality.loops import loop_area
-from hystfit.results.quantities import QUANTITIES, Excitation, Trade, Unknown, applicable, measured_quantities
+from hystfit.results.measured_quantities import measured_quantities
+from hystfit.results.quantities import QUANTITIES, Unknown, applicable
 from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.report import html_report, text_report
+from hystfit.results.steady_loops import Excitation
+from hystfit.results.trades import Trade
 
 TRUTH = hf.BoucWen(c=1.2, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
 SAMPLES = 200  # in a cycle

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from hystfit.reading import read, read_csv
 from hystfit.reading.columns import column_quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.text import read_table
+from hystfit.results.stored_records import load_records, save_records
 
 T = [0.0, 0.5, 1.0, 1.5]
 U = [0.0, 1.25, -2.5, 1000.5]
@@ -482,7 +482,8 @@ def test_files_of_sections_keep_sizes_and_masses_and_omit_rows_without_a_measure
     np.testing.assert_array_equal(record.y, [0.25, 0.5, np.nan, 0.75])
     assert (record.u_unit, record.y_unit) == ("Oe", "emu")
     assert record.metadata == {"SAMPLE_MASS": "12.5", "SAMPLE_SIZE": "(1.0, 2.0, 0.5)"}
-    assert Record.labels_of(json.loads(json.dumps(record.labels())))["metadata"] == record.metadata
+    save_records(tmp_path / "records.npz", Dataset.of(record))
+    assert load_records(tmp_path / "records.npz")[0].metadata == record.metadata
     assert all(note.severity is Severity.INFO for note in record.notes)
     assert sum("without input and output" in note.text for note in record.notes) == 1
     other = read(_write(tmp_path, "# Gauge length: 25 mm\n# Sample rate: 200\nwidth,height\n1,2\n2,3\n1,4\n", "b.csv"))

@@ -25,6 +25,7 @@ from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.results import plots, report
 from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.record_plots import thin
 from hystfit.results.report.page import _png
 from hystfit.results.result import FitResult
 
@@ -295,7 +296,7 @@ def test_thinning_keeps_ends_and_extremes(seed, size, most):
     rng = np.random.default_rng(seed)
     a, b = rng.standard_normal((2, size))
     b[rng.integers(size, size=size // 10)] = np.nan
-    at = plots.thin(most, a, b)
+    at = thin(most, a, b)
     assert (np.diff(at) > 0).all()
     assert (at[0], at[-1]) == (0, size - 1)
     assert at.size <= max(most, 8) + 2

@@ -16,9 +16,9 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify import DuhemRegressor, Rls, Sample, as_fit, identify, noise_bias, run_stream
 from hystfit.identify.duhem_regression import rank_of
-from hystfit.models.base import simulate
 from hystfit.models.bouc_wen import BoucWen
 from hystfit.models.duhem import Duhem
+from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.results.timing import Stopwatch

@@ -86,7 +86,8 @@ def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
     draws = np.asarray(prior.sample(jax.random.key(0), (20_000,)))
     assert np.quantile(draws, 0.977) == pytest.approx(500 / 3, rel=0.1)
     own = priors.LogNormal(40.0, 0.2)
-    assert "40" in prepare(fitted, noise="ou", priors={"noise_time": own}).describe_priors()["noise_time"]
+    setup = prepare(fitted, noise="ou", priors={"noise_time": own})
+    assert "40" in str(setup.problem.priors[setup.names.index("noise_time")])
 
 
 def test_coordinates_for_sampling_are_linear_inside_two_bounds_and_logistic_in_the_tails():

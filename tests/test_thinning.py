@@ -9,7 +9,7 @@ import hystfit as hf
 from hystfit.data.batch import bucket
 from hystfit.fitting.polish import polish
 from hystfit.fitting.thinning import thin
-from hystfit.inference import triangle as triangles
+from hystfit.inference import blocks
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.starting import best_column
@@ -106,11 +106,11 @@ def test_the_factor_in_blocks_is_that_of_all_rows(monkeypatch):
     rows, last = np.random.default_rng(0).normal(size=(50, 3)), np.arange(50.0)
     order = np.array([2, 0, 1])
     joint = np.column_stack([rows[:, order], last])
-    monkeypatch.setattr(triangles, "_ROWS", 7)
-    factor = triangles.triangle(rows, last, order)
+    monkeypatch.setattr(blocks, "ROWS", 7)
+    factor = blocks.triangle(rows, last, order)
     assert factor.shape == (4, 4)
     np.testing.assert_allclose(factor.T @ factor, joint.T @ joint, rtol=1e-12)
-    assert triangles.triangle(rows[:2]).shape == (2, 3)
+    assert blocks.triangle(rows[:2]).shape == (2, 3)
 
 
 def test_polish_that_stops_at_its_limit_has_not_converged():

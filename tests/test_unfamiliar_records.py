@@ -11,7 +11,7 @@ from hystfit.batch.sources import sources_of
 from hystfit.cli import run
 from hystfit.errors import ParameterError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.covariance import _ratio
+from hystfit.fitting.error_ratios import mean_error_ratio
 from hystfit.fitting.structure import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
 from hystfit.outcome import Code, Severity, Status
@@ -266,7 +266,9 @@ def test_ratios_of_errors_ignore_directions_that_the_data_leave_open() -> None:
     """A column twice: rounding decides the share of each, and must not decide the ratio of errors under noise twice as large."""
     columns = NOISE[:300].reshape(100, 3)
     both = np.column_stack([columns, columns[:, :1]])
-    assert _ratio(both / 2.0, both * (1 + 1e-16 * NOISE[300:700].reshape(100, 4)), 1.0) == pytest.approx(2.0, rel=1e-6)
+    assert mean_error_ratio(both / 2.0, both * (1 + 1e-16 * NOISE[300:700].reshape(100, 4)), 1.0) == pytest.approx(
+        2.0, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("names", ["pressure_kPa,reading_up_kPa,reading_down_kPa", "T (C),loading R,unloading R"])

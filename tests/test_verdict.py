@@ -9,7 +9,7 @@ import pytest
 import hystfit as hf
 from hystfit.data.record import Dataset
 from hystfit.fitting.fit import with_test
-from hystfit.fitting.verdict import with_left_out
+from hystfit.fitting.trial import with_left_out
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality import baselines

@@ -1,15 +1,14 @@
-"""The fits of many loops: a table with a row a loop, the distribution of each parameter, and the loops that need a look."""
+"""The fits of many loops: a table with a row a loop, the distribution of each parameter, and the loops that need attention."""
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import textwrap
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,9 +16,10 @@ from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, ParameterError, optional
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Status, Table, WithStatus
+from hystfit.outcome.table import write_csv
 from hystfit.registry import near
-from hystfit.results.plots import MANY
+from hystfit.results.estimates import MANY
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
@@ -31,7 +31,7 @@ _OUTER = (0.05, 0.5, 0.95)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Fits:
+class Fits(WithStatus):
     """Fits of one model to many loops.
 
     Attributes:
@@ -47,6 +47,7 @@ class Fits:
     units: Mapping[str, str]
     work: Work
     sources: tuple[Source, ...]
+    verb: ClassVar[str] = "batch"
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -68,16 +69,6 @@ class Fits:
         """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
         usable = sum(row.usable for row in self.rows)
         return Status.OK if usable == len(self.rows) else Status.PARTIAL if usable else Status.FAILED
-
-    @property
-    def usable(self) -> bool:
-        """Whether all fits are usable."""
-        return self.status.usable
-
-    @property
-    def advice(self) -> str:
-        """What to do about the status, in one sentence."""
-        return self.status.advice("batch")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -200,13 +191,9 @@ class Fits:
         return path
 
     def _write_csv(self, path: Path) -> None:
-        columns, units = self.columns(), self.column_units()
-        heads = [f"{name} [{units[name]}]" if name in units else name for name in columns]
-        cell = lambda value: value if isinstance(value, str) else "" if math.isnan(value) else f"{value:.15g}"
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(heads)
-            writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+        units = self.column_units()
+        head = lambda name: f"{name} [{units[name]}]" if name in units else name
+        write_csv(path, {head(name): values for name, values in self.columns().items()}, ".15g")
 
     def _write_parquet(self, path: Path) -> None:
         optional("pyarrow", "frames", "a Parquet table")

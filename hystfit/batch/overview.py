@@ -1,24 +1,27 @@
-"""The overview of many fits as one HTML page: counts, the distribution of each parameter, and the loops that need a look."""
+"""The overview of many fits as one HTML page: counts, the distribution of each parameter, and the loops that need attention."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from hystfit.batch.fits import Fits
-from hystfit.batch.histograms import histogram
 from hystfit.batch.row import Row
 from hystfit.outcome import Column, Table
+from hystfit.outcome.table import number
 from hystfit.results.webpage import Markup, Page
 
 _SHOWN = 50  # loops in the list at most, besides those with a report
+_WIDTH, _HEIGHT, _FOOT = 240, 96, 18  # of a histogram
+_FEWEST, _MOST = 5, 30  # bars
 
 
 def overview(fits: Fits, reports: Mapping[str, str] | None = None) -> str:
     """One self-contained HTML page.
 
     Args:
-        fits: the fits.
         reports: address of the report of a loop, by the name of the loop; for some of the loops.
     """
     reports = reports or {}
@@ -34,7 +37,7 @@ def overview(fits: Fits, reports: Mapping[str, str] | None = None) -> str:
     sections = [
         ("Distributions over the usable fits", shown if pictures else []),
         (
-            "Loops, those that need a look first",
+            "Loops, those that need attention first",
             [table, rest, "Errors are in percent of the range of the measured output."],
         ),
     ]
@@ -60,3 +63,30 @@ def _table(rows: Sequence[Row], reports: Mapping[str, str]) -> str:
     cells = [[row.name, str(row.status), row.error_percent, row.max_error_percent, row.reason] for row in rows]
     links = {row.name: html.escape(reports[row.name], quote=True) for row in rows if row.name in reports}
     return Table([*columns, Column("reason", left=True)], cells).html(links)
+
+
+def histogram(values: np.ndarray, heading: str) -> str:
+    """An SVG picture with a bar for each bin, the median as a line, and the ends of the range below.
+
+    Args:
+        values: shape (n,), finite, not empty.
+    """
+    bars = int(np.clip(np.sqrt(values.size) * 1.5, _FEWEST, _MOST))
+    counts, edges = np.histogram(values, bins=bars if np.ptp(values) > 0 else 1)
+    low, high, middle = float(edges[0]), float(edges[-1]), float(np.median(values))
+    width, floor = _WIDTH / counts.size, _HEIGHT - _FOOT
+    place = lambda value: _WIDTH * (value - low) / (high - low)
+    shapes = []
+    for k, count in enumerate(counts):
+        tall = (floor - 4) * count / counts.max()
+        title = f"<title>{number(edges[k])} to {number(edges[k + 1])}: {count}</title>"
+        corner = f'x="{k * width + 0.5:.1f}" y="{floor - tall:.1f}"'
+        shapes.append(
+            f'<rect class="bar" {corner} width="{max(width - 1, 0.5):.1f}" height="{tall:.1f}">{title}</rect>'
+        )
+    at = f"{place(middle):.1f}"
+    shapes.append(f'<line class="median" x1="{at}" x2="{at}" y1="0" y2="{floor}"/>')
+    shapes.append(f'<text x="0" y="{_HEIGHT - 4}">{number(low)}</text>')
+    shapes.append(f'<text x="{_WIDTH}" y="{_HEIGHT - 4}" text-anchor="end">{number(high)}</text>')
+    label = html.escape(heading, quote=True)
+    return f'<svg role="img" aria-label="{label}" viewBox="0 0 {_WIDTH} {_HEIGHT}">{"".join(shapes)}</svg>'

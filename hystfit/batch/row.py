@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hystfit.data.record import Record
-from hystfit.outcome import Code, Severity, Status
+from hystfit.outcome import Code, Severity, Status, WithStatus
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.result import FitResult
@@ -17,7 +17,7 @@ Number = float | None
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
+class Row(WithStatus):
     """The fit of one loop; what is unknown is None.
 
     Attributes:
@@ -53,11 +53,6 @@ class Row:
     quantities: Mapping[str, Number] = dataclasses.field(default_factory=dict)
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
-    @property
-    def usable(self) -> bool:
-        """Whether the fit can be used as it is."""
-        return self.status.usable
-
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return dataclasses.asdict(self) | {"status": str(self.status), "codes": list(self.codes)}
@@ -77,10 +72,7 @@ def row_of(name: str, file: str, record: Record, result: FitResult) -> Row:
     """The row of a fitted loop.
 
     Args:
-        name: of the loop.
         file: that it was read from; "" for a record.
-        record: as it was read, with its notes.
-        result: its fit.
     """
     free = [p for p in result.parameters if not p.fixed]
     converted = [note for note in record.notes if note.code is Code.UNITS]

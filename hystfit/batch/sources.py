@@ -46,11 +46,7 @@ class Source(NamedTuple):
 
 
 def sources_of(loops: Iterable[str | Path | Record] | str | Path) -> list[Source]:
-    """Files, those that patterns match, and records.
-
-    Raises:
-        DataError: no loops, no file of a name or pattern, or the same loop twice.
-    """
+    """Files, those that patterns match, and records."""
     if isinstance(loops, Record):
         raise DataError("fit_many fits a list of loops; use fit for a single record")
     listed = [loops] if isinstance(loops, (str, Path)) else list(loops)
@@ -59,7 +55,7 @@ def sources_of(loops: Iterable[str | Path | Record] | str | Path) -> list[Source
         raise DataError("there are no loops to fit")
     name, count = Counter(source.name for source in found).most_common(1)[0]
     if count > 1:
-        raise DataError(f"{name!r} is given {count} times: every loop needs a name of its own")
+        raise DataError(f"{name!r} is given {count} times: loops must have different names")
     return found
 
 
@@ -90,11 +86,7 @@ def _key(path: str) -> str:
 
 
 def units_of(sources: Sequence[Source], reading: Mapping[str, Any]) -> dict[str, str]:
-    """Units of the first loop that can be read, to which the others are converted.
-
-    Raises:
-        DataError: no loop can be read.
-    """
+    """Units of the first loop that can be read, to which the others are converted."""
     reasons = []
     for source in sources:
         try:

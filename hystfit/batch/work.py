@@ -1,4 +1,4 @@
-"""What is done with each loop of a batch, in whichever process: reading, fitting together with others, and its row."""
+"""The work on the loops of a batch: reading, solving several in one program, and the row of each."""
 
 from __future__ import annotations
 
@@ -59,12 +59,8 @@ class Work:
         """Settings checked before any work, with the defaults of those that are not given.
 
         Args:
-            model: a model, its class or its name.
             options: of `hystfit.fit`.
             reading: of `hystfit.read`.
-
-        Raises:
-            HystfitError: an unknown model, parameter or setting, with which no loop could be fitted.
         """
         if unknown := [name for name in options if name not in _DEFAULTS]:
             raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(_DEFAULTS)}")
@@ -160,14 +156,14 @@ def _read(work: Work, source: Source) -> list[_Loop]:
         return [loop]
 
 
-def _alike(work: Work, loop: _Loop) -> Record:
+def _in_common_units(work: Work, loop: _Loop) -> Record:
     """The record converted to the units of the batch."""
     loop.record = cast(Record, loop.record).in_units(**work.units)
     return loop.record
 
 
 def _search(work: Work, loop: _Loop) -> None:
-    record = _alike(work, loop)
+    record = _in_common_units(work, loop)
     loop.row = row_of(loop.name, loop.source.file, record, fit(work.model, record, **work.options))
 
 
@@ -175,7 +171,7 @@ def _pose(work: Work, loop: _Loop) -> None:
     options = {name: work.options[name] for name in _POSED}
     named = isinstance(work.model, str)
     loop.fit_setup = fit_setup = set_up_fit(
-        make_model(work.model), Dataset.of(_alike(work, loop)), held=not named, **options
+        make_model(work.model), Dataset.of(_in_common_units(work, loop)), held=not named, **options
     )
     if fit_setup.method == _TOGETHER:
         starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)
@@ -208,11 +204,6 @@ def _judge(work: Work, loop: _Loop) -> None:
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
     """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before.
-
-    Args:
-        work: what is done with every loop.
-        source: that holds it.
-        row: of the loop.
 
     Raises:
         HystfitError: the loop cannot be read or fitted.

@@ -51,14 +51,14 @@ def batch(
     """Fit a model to each of many loops and tabulate the parameters.
 
     Exit status 1: some loop could not be fitted, or its fit is not usable. With --out, the folder holds fits.csv (a row a loop),
-    overview.html (the distribution of each parameter, and the loops that need a look) and reports of some loops. The same command
+    overview.html (the distribution of each parameter, and the loops that need attention) and reports of some loops. The same command
     resumes after an interruption, and loops may be added to it.
 
     Args:
         model: name (see hystfit models), my_model.py:MyModel, or auto: the winner of hystfit compare on each loop.
         method: auto (suits the model), {methods}.
-        fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model holds by default; repeatable.
+        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model fixes by default; repeatable.
         noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
         loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
         start: starting values estimated from the data, or those of the model.
@@ -67,7 +67,7 @@ def batch(
         workers: processes on this machine; default: one for each core, for many loops.
         scheduler: address of a Dask scheduler to use instead.
         table: form of the table besides CSV: parquet or netcdf; repeatable.
-        reports: how many loops get a report, those that need a look first; or all.
+        reports: number of loops with a report, those that need attention first; or all.
     """
     from hystfit.batch.many import fit_many
     from hystfit.batch.sources import sources_of
@@ -117,7 +117,7 @@ def _count(reports: str) -> int | None:
 
 
 def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
-    """Reports of the loops that need a look and have a fit: address by name of the loop."""
+    """Reports of the loops that need attention and have a fit: address by name of the loop."""
     from hystfit.results.report import Wording, write_into
 
     addresses: dict[str, str] = {}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from hystfit.cli.options import STDOUT, Output
-from hystfit.cli.write import finish, record_columns, show, write_csv, write_netcdf
+from hystfit.cli.write import finish, finish_table, record_columns, show
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
 
@@ -31,22 +29,15 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
     """
     from hystfit.models.entries import MODELS
 
-    entry = MODELS.get(name or "")
     if name is None:
-        width = max(map(len, MODELS))
-        places = {place: [item for item in MODELS.items() if item[1].place == place] for place in PLACES}
-        groups = {
-            place: Table(["", Column("", left=True)], [[f"{key:<{width}}", item.doc] for key, item in listed])
-            for place, listed in places.items()
-        }
-        blocks = ["\n".join([heading, *groups[place].lines("  ")]) for place, heading in PLACES.items()]
-        text = "\n\n".join([*blocks, _EXAMPLE])
+        text = "\n\n".join([*map(_group, PLACES), _EXAMPLE])
         known = MODELS if json else {}  # settings import the models
         about = {k: {"place": one.place, "about": one.doc, "settings": one.settings()} for k, one in known.items()}
         content: dict[str, Any] = {"models": about}
     else:
         from hystfit.models.registry import make_model
 
+        entry = MODELS.get(name)
         table = _parameters(entry.make() if entry else make_model(name))
         settings = entry.settings() if entry else {}
         count = len(table.rows)
@@ -58,8 +49,17 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
     return 0
 
 
+def _group(place: str) -> str:
+    """The models of one place below its heading."""
+    from hystfit.models.entries import MODELS
+
+    width = max(map(len, MODELS))
+    rows = [[f"{name:<{width}}", entry.doc] for name, entry in MODELS.items() if entry.place == place]
+    return "\n".join([PLACES[place], *Table(["", Column("", left=True)], rows).lines("  ")])
+
+
 def _parameters(model: Any) -> Table:
-    """Each field with parameters in one row: name, number of elements, unit, bounds, whether it is held, meaning."""
+    """Each field with parameters in one row: name, number of elements, unit, bounds, whether it is fixed, meaning."""
     from hystfit.params.space import ParameterSpace
     from hystfit.params.units import Scales
 
@@ -100,48 +100,3 @@ def datasets(name: str | None = None, /, *, output: Output = STDOUT) -> int:
 
     table = record_columns(Dataset.of(known.load(name)))
     return finish_table(text, content, output, name.replace("/", "_"), table)
-
-
-def finish_table(
-    text: str,
-    content: dict[str, Any],
-    output: Output,
-    name: str,
-    columns: Mapping[str, Any],
-    truth: Mapping[str, Any] | None = None,
-) -> int:
-    """Write columns as CSV with ten significant digits (or as netCDF), print the text or JSON, and return exit status 0.
-
-    Args:
-        text: the result for people.
-        content: of result.json, which is written where `out` is a folder.
-        output: `out` is the file itself where it ends in a suffix, .nc for netCDF, else a folder.
-        name: of the CSV file in a folder, without suffix.
-        columns: equally long columns by heading.
-        truth: columns of a second CSV file: truth.csv in a folder, NAME.truth.csv beside a file.
-
-    Raises:
-        HystfitError: it cannot be written.
-    """
-    out = output.out
-    if out is None or out.is_dir() or not out.suffix:
-
-        def save(folder: Path) -> None:
-            write_csv(folder / f"{name}.csv", columns, ".10g")
-            if truth is not None:
-                write_csv(folder / "truth.csv", truth, ".10g")
-
-        return finish(text, content, output, save)
-    from hystfit.results.folders import writing
-
-    if not out.parent.is_dir():
-        raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
-    with writing(out.parent) as scratch:
-        if out.suffix == ".nc":
-            write_netcdf(scratch / out.name, columns)
-        else:
-            write_csv(scratch / out.name, columns, ".10g")
-        if truth is not None:
-            write_csv(scratch / f"{out.stem}.truth.csv", truth, ".10g")
-            text += f"\nTrue parameters in {out.with_suffix('.truth.csv')}"
-    return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))

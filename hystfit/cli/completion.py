@@ -19,10 +19,6 @@ def completion(shell: Literal["bash", "zsh", "fish"], /, *, install: bool = Fals
         print(app.generate_completion(shell=shell))
         return 0
     place = app.install_completion(shell=shell)
-    print(f"Written to {_short(place)}; open a new shell")
+    shown = f"~/{place.relative_to(Path.home())}" if place.is_relative_to(Path.home()) else str(place)
+    print(f"Written to {shown}; open a new shell")
     return 0
-
-
-def _short(path: Path) -> str:
-    """A path with ~ for the home folder."""
-    return f"~/{path.relative_to(Path.home())}" if path.is_relative_to(Path.home()) else str(path)

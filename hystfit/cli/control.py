@@ -52,14 +52,13 @@ def invert(
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None
     inverse = solve(result, target.y, dt, limits=span) if bands is None else bands.given
-    status = Status.OK if inverse.ok else Status.MISSED
     notes = [warn(Code.MISSED, str(note)) for note in inverse.notes()]
     units = {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None}
     low, high = span or result.input_range
     content = {
         "schema": "hystfit.invert/1",
         "model": result.name,
-        "status": str(status),
+        "status": str(Status.OK if inverse.ok else Status.MISSED),
         "notes": [note.to_dict() for note in notes],
         "reading": [note.to_dict() for note in target.notes],
         "counts": inverse.counts(),
@@ -70,30 +69,28 @@ def invert(
         "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
         "provenance": provenance(Dataset.of(target), None),
     }
-    summary = Table(
-        ["", "samples"], [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
-    )
+    title = f"{result.name} inverted for {target.name}"
+    remarks = [*notes, *(note for note in target.notes if note.code in (Code.LEFT_OUT, Code.UNITS))]
+    remarks = [_limits_line(result, span), *map(str, remarks), *([] if bands is None else [_band_words(content)])]
+    counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
     lines = [
-        f"{result.name} inverted for {target.name}: input {reach}",
-        _limits_line(result, span),
-        *summary.lines("  "),
-        *items(notes),
+        f"{title}: input {reach}",
+        f"  {remarks[0]}",
+        *Table(["", "samples"], counts).lines("  "),
+        *items(remarks[1:]),
     ]
-    lines += items(note for note in target.notes if note.code in (Code.LEFT_OUT, Code.UNITS))
-    if bands is not None:
-        lines.append(_band_words(content["bands"], units))
     save = lambda folder: _write_inverse(folder / "inverse.csv", target, inverse, bands, units)
 
-    def page() -> Page:
-        from hystfit.cli.pages import inverse_figure, invert_page
+    def page(_: Path) -> Page:
+        from hystfit.cli.figures import inverse_figure
+        from hystfit.cli.pages import invert_page
         from hystfit.results.report.answer import opened
 
-        remarks = [lines[1], *(line for line in lines if line.startswith("  - "))]
         figure = inverse_figure(target, inverse, bands, units["input"] or "")
-        folder, same = opened(result, shlex.quote(str(place))), f" --limits={limits}" if limits else ""
-        following = f"hystfit export {folder} --c code{same}"
-        return invert_page(f"{result.name} inverted for {target.name}", content, remarks, figure, following)
+        same_limits = f" --limits={limits}" if limits else ""
+        following = f"hystfit export {opened(result, shlex.quote(str(place)))} --c code{same_limits}"
+        return invert_page(title, content, remarks, figure, following)
 
     return finish("\n".join(lines), content, output, save, page=page)
 
@@ -102,7 +99,7 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
     """Limits of the input, and where they come from."""
     low, high = given or result.input_range
     source = "--limits" if given else "range of the fitted input; --limits sets others"
-    return f"  input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
+    return f"input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
 
 
 def _target(path: str, reading: Reading) -> Record:
@@ -137,12 +134,12 @@ def _summary(bands: InverseBands) -> dict[str, Any]:
     }
 
 
-def _band_words(summary: dict[str, Any], units: dict[str, str | None]) -> str:
-    u_unit, y_unit = (f" {unit}" if unit else "" for unit in units.values())
-    error = summary["rms_error"]
+def _band_words(content: dict[str, Any]) -> str:
+    u_unit, y_unit = (f" {unit}" if unit else "" for unit in content["units"].values())
+    bands, error = content["bands"], content["bands"]["rms_error"]
     return (
-        f"  - over {summary['draws']} posterior draws: 90 % band of the input at most {summary['input_width']:.3g}{u_unit} "
-        f"wide; rms tracking error {error['median']:.3g}{y_unit} (median), {error['upper']:.3g}{y_unit} (95th percentile)"
+        f"over {bands['draws']} posterior draws: 90 % band of the input at most {bands['input_width']:.3g}{u_unit} wide; rms tracking "
+        f"error {error['median']:.3g}{y_unit} (median), {error['upper']:.3g}{y_unit} (95th percentile)"
     )
 
 
@@ -150,20 +147,13 @@ def _write_inverse(
     path: Path, target: Record, inverse: Inverse, bands: InverseBands | None, units: dict[str, str | None]
 ) -> None:
     u, y = (unit or "" for unit in units.values())
-    time = {} if target.t is None else {named("t", target.t_unit): target.t}
-    run = {
-        named("reference", y): target.y,
-        named("u", u): inverse.u,
-        named("y", y): inverse.y,
-        "status": inverse.status,
-    }
-    edges = {}
-    for of, unit in (("u", u), ("error", y)):
-        if bands is None:
-            break
+    columns = {} if target.t is None else {named("t", target.t_unit): target.t}
+    columns |= {named("reference", y): target.y, named("u", u): inverse.u, named("y", y): inverse.y}
+    columns["status"] = inverse.status
+    for of, unit in (("u", u), ("error", y)) if bands is not None else ():
         lower, _, upper = bands.band(of)
-        edges |= {named(f"{of}_lower", unit): lower, named(f"{of}_upper", unit): upper}
-    write_csv(path, time | run | edges)
+        columns |= {named(f"{of}_lower", unit): lower, named(f"{of}_upper", unit): upper}
+    write_csv(path, columns)
 
 
 def export(
@@ -188,9 +178,8 @@ def export(
     from hystfit.control.export import export_c
 
     if c is None and (mat is None or s_function):
-        raise DataError(
-            "name the folder for the C code: --c FOLDER" + ("" if s_function else ", or a MATLAB file: --mat FILE")
-        )
+        other = "" if s_function else ", or a MATLAB file: --mat FILE"
+        raise DataError(f"name the folder for the C code: --c FOLDER{other}")
     span = input_limits(limits)
     result = open_fit(fitdir, Output(out=c), trust)
     if mat is not None:
@@ -199,11 +188,13 @@ def export(
         return 0
     files = export_c(result, c, name=name, limits=span, s_function=s_function)
     print(written(c, [file.name for file in files]).lstrip())
-    print(_limits_line(result, span).strip())
+    print(_limits_line(result, span))
     low, high = span or result.input_range
     step = result.data.sampling_interval or 1.0
     values = shlex.join([f"{low:.6g}", *(f"{u:.6g} {step:.6g}" for u in (0.5 * (low + high), high))])
-    print("Try it: the first input, then an input and a time step a line, give the outputs")
+    print(
+        "To try it, give the first input, then an input and a time step in each line; the program prints the outputs:"
+    )
     print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")
     print(f"  printf '%s\\n' {values} | ./{name} f")
     if s_function:

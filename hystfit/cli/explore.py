@@ -36,8 +36,8 @@ def explore(
     Args:
         loop: file or name of a data set with one record.
         model: the first model; auto takes one with few parameters that suits the loop. The page offers others.
-        at: value of a parameter to begin with, as NAME=VALUE; repeatable.
-        port: of the local server; 0 takes a free one.
+        at: initial value of a parameter, as NAME=VALUE; repeatable.
+        port: port of the local server; 0 takes a free one.
         no_browser: print the address only.
     """
     from hystfit.explorer.session import Session

@@ -66,8 +66,8 @@ def fit(
         model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
             chosen by cross-validation), or auto: the winner of hystfit compare.
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
-        fix: parameter to hold, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model holds by default; repeatable.
+        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model fixes by default; repeatable.
         noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
             does not; the other noise models refine the fit by their likelihood.
         loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
@@ -187,8 +187,7 @@ def compare(
         content["test"] = winner.test.to_dict() if winner.test else None
         text += f"\nwinner on the test data, which were not used for the ranking: {metrics_words(winner.test)}"
 
-    place = output.out or Path()
-    wording = _wording(loops, reading, split, output.out and place / "winner")
+    wording = _wording(loops, reading, split, output.out and output.out / "winner")
     text += "\n\n" + "\n".join(_after_comparison(winner, wording))
 
     def save(folder: Path) -> None:
@@ -196,9 +195,9 @@ def compare(
         (folder / "winner").mkdir()
         _save_fit(winner, folder / "winner", test, split, wording)
 
-    def page() -> Page:
+    def page(folder: Path) -> Page:
         from hystfit.cli.pages import compare_page
 
-        return compare_page(dataclasses.replace(comparison, winner=winner), place)
+        return compare_page(dataclasses.replace(comparison, winner=winner), folder)
 
     return finish(text, content, output, save, status=winner.status, page=page)

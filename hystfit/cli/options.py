@@ -120,11 +120,11 @@ class Split:
     Args:
         window: fit only the samples in start:stop (seconds, or sample numbers without time); 5:25, :27, 25:.
         test_window: report the error on these samples, which are not fitted.
-        test: another file (or data set) to report the error on.
+        test: another file or data set to report the error on.
         test_only: curves to report the error on (with --by), which are not fitted.
-        rest: input at which the device was in equilibrium before each record, such as 0, or "cycle" where each record is one
-            period of a steady cycle; default: the first input of the record, and "cycle" where a single period closes on a branch.
-        refit_offset: shift the prediction of each test record to its mean (another zero of the sensor).
+        rest: input at which the device was in equilibrium before each record, such as 0; or "cycle", where each record is one
+            period of a steady cycle. Default: the first input of the record, or "cycle" where a single period closes on a branch.
+        refit_offset: shift the prediction of each test record to the mean of its output (the zero of the sensor may differ).
     """
 
     window: Part = None
@@ -138,17 +138,17 @@ class Split:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class SequentialSettings:
-    """Settings of the methods rls and gradient-correction; each has those that its option names.
+    """Settings of the methods rls and gradient-correction.
 
     Args:
-        basis: regressors scaled to the record (legendre), or the paper's own powers of the input.
+        basis: legendre (regressors scaled to the record), or powers (of the input, as published).
         passes: number of runs over the samples.
-        forgetting: factor lambda of rls, 0 to 1.
-        prior: variance of the parameters before the first sample, of rls.
-        weights: of gradient-correction, one positive number a parameter (alpha f, alpha, g), separated by commas.
-        mu: relative step of gradient-correction, 0 to 2.
-        step: constant step of gradient-correction, instead of the one that --mu and --floor normalize.
-        floor: added to the power that normalizes the step of gradient-correction.
+        forgetting: forgetting factor lambda, 0 to 1 (rls).
+        prior: variance of the parameters before the first sample (rls).
+        weights: positive weights of the parameters alpha f, alpha and g, separated by commas (gradient-correction).
+        mu: relative step size, 0 to 2 (gradient-correction).
+        step: constant step size, instead of one normalized by --mu and --floor (gradient-correction).
+        floor: constant added to the power that normalizes the step size (gradient-correction).
     """
 
     basis: Annotated[Literal["legendre", "powers"] | None, Parameter(group=SEQUENTIAL)] = None
@@ -161,11 +161,7 @@ class SequentialSettings:
     floor: Setting = None
 
     def given(self) -> dict[str, Any]:
-        """Settings that differ from the defaults, as keywords.
-
-        Raises:
-            ParameterError: weights that are not numbers.
-        """
+        """Settings that differ from the defaults, as keywords."""
         chosen = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         if self.weights is not None:
             try:
@@ -189,7 +185,7 @@ class Output:
     json: Annotated[bool, Parameter(name="--json")] = False
 
     def check(self, own: str = "") -> None:
-        """Fail before long work if the result could not be written, or would replace another one.
+        """Refuse, before long work, a folder that cannot be written or holds another result.
 
         Args:
             own: schema of the result without its number, where it may replace a fit or a posterior of its own kind.
@@ -210,11 +206,7 @@ DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), S
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:
-    """Start and stop of a window written as start:stop.
-
-    Raises:
-        DataError: it is not of that form, or empty.
-    """
+    """Start and stop of a window written as start:stop."""
     if text is None:
         return None
     parts = text.split(":")
@@ -228,11 +220,7 @@ def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:
 
 
 def input_limits(text: str | None) -> tuple[float, float] | None:
-    """Lowest and highest input from low:high.
-
-    Raises:
-        DataError: it is not of that form.
-    """
+    """Lowest and highest input from low:high."""
     if text is None:
         return None
     try:
@@ -248,11 +236,7 @@ def named_values(pairs: list[str], needed_by: str = "") -> dict[str, float | Non
     """Parameters and their values from NAME=VALUE; a NAME alone has the value None.
 
     Args:
-        pairs: as typed.
         needed_by: option that needs a value with each name; "" where a name alone has a meaning.
-
-    Raises:
-        ParameterError: a value is not a number or is missing, or a name occurs twice.
     """
     values: dict[str, float | None] = {}
     for pair in pairs:

@@ -61,7 +61,7 @@ def predict(
     Args:
         input_only: the file has no output: predict it (give --input, and --time).
         window: compare only the samples in start:stop.
-        refit_offset: shift the prediction to the mean of the measurement (another zero of the sensor).
+        refit_offset: shift the prediction to the mean of the measurement (the zero of the sensor may differ).
     """
     result = open_fit(fitdir, output, trust)
     if input_only and reading.output is not None:
@@ -93,7 +93,7 @@ def _compared(
     """Content of result.json for a prediction, and its text."""
     import numpy as np
 
-    from hystfit.fitting.verdict import evaluate_on
+    from hystfit.fitting.trial import evaluate_on
     from hystfit.results.accuracy import verdict_dict
     from hystfit.results.provenance import provenance
     from hystfit.results.report import metrics_words

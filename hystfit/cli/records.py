@@ -20,8 +20,6 @@ def open_fit(folder: Path, output: Output, trust: bool, own: str = "") -> FitRes
     """The saved fit of a folder, after a check that the result can be written.
 
     Args:
-        folder: of the fit.
-        output: where the result of the verb goes.
         trust: see `hystfit.load_fit`.
         own: see `Output.check`.
 
@@ -40,11 +38,7 @@ _TREATMENT = ("rate", "dt", "units", "integrate", "smooth")
 
 
 def load(loops: Sequence[str], reading: Reading) -> Dataset:
-    """The records of LOOP arguments, in the units of the first.
-
-    Raises:
-        DataError: neither a file nor a data set, or it cannot be read with these options.
-    """
+    """The records of LOOP arguments, in the units of the first."""
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.several import combined, files_of
@@ -71,12 +65,12 @@ def _load_one(loop: str, reading: Reading) -> Dataset:
     if Path(loop).exists() or pair_of(loop):
         return Dataset.of(read(loop, **dataclasses.asdict(reading)))
     if loop in datasets.names():
-        return _by_name(loop, reading)
+        return _load_data_set(loop, reading)
     hint = near(loop, datasets.names()) or "; hystfit datasets lists the data sets known by name"
     raise DataError(f"no file {loop!r}, and no data set of that name{hint}")
 
 
-def _by_name(name: str, reading: Reading) -> Dataset:
+def _load_data_set(name: str, reading: Reading) -> Dataset:
     from hystfit.data.record import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.curves import select_curves
@@ -103,12 +97,7 @@ def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["inp
     The missing input is the number of the sample; the missing output is 0 with weight 0.
 
     Args:
-        files: paths or patterns.
         reading: how they are read; names no column for what is missing.
-        missing: the quantity that the files do not have.
-
-    Raises:
-        DataError: no such file, or it cannot be read with these options.
     """
     from hystfit.data.record import Dataset
     from hystfit.reading.several import combined, files_of
@@ -124,7 +113,8 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"])
     import numpy as np
 
     from hystfit.data.record import Dataset
-    from hystfit.reading.read import assemble, table_of
+    from hystfit.reading.assemble import assemble
+    from hystfit.reading.read import table_of
     from hystfit.reading.several import with_column
     from hystfit.reading.treatment import Treatment
 
@@ -140,16 +130,12 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"])
 
 
 def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tuple[Dataset, Dataset | None]:
-    """Records to fit and records to test on; without a window or curves to fit, all that are not tested are fitted.
-
-    Raises:
-        DataError: as `load`, an empty window, or a test that shares samples with the fit.
-    """
+    """Records to fit and records to test on; without a window or curves to fit, all that are not tested are fitted."""
     train_window, test_window = bounds_of(split.window), bounds_of(split.test_window)
     train = load(loops, reading)
     test = None
     if split.test is not None:
-        test = _renamed(load([split.test], dataclasses.replace(reading, only=split.test_only)), train)
+        test = _named_apart(load([split.test], dataclasses.replace(reading, only=split.test_only)), train)
     elif split.test_only is not None:
         test = load(loops, dataclasses.replace(reading, only=split.test_only))
         names = {record.name for record in test}
@@ -161,7 +147,7 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     elif test_window is not None:
         test = train
         if train_window is None:
-            train = train.map(lambda record: _without(record, *test_window))
+            train = train.map(lambda record: _without_window(record, *test_window))
     elif split.refit_offset:
         raise DataError(
             "--refit-offset shifts the prediction of test records: give --test, --test-only or --test-window"
@@ -177,7 +163,7 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     return train, test
 
 
-def _without(record: Record, start: float | None, stop: float | None) -> Record:
+def _without_window(record: Record, start: float | None, stop: float | None) -> Record:
     """The record in which the samples of a window have no weight."""
     import numpy as np
 
@@ -188,7 +174,7 @@ def _without(record: Record, start: float | None, stop: float | None) -> Record:
     return outside
 
 
-def _renamed(test: Dataset, train: Dataset) -> Dataset:
+def _named_apart(test: Dataset, train: Dataset) -> Dataset:
     """Test records of another file under names that no fitted record has, whose offset they would take."""
     names = {record.name for record in train}
     return test.map(lambda r: r.replace(name=f"{r.name} (test)") if r.name in names else r)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
-from hystfit.cli.write import finish, named, progress, save_figure, write_csv
+from hystfit.cli.write import finish, named, progress, write_csv
 from hystfit.outcome import Column, Status, Table
 from hystfit.outcome.table import number
 
@@ -67,12 +67,11 @@ def forc(
 
         figures = _figures(diagram, numbers, family, units)
         _write_density(folder, diagram, numbers, units)
-        page = forc_page(
-            family.words(), how, table, numbers, units, family.notes, figures, command_words(loops, reading)
-        )
+        loop = command_words(loops, reading)
+        page = forc_page(family.words(), how, table, numbers, units["u"], family.notes, figures, loop)
         (folder / "report.html").write_text(page.render(), encoding="utf-8")
         for name, figure in figures.items():
-            save_figure(figure, folder / f"{name}.png")
+            figure.savefig(folder / f"{name}.png", dpi=120)
 
     return finish(text, content, output, save)
 
@@ -99,14 +98,14 @@ def _figures(
     from matplotlib.figure import Figure
 
     from hystfit.params.units import axis_label
-    from hystfit.results.plots import MODEL
+    from hystfit.results.colors import MODEL, SECOND
     from hystfit.results.preisach_plots import per_unit, plot_curves, plot_forc_diagram
 
     sheets = {name: Figure(figsize=(5.6, 4.4), layout="constrained") for name in ("forc", "coercivity", "curves")}
     plot_forc_diagram(diagram, sheets["forc"].subplots(), units=units)
     ax = sheets["coercivity"].subplots()
     ax.plot(numbers.coercivity, numbers.distribution, color=MODEL)
-    ax.axvline(numbers.median_coercivity, color="#d55e00", lw=0.9, ls="--", label="median")
+    ax.axvline(numbers.median_coercivity, color=SECOND, lw=0.9, ls="--", label="median")
     ax.axhline(0.0, color="black", lw=0.7)
     ax.set(xlabel=axis_label("coercivity", units["u"]))
     ax.set_ylabel(axis_label("density over the interaction", per_unit(units["y"], units["u"])))
@@ -120,12 +119,8 @@ def _write_density(folder: Path, diagram: ForcDiagram, numbers: ForcNumbers, uni
 
     u, known = units["u"], np.isfinite(diagram.density)
     reversal, field = np.meshgrid(diagram.reversal, diagram.field, indexing="ij")
-    columns = {
-        "reversal": reversal,
-        "field": field,
-        "coercivity": diagram.coercivity,
-        "interaction": diagram.interaction,
-    }
+    columns = {"reversal": reversal, "field": field}
+    columns |= {"coercivity": diagram.coercivity, "interaction": diagram.interaction}
     listed = {named(name, u): values[known] for name, values in columns.items()}
     write_csv(folder / "forc.csv", listed | {"density": diagram.density[known]}, ".9g")
     np.savez_compressed(folder / "forc.npz", reversal=diagram.reversal, field=diagram.field, density=diagram.density)

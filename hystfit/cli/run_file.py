@@ -82,11 +82,7 @@ class _State:
 
     @classmethod
     def of(cls, study: Study) -> _State:
-        """The state on disk, or none.
-
-        Raises:
-            DataError: it is damaged, or a folder of a step holds something else.
-        """
+        """The state on disk, or none."""
         file, known = study.out / _STATE, {}
         if file.exists():
             try:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.catalog import finish_table
 from hystfit.cli.options import STDOUT, Output, Trust, lists, named_values
-from hystfit.cli.write import items, record_columns
+from hystfit.cli.write import finish_table, items, record_columns
 from hystfit.errors import DataError, ParameterError
 from hystfit.outcome import Code, Severity, Table
 from hystfit.signals.registry import SIGNALS
@@ -19,8 +18,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hystfit.data.record import Record
-    from hystfit.stage import Actuator, Population, Stage
+    from hystfit.stage import Population, Stage
 
+_Measured = tuple[list[Any], dict[str, Any]]  # records, and the columns of the file
 _RATE = 100.0  # samples/s of a signal that has no time
 
 
@@ -50,50 +50,48 @@ def simulate(
         what: stage, the name of a model, or a folder written by `hystfit fit --out`.
         signal: {signals}. forc-protocol (reversal curves) has no time: it is sampled evenly at --rate.
         set: parameter of the model (of every actuator) as NAME=VALUE; repeatable.
-        noise: standard deviation of the noise added to the output; default: the sensors of the stage, no noise for a model.
+        noise: standard deviation of the noise added to the output; default: that of the sensors of the stage, 0 for a model.
         seed: random seed of the noise and of random signals.
         axes: 1 for one actuator of the stage, 3 for the whole stage: three voltages, strain gauges, and the platform's x, y and theta.
         drive: with --axes 3, the actuators that the signal drives: in-turn (one after another, the default), together, or 1, 2 or 3 alone.
-        population: number of devices of the stage whose parameters scatter, all driven by the signal.
+        population: number of simulated devices of the stage, with scattered parameters, all driven by the signal.
         spread: relative standard deviation of a parameter over the population, as NAME=VALUE; repeatable, or separated by commas.
         shape: parameter of the signal, such as --frequency 2 --low -20 --high 100 --duration 5 --rate 200.
     """
+    _check_options(what, axes, drive, population, spread)
     if output.out is None and not output.json:
         raise DataError("name the file for the record: --out data.csv")
     if noise is not None and not 0 <= noise < math.inf:
         raise ParameterError(f"--noise must be finite and not negative, got {noise}")
     if seed < 0:
         raise ParameterError(f"--seed must not be negative, got {seed}")
-    if axes != 1 and (axes != 3 or what != "stage"):
-        raise ParameterError(f"--axes is 1, or 3 for the stage; got {axes} for {what}")
-    if axes == 1 and drive is not None:
-        raise ParameterError(f"--drive {drive} needs --axes 3: with one axis there is one actuator")
-    if population is None and spread:
-        raise ParameterError("--spread needs --population N: the number of devices that scatter")
-    if population is not None and what != "stage":
-        raise ParameterError(f"--population is of the stage; got {what}")
     import numpy as np
 
     from hystfit.results.provenance import provenance
 
     t, u, curve, used = _drive(signal, shape, what, seed)
     values = named_values(set or [], "--set")
+    sizes = named_values([part for item in spread or [] for part in item.split(",")], "--spread")
     extra: dict[str, Any] = {} if axes == 1 else {"axes": 3, "drive": drive or "in-turn"}
-    truth = None
-    if population is not None:
-        sizes = named_values([part for item in spread or [] for part in item.split(",")], "--spread")
-        extra |= {"population": population, "spread": sizes}
-        devices = _population(population, sizes, values, noise, seed, axes)
-        data, columns = _together(devices, t, u, axes, drive or "in-turn", noise, seed)
-        truth = {"device": range(1, population + 1)}
-        heads = {name: f"{name} [{unit}]" if unit else name for name, unit in devices.units.items()}
-        truth |= {heads[name]: values for name, values in devices.truth.items()}
-    elif axes == 1:
-        data, columns = _one(_respond(what, t, u, values, noise, seed, signal, trust))
+    name, truth = f"{what}-{signal}", None
+    if what != "stage":
+        data, columns = _one(_model_record(what, t, u, values, noise, seed, name, trust))
     else:
-        data, columns = _channels(_stage(values), t, u, drive or "in-turn", noise, seed)
+        device, measured = _stage_device(t, u, values, noise, drive or "in-turn" if axes == 3 else None)
+        if population is None:
+            data, columns = measured(device, seed, name)
+        else:
+            extra |= {"population": population, "spread": sizes}
+            devices = device.population(population, spread=sizes, seed=seed)
+            data, columns = _joined(devices, measured, seed)
+            truth = {"device": range(1, population + 1)}
+            truth |= {f"{k} [{unit}]" if (unit := devices.units[k]) else k: v for k, v in devices.truth.items()}
     if curve is not None:
         columns["curve"] = np.tile(curve, population or 1)
+    if axes == 1:
+        reported = {"u": np.concatenate([r.u for r in data]), "y": np.concatenate([r.y for r in data])}
+    else:
+        reported = {k: v for k, v in columns.items() if k != "device"}
     notes = list(dict.fromkeys(note for record in data for note in record.notes))
     content = {
         "schema": "hystfit.simulate/1",
@@ -102,43 +100,53 @@ def simulate(
         "signal": {"name": signal, **used},
         **extra,
         "samples": len(data[0]),
-        "range": {name: [float(np.min(v)), float(np.max(v))] for name, v in _reach(data, columns, axes).items()},
+        "range": {k: [float(np.min(v)), float(np.max(v))] for k, v in reported.items()},
         "notes": [note.to_dict() for note in notes],
         "provenance": provenance(data, seed),
     }
-    ranges = Table(["", "lowest", "highest"], [[name, *reach] for name, reach in content["range"].items()])
+    ranges = Table(["", "lowest", "highest"], [[k, *limits] for k, limits in content["range"].items()])
     many = "" if population is None else f"{population} devices of "
     text = "\n".join([f"{what}, {signal}: {many}{len(data[0])} samples", *ranges.lines("  "), *items(notes)])
     return finish_table(text, content, output, "data", columns, truth)
 
 
-def _reach(data: Sequence[Record], columns: Mapping[str, Any], axes: int) -> dict[str, Any]:
-    """Quantities whose range is reported."""
-    import numpy as np
+def _check_options(what: str, axes: int, drive: str | None, population: int | None, spread: list[str] | None) -> None:
+    """Refuse options that do not belong together."""
+    if axes != 1 and (axes != 3 or what != "stage"):
+        raise ParameterError(f"--axes is 1, or 3 for the stage; got {axes} for {what}")
+    if axes == 1 and drive is not None:
+        raise ParameterError(f"--drive {drive} needs --axes 3: with one axis there is one actuator")
+    if population is None and spread:
+        raise ParameterError("--spread needs --population N: the number of devices whose parameters scatter")
+    if population is not None and what != "stage":
+        raise ParameterError(f"--population simulates devices of the stage; got {what}")
 
-    if axes == 1:
-        return {"u": np.concatenate([r.u for r in data]), "y": np.concatenate([r.y for r in data])}
-    return {name: values for name, values in columns.items() if name != "device"}
 
-
-def _one(record: Record) -> tuple[list[Record], dict[str, Any]]:
+def _one(record: Record) -> _Measured:
     from hystfit.data.record import Dataset
 
     return [record], record_columns(Dataset.of(record))
 
 
-def _channels(
-    stage: Stage, t: Any, u: Any, drive: str, noise: float | None, seed: int
-) -> tuple[list[Record], dict[str, Any]]:
-    """Poses as records, and all channels as columns, with one noise for all sensors.
+def _stage_device(
+    t: np.ndarray, u: np.ndarray, values: dict[str, float | None], noise: float | None, drive: str | None
+) -> tuple[Any, Callable[[Any, int, str], _Measured]]:
+    """One actuator of the stage, or all three with the platform where `drive` is given, and its measurement by seed and name."""
+    from hystfit.stage import Actuator, Sensor, Stage, piezo
 
-    Args:
-        stage: three actuators and the platform.
-        t, u: times [s] and the signal [V], shape (T,).
-        drive: which actuators the signal drives.
-        noise: standard deviation at all sensors [um]; None for those of the stage.
-        seed: of the noise.
-    """
+    if drive is not None:
+        voltages = _voltages(t, u, drive)
+        return (
+            Stage.of(piezo().replace(**values) if values else None),
+            lambda stage, seed, _: _channels(stage, *voltages, noise, seed),
+        )
+    model = piezo().replace(**values)
+    actuator = Actuator(model) if noise is None else Actuator(model, sensor=Sensor(noise=noise))
+    return actuator, lambda one, seed, name: _one(one.record(t, u, seed=seed, name=name))
+
+
+def _channels(stage: Stage, t: np.ndarray, volts: np.ndarray, noise: float | None, seed: int) -> _Measured:
+    """Poses as records, and all channels as columns, with one noise [um] for all sensors; None for those of the stage."""
     from hystfit.stage import Sensor
 
     sensors = None
@@ -146,74 +154,23 @@ def _channels(
         arm = float(stage.kinematics.arm)
         length, angle = Sensor(noise), Sensor(noise / arm, 0.001 / arm)  # an angle is measured by lengths on the arm
         sensors = {"x": length, "y": length, "theta": angle, "gauge": length}
-    measured = stage.measure(*_voltages(t, u, drive), seed=seed, sensors=sensors)
+    measured = stage.measure(t, volts, seed=seed, sensors=sensors)
     # records of their own: an angle has other units than a displacement
     return [measured.record(axis, 0) for axis in ("x", "y", "theta")], measured.columns()
 
 
-def _population(
-    count: int,
-    spread: dict[str, float | None],
-    values: dict[str, float | None],
-    noise: float | None,
-    seed: int,
-    axes: int,
-) -> Population[Any]:
-    """Devices whose parameters scatter.
-
-    Args:
-        count: number of devices.
-        spread: relative standard deviation by name.
-        values: parameters changed in all of them.
-        noise: see `simulate`.
-        seed: of the scatter.
-        axes: 1 for actuators, 3 for stages.
-    """
-    device = _actuator(values, noise) if axes == 1 else _stage(values)
-    return device.population(count, spread=spread, seed=seed)
-
-
-def _together(
-    devices: Population[Any], t: Any, u: Any, axes: int, drive: str, noise: float | None, seed: int
-) -> tuple[list[Record], dict[str, Any]]:
-    """Records of all devices, and their columns one device after the other.
-
-    Args:
-        devices: actuators or stages.
-        t, u: times [s] and the signal [V], shape (T,).
-        axes: 1 or 3.
-        drive, noise: see `_channels`.
-        seed: of the noise.
-    """
+def _joined(devices: Population[Any], measured: Callable[[Any, int, str], _Measured], seed: int) -> _Measured:
+    """Records of all devices, and their columns one device after the other."""
     import numpy as np
 
-    from hystfit.data.record import Dataset
     from hystfit.stage.population import seeds_of
 
-    if axes == 1:
-        data = list(devices.records(t, u, seed=seed))
-        tables = [record_columns(Dataset.of(record)) for record in data]
-    else:
-        runs = [
-            _channels(stage, t, u, drive, noise, own)
-            for stage, own in zip(devices, seeds_of(seed, len(devices)), strict=True)
-        ]
-        data, tables = [record for records, _ in runs for record in records], [table for _, table in runs]
+    each = zip(devices, seeds_of(seed, len(devices)), devices.names, strict=True)
+    runs = [measured(device, own_seed, name) for device, own_seed, name in each]
+    tables = [table for _, table in runs]
     numbers = np.repeat(np.arange(1.0, len(devices) + 1), [len(table["t_s"]) for table in tables])
-    return data, {"device": numbers} | {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def _actuator(values: dict[str, float | None], noise: float | None) -> Actuator:
-    from hystfit.stage import Actuator, Sensor, piezo
-
-    model = piezo().replace(**values)
-    return Actuator(model) if noise is None else Actuator(model, sensor=Sensor(noise=noise))
-
-
-def _stage(values: dict[str, float | None]) -> Stage:
-    from hystfit.stage import Stage, piezo
-
-    return Stage.of(piezo().replace(**values) if values else None)
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    return [record for records, _ in runs for record in records], {"device": numbers} | columns
 
 
 def _voltages(t: np.ndarray, u: np.ndarray, drive: str) -> tuple[np.ndarray, np.ndarray]:
@@ -277,19 +234,24 @@ def _value(name: str, text: str) -> Any:
     return int(numbers[0]) if name == "seed" else numbers[0]
 
 
-def _respond(
-    what: str, t: Any, u: Any, values: dict[str, float | None], noise: float | None, seed: int, signal: str, trust: bool
+def _model_record(
+    what: str,
+    t: np.ndarray,
+    u: np.ndarray,
+    values: dict[str, float | None],
+    noise: float | None,
+    seed: int,
+    name: str,
+    trust: bool,
 ) -> Record:
-    """The record of one actuator of the stage, of a model, or of a fit."""
+    """The record of a model, or of a fit in a folder."""
     import numpy as np
 
     from hystfit.data.record import Record
     from hystfit.models.registry import make_model
     from hystfit.results.saved import load_fit
 
-    name, units = f"{what}-{signal}", {}
-    if what == "stage":
-        return _actuator(values, noise).record(t, u, seed=seed, name=name)
+    units = {}
     if Path(what).is_dir():
         result = load_fit(what, trust=trust)
         model, units = result.model, {f"{k}_unit": v for k, v in result.data.units.items()}

@@ -59,11 +59,7 @@ class Study:
 
     @classmethod
     def read(cls, file: Path) -> Study:
-        """The steps of a file.
-
-        Raises:
-            DataError: no such file, no TOML, an unknown key, a value of another type, or steps that need each other.
-        """
+        """The steps of a file."""
         content = _toml(file)
         where = str(file)
         _refuse_unknown(where, content, _KEYS)
@@ -78,11 +74,7 @@ class Study:
         return cls(file, Path(out), pins, _in_order(where, read))
 
     def check_pins(self) -> None:
-        """Compare the pinned files with their SHA-256.
-
-        Raises:
-            DataError: a file is missing or differs.
-        """
+        """Compare the pinned files with their SHA-256."""
         for name, pinned in self.sha256.items():
             actual = file_digest(Path(name))
             if actual is None:
@@ -135,15 +127,7 @@ def _refuse_unknown(where: str, table: Mapping[str, Any], known: tuple[str, ...]
 
 
 def _step(where: str, name: str, tables: Mapping[str, Any], out: Path, seed: int | None) -> Step:
-    """One step, its options checked by the parser of the command line.
-
-    Args:
-        where: place in the file, for messages.
-        name: of the step.
-        tables: of all steps.
-        out: folder of all steps.
-        seed: for verbs that take one.
-    """
+    """One step, its options checked by the parser of the command line."""
     from hystfit.cli import app
     from hystfit.cli.verbs import VERBS
 
@@ -176,14 +160,7 @@ def _step(where: str, name: str, tables: Mapping[str, Any], out: Path, seed: int
 def _words(
     where: str, table: Mapping[str, Any], arguments: ArgumentCollection, resolve: Any
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """A table of options as words of a command line, and the values that may name files.
-
-    Args:
-        where: place in the file, for messages.
-        table: options by name, without their dashes.
-        arguments: of the verb.
-        resolve: replaces the names of steps in a text by their folders.
-    """
+    """A table of options as words of a command line, and the values that may name files."""
     by_key = {argument.name.lstrip("-").lower(): argument for argument in arguments if not argument.children}
     if "loops" in by_key and not table.get("loops"):
         raise DataError(f'{where}: LOOP is missing: name the file of a measured loop, as loops = "loop.csv"')

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
-from hystfit.cli.write import finish, named, progress, save_figure, write_csv
-from hystfit.errors import optional
+from hystfit.cli.write import finish, named, progress, write_csv
+from hystfit.errors import ParameterError, optional
 from hystfit.inference.noise.registry import NOISES
-from hystfit.registry import attribute
 from hystfit.sampling.registry import SAMPLERS
 
 if TYPE_CHECKING:
     from hystfit.inference.noise import AbstractNoise
     from hystfit.results.result import FitResult
-    from hystfit.results.webpage import Page
 
 
 @lists(samplers=SAMPLERS, noises=NOISES)
@@ -45,10 +43,10 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: {samplers}, or my_file.py:MySampler. emcee takes up to ten parameters; nested takes several modes.
+        sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen by the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        draws: draws per chain of nuts (1000) or per run of nested (2000); most steps of emcee (5000).
+        draws: draws per chain of nuts (1000) or per run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts (4); runs of nested (2).
         warmup: warm-up steps of nuts (300).
         target_accept: target acceptance rate of nuts (0.65); a higher rate takes smaller steps.
@@ -56,6 +54,7 @@ def sample(
         live: live points of nested (400).
         seed: random seed.
     """
+    from hystfit.cli.pages import sample_page
     from hystfit.sampling.sample import sample as draw
 
     result = open_fit(fitdir, output, trust, "hystfit.sample")
@@ -74,20 +73,14 @@ def sample(
     def save(folder: Path) -> None:
         posterior.save(folder)
         for kind in ("corner", "trace", "rank", "bands"):
-            save_figure(posterior.plot(kind), folder / f"{kind}.png")
+            posterior.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
 
-    return finish(
-        str(posterior), posterior.to_dict(), output, save, page=lambda: _page("sample_page", posterior, output.out)
-    )
+    page = lambda folder: sample_page(posterior, folder)
+    return finish(str(posterior), posterior.to_dict(), output, save, page=page)
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:
-    """Priors by parameter, from NAME=KIND(A,B).
-
-    Raises:
-        ParameterError: it is not of that form.
-    """
-    from hystfit.errors import ParameterError
+    """Priors by parameter, from NAME=KIND(A,B)."""
     from hystfit.inference.priors import parse
 
     priors = {}
@@ -119,13 +112,14 @@ def profile(
         noise: auto (as in the fit), or a Gaussian noise model: {noises}, or my_file.py:MyNoise.
         level: confidence level of the limits.
     """
+    from hystfit.cli.pages import profile_page
     from hystfit.uncertainty.profiles import profile as follow
 
     result = open_fit(fitdir, output, trust)
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
-    save = lambda folder: save_figure(profiles.plot(), folder / "profiles.png")
-    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda: _page("profile_page", profiles, fitdir))
+    save = lambda folder: profiles.plot().savefig(folder / "profiles.png", dpi=120)
+    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda _: profile_page(profiles, fitdir))
 
 
 def errors(
@@ -169,8 +163,8 @@ def calibrate(
     (report.html) and the finished replicates (run/), from which the same command resumes.
 
     Args:
-        noise: {noises}: simulates the data, as large as the residuals of the fit.
-        assumed: noise model of the inference; default: the one that simulates.
+        noise: noise model of the simulated data, of the size of the residuals of the fit: {noises}.
+        assumed: noise model of the inference; default: that of the simulation.
         method: laplace (least squares), {samplers}.
         replicates: number of simulated data sets.
         spread: relative width of the priors about the fitted values.
@@ -178,6 +172,7 @@ def calibrate(
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
     """
+    from hystfit.cli.pages import calibrate_page
     from hystfit.results.provenance import provenance
     from hystfit.uncertainty.calibration import calibrate as study
 
@@ -201,10 +196,8 @@ def calibrate(
         )
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
-    save = lambda folder: save_figure(calibration.plot(), folder / "calibration.png")
-    return finish(
-        str(calibration), content, output, save, page=lambda: _page("calibrate_page", calibration, output.out)
-    )
+    save = lambda folder: calibration.plot().savefig(folder / "calibration.png", dpi=120)
+    return finish(str(calibration), content, output, save, page=lambda _: calibrate_page(calibration))
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:
@@ -228,7 +221,7 @@ def design(
     trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
-    """Propose the next input within the limits of the actuator, which reduces the errors most.
+    """Propose the next input, within the limits of the actuator, that reduces the standard errors most.
 
     Exit status 1: the fitted record has no loop. With --out, the folder holds input.csv and a page (report.html).
 
@@ -240,6 +233,7 @@ def design(
         method: families compares families of signals, gradient also optimizes the turning points.
         seed: random seed of the signals.
     """
+    from hystfit.cli.pages import design_page
     from hystfit.uncertainty.input_design import design as propose
 
     result = open_fit(fitdir, output, trust)
@@ -249,15 +243,5 @@ def design(
     time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
-    return finish(
-        str(proposal), proposal.to_dict(), output, save, page=lambda: _page("design_page", proposal, output.out)
-    )
-
-
-def _page(name: str, content: Any, folder: Path | None) -> Page:
-    """A page of `hystfit.cli.pages`, closed figures and all."""
-    import matplotlib.pyplot as plt
-
-    page = attribute(f"hystfit.cli.pages:{name}")(content, folder)
-    plt.close("all")
-    return page
+    page = lambda folder: design_page(proposal, folder)
+    return finish(str(proposal), proposal.to_dict(), output, save, page=page)

@@ -26,7 +26,7 @@ VERBS = {
         "Standard errors by several methods: i.i.d. residuals, sandwich, block bootstrap.",
     ),
     "calibrate": ("uncertainty:calibrate", "Check by simulation whether the error bars of a fit hold."),
-    "design": ("uncertainty:design", "Propose the next input, which reduces the errors most."),
+    "design": ("uncertainty:design", "Propose the next input, which reduces the standard errors most."),
     "report": ("predict:report", "Print the report of a saved fit and draw its pictures again."),
     "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
     "run": (
@@ -39,9 +39,8 @@ VERBS = {
 }
 # A value that is not quoted is left alone: records are called by column=value, too; --name=value is an option already.
 _ARGUMENT = re.compile(r"(?<!-)\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
-_OPTIONS = re.compile(
-    r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)"
-)  # options in parentheses, without other words
+# Options in parentheses, without other words.
+_OPTIONS = re.compile(r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)")
 
 
 def place(verb: str) -> str:

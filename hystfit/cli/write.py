@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
-from hystfit.errors import optional
+from hystfit.errors import DataError, optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
+from hystfit.outcome.table import write_csv as write_csv
 
 if TYPE_CHECKING:
     from hystfit.data.record import Dataset
@@ -29,16 +28,12 @@ def finish(
     save: Callable[[Path], object] | None = None,
     *,
     status: str = "",
-    page: Callable[[], Page] | None = None,
+    page: Callable[[Path], Page] | None = None,
 ) -> int:
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
     Args:
-        text: the result for people.
-        content: of result.json.
-        output: folder and form of the output.
-        save: writes the other files into the folder that it is called with.
-        page: makes report.html; None where there is none, or `save` writes it.
+        page: makes report.html, from the folder as the user named it; None where there is none, or `save` writes it.
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
@@ -49,11 +44,51 @@ def finish(
             if save is not None:
                 save(scratch)
             if page is not None:
-                (scratch / "report.html").write_text(page().render(), encoding="utf-8")
+                (scratch / "report.html").write_text(page(output.out).render(), encoding="utf-8")
             names = sorted(path.name for path in scratch.iterdir())
+        if pyplot := sys.modules.get("matplotlib.pyplot"):
+            pyplot.close("all")
         text += written(output.out, names)
     show(text, content, output.json)
     return 0 if Status(status or content.get("status", "ok")).usable else 1
+
+
+def finish_table(
+    text: str,
+    content: dict[str, Any],
+    output: Output,
+    name: str,
+    columns: Mapping[str, Any],
+    truth: Mapping[str, Any] | None = None,
+) -> int:
+    """Write columns as CSV with ten significant digits (or as netCDF), print the text or JSON, and return exit status 0.
+
+    Args:
+        content: of result.json, which is written where `out` is a folder.
+        output: `out` is the file itself where it ends in a suffix, .nc for netCDF, else a folder.
+    """
+    out = output.out
+    if out is None or out.is_dir() or not out.suffix:
+
+        def save(folder: Path) -> None:
+            write_csv(folder / f"{name}.csv", columns, ".10g")
+            if truth is not None:
+                write_csv(folder / "truth.csv", truth, ".10g")
+
+        return finish(text, content, output, save)
+    from hystfit.results.folders import writing
+
+    if not out.parent.is_dir():
+        raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
+    with writing(out.parent) as scratch:
+        if out.suffix == ".nc":
+            write_netcdf(scratch / out.name, columns)
+        else:
+            write_csv(scratch / out.name, columns, ".10g")
+        if truth is not None:
+            write_csv(scratch / f"{out.stem}.truth.csv", truth, ".10g")
+            text += f"\nTrue parameters in {out.with_suffix('.truth.csv')}"
+    return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))
 
 
 def written(folder: Path, names: Sequence[str]) -> str:
@@ -82,26 +117,6 @@ def named(name: str, unit: str) -> str:
     return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
 
 
-def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") -> None:
-    """Columns of text and numbers by heading as a CSV file; a missing value is an empty cell.
-
-    Args:
-        path: of the file.
-        columns: equally long.
-        form: format of the numbers, such as ".10g"; all digits by default.
-    """
-
-    def cell(value: Any) -> str:
-        if isinstance(value, str):
-            return value
-        return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
-
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
-
-
 def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
     """Columns by heading as netCDF variables over the dimension "sample".
 
@@ -118,9 +133,7 @@ def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[s
     """Columns of records for a CSV file, one record after another: record (where there are several), time, input, output.
 
     Args:
-        data: the records.
         output: heading of the output; samples without weight are missing under any other heading than "y".
-        y_unit: unit of the output where the records have none.
     """
     import numpy as np
 
@@ -133,11 +146,3 @@ def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[s
     columns[named("u", units["u"])] = np.concatenate([record.u for record in data])
     y = [record.y if output == "y" else np.where(record.used, record.y, np.nan) for record in data]
     return columns | {named(output, units["y"] or y_unit): np.concatenate(y)}
-
-
-def save_figure(figure: Any, path: Path) -> None:
-    """Write a matplotlib figure and close it."""
-    import matplotlib.pyplot as plt
-
-    figure.savefig(path, dpi=120)
-    plt.close(figure)

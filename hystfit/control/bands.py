@@ -1,4 +1,4 @@
-"""What the uncertainty of a model does to its inverse: bands of the input, and of the error with which a reference is followed."""
+"""Inverses by posterior draws: bands of the input, and of the tracking error of the input computed for the fit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.control.inverse import Inverse, Task, invert, prepare
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
-from hystfit.models.base import simulate
+from hystfit.models.simulation import simulate
 from hystfit.sampling.posterior import Posterior
 
 
@@ -25,9 +25,9 @@ class InverseBands:
         reference: wanted output, shape (T,).
         given: the inverse of the fitted model, whose input is what an experiment would apply.
         u: input that the inverse of each draw gives, shape (count, T).
-        error: output of each draw under the input given, less the reference, shape (count, T): the error of tracking that
-            the uncertain parameters alone make, were that draw the truth.
-        missed: part of the samples that each draw's inverse could not meet, shape (count,).
+        error: output of each draw for the input of `given`, minus the reference, shape (count, T): the tracking error if the
+            parameters were those of the draw.
+        missed: fraction of the samples that the inverse of each draw does not meet, shape (count,).
     """
 
     reference: np.ndarray

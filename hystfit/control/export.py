@@ -55,12 +55,10 @@ def export_c(
     part = exported.c_part()
     blocks: list[str] = []
     _emit(part, f"{name}_model", blocks)
-    try:
-        inverse, obstacle = InverseStep.of(model, limits=limits), ""
-    except ModelError as error:
-        if exported.output_resonance() is None and exported.obstacle("inverse") is None:
-            raise
-        inverse, obstacle = None, str(error)
+    body = "\n".join(blocks)
+    if "legendre(" in body:
+        body = template("legendre.c") + "\n" + body
+    inverse, obstacle = _inverse_of(model, exported, limits)
     low, high = (-np.inf, np.inf) if inverse is None else (float(inverse.low), float(inverse.high))
     words = {
         "name": name,
@@ -77,29 +75,39 @@ def export_c(
         "u_unit": _unit(model, "u"),
         "y_unit": _unit(model, "y"),
     }
-    head = f'#include <float.h>\n#include <math.h>\n\n#include "{name}.h"\n\n'
-    if inverse is not None:
-        scale = high - low if np.isfinite([low, high]).all() else 1.0
-        constants = {"SIGN": inverse.solver.sign, "SCALE": scale, "TOLERANCE": float(inverse.tolerance)}
-        constants["GIVEN"] = int(inverse.given)
-        head += "".join(f"#define {name.upper()}_{key} {_number(value)}\n" for key, value in constants.items())
-    body = "\n".join(blocks)
-    if "legendre(" in body:
-        body = template("legendre.c") + "\n" + body
+    head = f'#include <float.h>\n#include <math.h>\n\n#include "{name}.h"\n\n' + _constants(inverse, name, low, high)
+    filled = lambda file: _fill((_FOLDER / file).read_text(encoding="utf-8"), words)
+    texts = {f"{name}.h": filled("header.h"), f"{name}.c": f"{head}\n{body}\n{filled('api.c')}"}
+    texts[f"{name}_main.c"] = filled("harness.c")
+    if s_function:
+        texts[f"{name}_sfun.c"] = filled("s_function.c")
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
-    api = _fill(_template("api.c"), words)
-    texts = {f"{name}.h": _fill(_template("header.h"), words), f"{name}.c": f"{head}\n{body}\n{api}"}
-    texts[f"{name}_main.c"] = _fill(_template("harness.c"), words)
-    if s_function:
-        texts[f"{name}_sfun.c"] = _fill(_template("s_function.c"), words)
     for file, text in texts.items():
         (out / file).write_text(text, encoding="utf-8")
     return tuple(out / file for file in texts)
 
 
-def _template(name: str) -> str:
-    return (_FOLDER / name).read_text(encoding="utf-8")
+def _inverse_of(
+    model: AbstractHysteresis | FitResult, exported: AbstractHysteresis, limits: Limits | None
+) -> tuple[InverseStep | None, str]:
+    """The inverse, or None and the reason for which a model with a resonance or a delay has none."""
+    try:
+        return InverseStep.of(model, limits=limits), ""
+    except ModelError as error:
+        if exported.output_resonance() is None and exported.obstacle("inverse") is None:
+            raise
+        return None, str(error)
+
+
+def _constants(inverse: InverseStep | None, name: str, low: float, high: float) -> str:
+    """Definitions of the constants of an inverse between limits."""
+    if inverse is None:
+        return ""
+    scale = high - low if np.isfinite([low, high]).all() else 1.0
+    constants = {"SIGN": inverse.solver.sign, "SCALE": scale, "TOLERANCE": float(inverse.tolerance)}
+    constants["GIVEN"] = int(inverse.given)
+    return "".join(f"#define {name.upper()}_{key} {_number(value)}\n" for key, value in constants.items())
 
 
 def _unit(model: Any, which: str) -> str:

@@ -186,16 +186,16 @@ class AbstractController(eqx.Module):
 
         Args:
             state: before the sample.
-            error: reference less output [y].
-            taken: input given less input asked for, which limits changed [u].
+            error: reference minus output [y].
+            taken: applied minus computed input, nonzero at the limits [u].
         """
 
 
 class Controller(AbstractController):
     """A linear controller at a rate, with anti-windup:  x' = A x + B e + L (given - asked),  asked = C x + D e.
 
-    Tustin's rule (a trapezoid for every integral). L = B / D makes the state what it would be had the error been the one that
-    requests the input that was applied (Hanus et al. 1987); it needs D, and stable zeros.
+    Tustin's rule (a trapezoid for every integral). L = B / D gives the state that belongs to the applied
+    input instead of the computed one (Hanus et al. 1987); it needs D, and stable zeros.
 
     Attributes:
         A, B, C, D: of the sampled controller, shapes (n, n), (n,), (n,), ().
@@ -244,12 +244,12 @@ class Controller(AbstractController):
         return self.C @ state + self.D * error
 
     def step(self, state: Float[Array, " n"], error: Scalar, taken: Any = 0.0) -> Float[Array, " n"]:
-        """Next state of the controller; `taken` is the applied less the computed output, nonzero at the limits.
+        """Next state of the controller; `taken` is nonzero where the limits changed the input.
 
         Args:
             state: before the sample, shape (n,).
-            error: reference less output [y].
-            taken: input given less input asked for, which limits changed [u].
+            error: reference minus output [y].
+            taken: applied minus computed input, nonzero at the limits [u].
         """
         return self.A @ state + self.B * error + self.L * taken
 

@@ -14,8 +14,9 @@ from hystfit.config import require_x64
 from hystfit.control.lead import lead
 from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
 from hystfit.errors import DataError, ModelError
-from hystfit.models.base import AbstractHysteresis, Resume, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import solve_rising
+from hystfit.models.simulation import Resume, simulate
 from hystfit.models.step_inverse import AbstractStepInverse
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ class Inverse:
         u: input for every sample of the reference, shape (T,).
         y: output of the model for it, shape (T,).
         codes: `Status` of every sample as a number, shape (T,).
-        start: where the model was before the first sample: `simulate(model, u, dt, resume=start)` gives y.
-        state: where it is after the last one, to go on from.
+        start: state and input before the first sample: `simulate(model, u, dt, resume=start)` gives y.
+        state: state and input after the last sample, from which another call continues.
     """
 
     u: np.ndarray

@@ -1,4 +1,4 @@
-"""Leading a reference: what a resonance must be fed so that it follows."""
+"""Leading a reference: the input with which a resonance follows it."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from hystfit.config import require_x64
 from hystfit.control.feedback import AbstractController
 from hystfit.control.online_inverse import AbstractRunningInverse, Limits
 from hystfit.errors import DataError, ParameterError
-from hystfit.models.base import Resume
 from hystfit.models.shapes import Scalar
+from hystfit.models.simulation import Resume
 
 
 class Loop(eqx.Module):
@@ -28,12 +28,12 @@ class Loop(eqx.Module):
     Attributes:
         plant: any model: hysteresis, creep or relaxation and resonance in a `Series`; or a stage of several inputs and outputs.
         controller: of the feedback; None for none.
-        inverse: of the feed-forward run along; None where the feed-forward is given as an array.
-        low, high: between which every input is held.
+        inverse: computes the feed-forward sample by sample; None where it is given as an array.
+        low, high: limits of every input.
         resolution: of the sensor, 0 for none, shape () or (k,).
         dt: time between samples [s].
         delay: of the sensor, in samples.
-        applied: the inverse remembers the input that was given, feedback included; else what it asked for itself.
+        applied: the memory of the inverse follows the applied input, feedback included; else the one that it computed.
         finer: integration steps of the plant per sample.
     """
 
@@ -76,19 +76,18 @@ class _Carry(eqx.Module):
 def _run(loop: Loop, start: _Carry, samples: tuple[Array, Array, Array]) -> tuple[_Carry, tuple[Array, Array, Array]]:
     def body(carry: _Carry, sample: tuple[Array, Array, Array]) -> tuple[_Carry, tuple[Array, Array, Array]]:
         reference, ahead, noise = sample
-        memory = carry.memory
-        if loop.inverse is not None and carry.memory is not None:
+        memory, controller = carry.memory, carry.controller
+        if loop.inverse is not None:
             memory, answer = loop.inverse.step(carry.memory, reference, loop.dt)
             ahead = answer.u
         asked = ahead
         error = carry.reference - carry.readings[-1]
-        if loop.controller is not None and carry.controller is not None:
+        if loop.controller is not None:
             asked = asked + loop.controller.ask(carry.controller, error)
         u = jnp.clip(asked, loop.low, loop.high)
-        controller = None
-        if loop.controller is not None and carry.controller is not None:
+        if loop.controller is not None:
             controller = loop.controller.step(carry.controller, error, u - asked)
-        if loop.inverse is not None and carry.memory is not None and loop.applied:
+        if loop.inverse is not None and loop.applied:
             memory = loop.inverse.moved(carry.memory, u, loop.dt)
         state, y = loop.move(carry.plant, carry.u, u)
         read = y + noise
@@ -121,7 +120,7 @@ class LoopResult:
 
     @property
     def error(self) -> np.ndarray:
-        """Reference less output, of their shape."""
+        """Reference minus output, of their shape."""
         return self.reference - self.y
 
     def max_error(self, skip: float = 0.0) -> Any:
@@ -155,14 +154,14 @@ def run_loop(
         plant: any model, or a `Stage` of three inputs and three axes, at rest on u0 before.
         reference: wanted output, shape (T,); (T, 3) of a stage.
         rate: samples per second.
-        feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) to run
-            along; None for none.
+        feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) that
+            computes it in the loop; None for none.
         controller: of the feedback, sampled at the same rate (`Decoupled` of a stage); None for none.
         limits: lowest and highest input.
         noise: standard deviation of the sensor's white noise, in output units; one number, or one for each axis.
-        resolution: of the sensor, in output units, likewise.
+        resolution: of the sensor, in output units; one number, or one for each axis.
         delay: of the sensor, in samples, beside the one sample that computing takes.
-        applied: let a running inverse remember the input that was given, feedback and limits included.
+        applied: the memory of a running inverse follows the applied input, feedback and limits included.
         u0: input before the first sample.
         seed: of the noise.
         finer: integration steps of the plant per sample; the input is linear between samples.
@@ -185,9 +184,8 @@ def run_loop(
             f"got {rate}, {delay}, {noise}, {resolution}, {finer}, {limits}"
         )
     inverse = feedforward if isinstance(feedforward, AbstractRunningInverse) else None
-    ahead = (
-        np.zeros_like(wanted) if feedforward is None or inverse is not None else np.asarray(feedforward, dtype=float)
-    )
+    given = None if inverse is not None else feedforward
+    ahead = np.zeros_like(wanted) if given is None else np.asarray(given, dtype=float)
     if ahead.shape != wanted.shape:
         raise DataError(f"the feed-forward must have the shape of the reference {wanted.shape}, got {ahead.shape}")
     number = lambda value: jnp.asarray(value, dtype=jnp.result_type(float))
@@ -195,14 +193,14 @@ def run_loop(
     loop = Loop(plant, controller, inverse, *numbers, delay=delay, applied=applied, finer=finer)
     start = _rest(loop, jnp.broadcast_to(number(u0), wanted.shape[1:]), number(wanted[0]))
     random = noise * np.random.default_rng(seed).standard_normal(wanted.shape)
-    _, (u, y, given) = _run(loop, start, (jnp.asarray(wanted), jnp.asarray(ahead), jnp.asarray(random)))
-    u, y, given = (np.asarray(value) for value in (u, y, given))
+    _, traces = _run(loop, start, (jnp.asarray(wanted), jnp.asarray(ahead), jnp.asarray(random)))
+    u, y, ahead = map(np.asarray, traces)
     if not np.isfinite(y).all():
         raise ParameterError(
             f"the loop ran away at {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s: lower the gains, sample faster, or give limits"
         )
     saturated = int(np.count_nonzero((u <= limits[0]) | (u >= limits[1])))
-    return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, given, saturated, _notes(u, saturated, limits))
+    return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, ahead, saturated, _notes(u, saturated, limits))
 
 
 def _rest(loop: Loop, u0: Array, reference: Array) -> _Carry:

@@ -14,8 +14,9 @@ from jaxtyping import Array, Int
 
 from hystfit.config import require_x64
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, Resume
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shapes import Scalar, Signal
+from hystfit.models.simulation import Resume
 from hystfit.models.step_inverse import AbstractStepInverse
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Linear loops on paper: transfer functions, their poles, margins and root loci."""
+"""Transfer functions of linear loops: poles, stability margins and root loci."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Margins:
 
     Attributes:
         phase: at the crossover that has the least [deg]; None where the loop's gain never passes one.
-        crossover: that frequency [rad/s]; None likewise.
+        crossover: that frequency [rad/s]; None where the loop's gain never passes one.
         gain: factor by which the gain may grow; infinite where the phase never reaches -180 degrees.
         sensitivity: largest |1 / (1 + L)|.
         stable: by the encirclements of -1.

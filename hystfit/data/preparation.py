@@ -13,12 +13,7 @@ _ORDER = 2  # of the polynomials of the smoothing filter
 
 
 def real_numbers(values: Any) -> np.ndarray:
-    """A new array of floating-point numbers, masked values NaN.
-
-    Raises:
-        TypeError: complex numbers, or no numbers.
-        ValueError: text that is not a number, or rows of different lengths.
-    """
+    """A new array of floating-point numbers, masked values NaN."""
     array = np.asanyarray(values)
     if np.iscomplexobj(array):
         raise TypeError("complex numbers: give the real column that was measured, such as y.real")
@@ -57,11 +52,7 @@ class CoarseClock:
 
 
 def interval_of(rate: float | None, dt: float | None) -> float | None:
-    """Sampling interval [s] from a sampling rate [Hz] or an interval [s]; None where neither is given.
-
-    Raises:
-        DataError: both are given, or the value is not a positive number.
-    """
+    """Sampling interval [s] from a sampling rate [Hz] or an interval [s]; None where neither is given."""
     if rate is not None and dt is not None:
         raise DataError("rate= and dt= both give the sampling interval: leave one out")
     for name, value, unit in (("sampling rate", rate, "Hz"), ("sampling interval", dt, "s")):
@@ -78,9 +69,6 @@ def smooth(values: np.ndarray, length: int) -> np.ndarray:
     Args:
         values: evenly sampled, shape (T,), finite.
         length: number of samples, odd and at least 5.
-
-    Raises:
-        DataError: the length is even, too small, or larger than the number of samples.
     """
     from scipy.signal import savgol_filter
 

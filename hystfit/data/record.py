@@ -15,7 +15,6 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
 
 _OPEN = 0.03  # of the input's range: gap between the ends of one period
-_LABELS = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source", "sha256", "sigma", "reading", "metadata")
 
 
 def median_interval(steps: np.ndarray) -> float | None:
@@ -170,24 +169,6 @@ class Record:
         """
         note = Note(code, text, severity)
         return self if note in self.notes else self.replace(notes=(*self.notes, note))
-
-    def labels(self) -> dict[str, Any]:
-        """All fields but the arrays, for JSON; `labels_of` reads them back."""
-        fields = {field: getattr(self, field) for field in _LABELS} | {
-            "metadata": dict(self.metadata),
-            "reading": dict(self.reading),
-        }
-        return fields | {"notes": [note.to_dict() for note in self.notes]}
-
-    @staticmethod
-    def labels_of(stored: dict[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor from what `labels` returned.
-
-        Raises:
-            KeyError, ValueError, TypeError: it is not such a description.
-        """
-        notes = tuple(Note.of(note) for note in stored["notes"])
-        return {field: stored[field] for field in _LABELS} | {"notes": notes}
 
     def window(self, start: float | None = None, stop: float | None = None) -> Record:
         """The same record in which only samples with start <= t < stop count.

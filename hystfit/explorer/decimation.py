@@ -7,12 +7,7 @@ from jaxtyping import Float, Int
 
 
 def chunks(samples: int, columns: int) -> Int[np.ndarray, " chunks"]:
-    """First sample of each of at most `columns` pieces of equal length; a short record keeps every sample.
-
-    Args:
-        samples: length of the record.
-        columns: pixels of the canvas.
-    """
+    """First sample of each of at most `columns` pieces of equal length; a short record keeps every sample."""
     return np.arange(0, samples, 1 if samples <= 2 * columns else -(-samples // columns))
 
 
@@ -22,7 +17,6 @@ def visible(starts: Int[np.ndarray, " chunks"], *signals: Float[np.ndarray, " T"
     A polyline through them covers the same pixels as one through all samples, whichever signal it is drawn over.
 
     Args:
-        starts: first sample of each piece.
         *signals: equally long; NaN is not drawn.
     """
     count = signals[0].size

@@ -15,8 +15,6 @@ def document(scene: Mapping[str, Any], *, model_script: str = "", nonce: str = "
 
     Args:
         scene: what the page shows first, see `Session.scene`.
-        model_script: JavaScript that simulates the model, for a page without a server.
-        nonce: of the content security policy.
     """
     from jinja2 import Environment, PackageLoader
 

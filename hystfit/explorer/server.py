@@ -41,11 +41,7 @@ class Server(ThreadingHTTPServer):
         """Listen on a port of 127.0.0.1.
 
         Args:
-            session: answers the page.
             port: 0 takes a free one.
-
-        Raises:
-            DataError: the port is in use.
         """
         try:
             super().__init__(("127.0.0.1", port), _Handler)

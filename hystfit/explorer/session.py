@@ -1,4 +1,4 @@
-"""What the page asks for: a model with sliders, its loop at their values, and a fit that starts there."""
+"""The session behind a page: models with sliders, their loops at the values of these, and fits that start there."""
 
 from __future__ import annotations
 
@@ -77,11 +77,7 @@ class Session:
         """Choose models for a record, and read starting values off it.
 
         Args:
-            record: the measured loop.
             model: the first model; "auto" takes the one with the fewest parameters that suits the loop.
-            start: values that replace those read off the record, by name.
-            source: how the record is read again.
-            translate: from settings as in Python to the words of the reader.
         """
         require_x64()
         self._translate = translate
@@ -100,8 +96,6 @@ class Session:
         self.values = {slider["name"]: slider["value"] for slider in first["sliders"]} | given
         self.model = self._views[0].model(self.values)
         self._first = {**first, "start": given}
-
-    # -- what the page asks for --------------------------------------------------------------------------------------------------
 
     def scene(self) -> dict[str, Any]:
         """What the page shows before it asks for anything."""
@@ -122,11 +116,7 @@ class Session:
         }
 
     def choose(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """A model with starting values read off the record, as sliders.
-
-        Raises:
-            HystfitError: a model that the page does not offer, or that the record does not suit.
-        """
+        """A model with starting values read off the record, as sliders."""
         name = request["model"]
         if name not in self.choices:  # a name may mean a file with code, so that only the user's own is taken
             raise ParameterError(f"no model {name!r} on this page: open it by --model")
@@ -170,9 +160,6 @@ class Session:
 
         Args:
             request: `view`, `values`, and `fitted`: names of the parameters that the fit may change.
-
-        Raises:
-            HystfitError: one is running, or values that the model cannot have.
         """
         view = self._view(request)
         start, fitted = view.checked(request["values"]), set(request["fitted"])
@@ -194,8 +181,6 @@ class Session:
         if began := state.pop("began", None):
             state["seconds"] = time.monotonic() - began
         return state
-
-    # -- how -----------------------------------------------------------------------------------------------------------------------
 
     @property
     def _axis(self) -> Float[np.ndarray, " T"]:

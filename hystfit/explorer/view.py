@@ -28,7 +28,7 @@ class Slider:
         value: where it begins.
         low, high: ends of the slider; values beyond can be typed.
         lower, upper: bounds; None where there is none.
-        logarithmic: whether equal ways are equal factors.
+        logarithmic: whether equal distances are equal factors.
         fitted: whether a fit changes it unless the user says otherwise.
         weight: whether it is one of many weights.
     """
@@ -57,13 +57,7 @@ class View:
     """
 
     def __init__(self, choice: str, model: AbstractHysteresis, record: Record):
-        """Choose sliders and their ranges.
-
-        Args:
-            choice: expression of the model.
-            model: with the values to begin with.
-            record: as it is fitted.
-        """
+        """Choose sliders and their ranges."""
         self.choice, self.record = choice, record
         names = short_names([leaf.path for leaf in leaves_of(model)])
         self._space = ParameterSpace.of(model, free=names, scales=scales_of(Dataset.of(record)))
@@ -84,11 +78,11 @@ class View:
         logarithmic = bool(np.isfinite(lower) and np.isinf(upper) and value > lower == 0.0 and not info.linear)
         if logarithmic:
             low, high = value / _REACH, value * _REACH
+        elif np.isfinite([lower, upper]).all():
+            low, high = lower, upper
         else:
             reach = max(scale, abs(value))
             low, high = max(lower, value - reach), min(upper, value + reach)
-            if np.isfinite(lower) and np.isfinite(upper):
-                low, high = lower, upper
         return Slider(
             name, self._space.units[k], info.doc, value, low, high,
             lower if np.isfinite(lower) else None, upper if np.isfinite(upper) else None,
@@ -110,11 +104,7 @@ class View:
         return self._space.assembled(x)
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, float]:
-        """Values as numbers within their bounds.
-
-        Raises:
-            ParameterError: see `model`.
-        """
+        """Values as numbers within their bounds."""
         for name, value in values.items():
             if name not in self._place:
                 raise ParameterError(f"{self.choice} has no slider {name!r}")

@@ -89,11 +89,7 @@ def explore(
 
 
 def single(records: Dataset) -> Record:
-    """The only record of a data set.
-
-    Raises:
-        DataError: there are several.
-    """
+    """The only record of a data set."""
     if len(records) > 1:
         names = ", ".join(record.name for record in list(records)[:8])
         raise DataError(f"the explorer shows one record, and these are {len(records)} ({names}): choose one by only=")

@@ -1,4 +1,4 @@
-"""Notes beside the numbers of a fit: what is not determined, which bounds were reached, what the errors include."""
+"""Notes on the numbers of a fit: what is not determined, which bounds were reached, what the errors include."""
 
 from __future__ import annotations
 
@@ -17,14 +17,7 @@ _MANY = 12  # weights above this number are counted in a note, not listed
 
 
 def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, errors: Uncertainty) -> list[Note]:
-    """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed.
-
-    Args:
-        problem: what was fitted.
-        model: the fitted model.
-        estimate: where the fit ended.
-        errors: its standard errors.
-    """
+    """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed."""
     notes = list(estimate.notes)
     if all(record.t is None for record in problem.data):
         notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))
@@ -102,8 +95,6 @@ def _slow_part(errors: Uncertainty) -> str:
     if not errors.residuals.correlated or noise is None:
         return ""
     time = noise.noise.parameters["noise_time"]
-    return (
-        f" (they include slow noise with a correlation time of {time:.3g} samples)"
-        if time > 2 * errors.correlation_time
-        else ""
-    )
+    if time <= 2 * errors.correlation_time:
+        return ""
+    return f" (they include slow noise with a correlation time of {time:.3g} samples)"

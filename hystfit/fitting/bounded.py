@@ -54,15 +54,14 @@ class BoundedDescent(AbstractEstimator):
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
-        space, c = problem.space, problem.space.coordinates
-        lower, upper = (np.asarray(v) for v in (c.lower, c.upper))
+        space = problem.space
         missing, solutions = _why_not_jaxopt(), []
         descend = _descend_by_scipy if missing else _descend
         for z in starts:
-            x0 = np.clip(space.physical(z), lower, upper)
-            size = np.maximum(np.abs(x0), 0.1 * np.asarray(c.scale))
+            x0 = space.clip(space.physical(z))
+            size = np.maximum(np.abs(x0), 0.1 * space.scale)
             v, cost, error, steps = descend(self, problem.objective, jnp.asarray(x0 / size), jnp.asarray(size))
-            solutions.append((np.clip(np.asarray(v) * size, lower, upper), float(cost), float(error), int(steps)))
+            solutions.append((space.clip(np.asarray(v) * size), float(cost), float(error), int(steps)))
         costs = np.array([cost if np.isfinite(cost) else np.inf for _, cost, _, _ in solutions])
         x, cost, error, _ = solutions[int(np.argmin(costs))]
         converged = error <= 10 * self.tolerance

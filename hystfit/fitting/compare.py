@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -22,7 +22,7 @@ from hystfit.fitting.fit_setup import choose_method, solve, started_problem, wit
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
-from hystfit.fitting.verdict import with_left_out
+from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.workers import Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -89,7 +89,7 @@ def compare(
     chosen = Candidates(tuple(named), "") if named else candidates(data)
     data = without_saturated(data)
     judge = _Judge(data, left_out, purpose, seed, named)
-    with _progress_or_default(progress) as update:
+    with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
         judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
     rows = _ranked(judge.rows, purpose)
     if not judge.fits:
@@ -120,16 +120,6 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
         count = sum(name == base or name.startswith(f"{base} (") for name in chosen)
         chosen[f"{base} ({count + 1})" if count else base] = choice
     return chosen
-
-
-@contextlib.contextmanager
-def _progress_or_default(progress: Callable[..., object] | None) -> Iterator[Callable[..., object]]:
-    """The caller's progress function, or one that prints to a terminal or notebook."""
-    if progress is not None:
-        yield progress
-        return
-    with shown_progress("comparing models") as update:
-        yield update
 
 
 class _Shown:
@@ -187,42 +177,38 @@ class _First(NamedTuple):
     parameters: int | None = None
 
 
-def _contenders(firsts: dict[str, _First], alone: bool) -> list[str]:
-    """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
-
-    Args:
-        firsts: first fits by name.
-        alone: no model has been validated yet, so that the others wait for the ones whose first fit is near the best.
-    """
-    sized = {name: first for name, first in firsts.items() if first.limit == _HOPELESS_SIZE}
-    if not sized and not alone:
-        return list(firsts)
-    least = min((first.error for first in (sized or firsts).values()), default=0.0)
-    return [name for name, first in (sized or firsts).items() if first.error <= first.limit * least]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Outcome:
-    """Outcome of the work on one candidate.
+@dataclasses.dataclass
+class _Candidate:
+    """A model in a comparison, and what the work on it has given so far.
 
     Attributes:
-        row, result: of the comparison, where the candidate was validated.
+        name: of its row.
+        row: once it is validated, stopped, or has failed.
+        result: the fit, where it is validated.
         first: the first fit, where there was one.
         failure: why there is no result.
-        seconds: what it took.
+        seconds: what the work took.
     """
 
+    name: str
     row: Row | None = None
     result: FitResult | None = None
     first: _First | None = None
     failure: Exception | None = None
     seconds: float = 0.0
 
-    def after(self, earlier: _Outcome | None) -> _Outcome:
-        """This work as the second on the same candidate."""
-        if earlier is None:
-            return self
-        return dataclasses.replace(self, first=earlier.first, seconds=earlier.seconds + self.seconds)
+
+def _contenders(waiting: Sequence[_Candidate], alone: bool) -> list[_Candidate]:
+    """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
+
+    `alone`: no model has been validated yet, so that the others wait for those whose first fit is near the best.
+    """
+    firsts = [(one, one.first) for one in waiting if one.first is not None]
+    sized = [(one, first) for one, first in firsts if first.limit == _HOPELESS_SIZE]
+    if not sized and not alone:
+        return list(waiting)
+    least = min((first.error for _, first in sized or firsts), default=0.0)
+    return [one for one, first in sized or firsts if first.error <= first.limit * least]
 
 
 class _Judge:
@@ -242,62 +228,54 @@ class _Judge:
         self.errors: list[Exception] = []
 
     def run(self, names: Sequence[str], shown: _Shown, workers: Workers) -> None:
-        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out.
+        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
 
-        Args:
-            names: of the candidates.
-            shown: progress.
-            workers: threads.
-        """
-        outcomes: dict[str, _Outcome] = {}
+        def each(work: Callable[[_Candidate, Callable[[str], object]], None], chosen: Sequence[_Candidate]) -> None:
+            workers.run([functools.partial(self._timed, work, one, shown, workers) for one in chosen])
 
-        def each(work: Callable[[str, Callable[[str], object]], Any], chosen: Sequence[str]) -> None:
-            tasks = [functools.partial(self._timed, work, name, shown, workers) for name in chosen]
-            for name, outcome in zip(chosen, workers.run(tasks), strict=True):
-                outcomes[name] = outcome.after(outcomes.get(name))
-
-        each(self._first_fit, names)
-        waiting = [name for name in names if outcomes[name].row is None]
-        self._keep([name for name in names if name not in waiting], outcomes, shown)
+        candidates = [_Candidate(name) for name in names]
+        each(self._first_fit, candidates)
+        waiting = self._keep_finished(candidates, shown)
         while waiting:
-            stopped = {name: row for name in waiting if (row := self._excluded_row(name, outcomes[name])) is not None}
-            for name, row in stopped.items():
-                outcomes[name] = dataclasses.replace(outcomes[name], row=row)
-            going = {name: first for name in waiting if name not in stopped and (first := outcomes[name].first)}
-            leading = _contenders(going, self._best() is None)
-            each(self._judged, leading)
-            self._keep([*stopped, *leading], outcomes, shown)
-            waiting = [name for name in going if name not in leading]
+            for one in waiting:
+                one.row = self._excluded_row(one)
+            each(self._validate, _contenders([one for one in waiting if one.row is None], self._best() is None))
+            waiting = self._keep_finished(waiting, shown)
         self.rows.sort(key=lambda row: names.index(row.asked) if row.asked in names else -1)
 
     def _timed(
-        self, work: Callable[[str, Callable[[str], object]], _Outcome], name: str, shown: _Shown, workers: Workers
-    ) -> _Outcome:
+        self,
+        work: Callable[[_Candidate, Callable[[str], object]], None],
+        one: _Candidate,
+        shown: _Shown,
+        workers: Workers,
+    ) -> None:
         """Run one piece of work on a candidate and measure its time; an error becomes the candidate's row."""
 
         def say(text: str) -> None:
             workers.check()
-            shown.step(name, text)
+            shown.step(one.name, text)
 
         started = time.perf_counter()
         try:
-            outcome = work(name, say)
+            work(one, say)
         except _SOLVER_ERRORS as error:
-            row = Row(name, name, None, None, None, None, 0.0, Status.FAILED, f"left out: {error}")
-            outcome = _Outcome(row=row, failure=error)
-        return dataclasses.replace(outcome, seconds=time.perf_counter() - started)
+            one.row = Row(one.name, one.name, None, None, None, None, 0.0, Status.FAILED, f"left out: {error}")
+            one.failure = error
+        one.seconds += time.perf_counter() - started
 
-    def _keep(self, names: Sequence[str], outcomes: dict[str, _Outcome], shown: _Shown) -> None:
-        """Add the rows of candidates that are done."""
-        for name in names:
-            outcome = outcomes[name]
-            assert outcome.row is not None
-            self.rows.append(dataclasses.replace(outcome.row, seconds=outcome.seconds))
-            if outcome.failure is not None:
-                self.errors.append(outcome.failure)
-            if outcome.result is not None:
-                self.fits[name] = outcome.result
-            shown.done(name)
+    def _keep_finished(self, candidates: Sequence[_Candidate], shown: _Shown) -> list[_Candidate]:
+        """Add the rows of candidates that are done, and return the others."""
+        for one in candidates:
+            if one.row is None:
+                continue
+            self.rows.append(dataclasses.replace(one.row, seconds=one.seconds))
+            if one.failure is not None:
+                self.errors.append(one.failure)
+            if one.result is not None:
+                self.fits[one.name] = one.result
+            shown.done(one.name)
+        return [one for one in candidates if one.row is None]
 
     def refusal(self, rows: Sequence[Row]) -> HystfitError:
         """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
@@ -306,7 +284,9 @@ class _Judge:
             return first
         return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
 
-    def _judged(self, name: str, progress: Callable[[str], object]) -> _Outcome:
+    def _validate(self, one: _Candidate, progress: Callable[[str], object]) -> None:
+        """Fit a model and measure its error on left-out data."""
+        name = one.name
         progress("fit")
         if name == SEARCH:
             result = fit(SEARCH, self.data, seed=self.seed)
@@ -324,7 +304,8 @@ class _Judge:
         if self.left_out == "blocks" and np.isfinite(score):
             result = with_left_out(result, float(score))
         obstacles = {use: text for use in ("inverse", "export") if (text := result.model.obstacle(use))}
-        row = Row(
+        one.result = result
+        one.row = Row(
             name=name if ".py:" in name else result.name,
             asked=name,
             score_percent=100 * score / self._span if np.isfinite(score) else None,
@@ -336,32 +317,33 @@ class _Judge:
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=obstacles,
         )
-        return _Outcome(row=row, result=result)
 
-    def _first_fit(self, name: str, progress: Callable[[str], object]) -> _Outcome:
+    def _first_fit(self, one: _Candidate, progress: Callable[[str], object]) -> None:
         """A first fit, which decides whether a model is validated; the models that users chose, and a search, are validated."""
-        if self.named or name == SEARCH:
-            return self._judged(name, progress)
-        model = make_model(name)
+        if self.named or one.name == SEARCH:
+            self._validate(one, progress)
+            return
+        model = make_model(one.name)
         progress("first fit")
         if (error := first_error(model, self.data)) is not None:
-            return _Outcome(first=_First(error, _HOPELESS_SIZE))
-        if model.estimator is not None:
-            return self._judged(name, progress)
-        problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
-        estimate = solve(problem, choose_method(problem), _FIRST_STARTS, self.seed, points)
-        weight = np.asarray(problem.objective.batch.weight)
-        rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-        return _Outcome(first=_First(rms, _HOPELESS, estimate.x.size))
+            one.first = _First(error, _HOPELESS_SIZE)
+        elif model.estimator is not None:
+            self._validate(one, progress)
+        else:
+            problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
+            estimate = solve(problem, choose_method(problem), _FIRST_STARTS, self.seed, points)
+            weight = np.asarray(problem.objective.batch.weight)
+            rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
+            one.first = _First(rms, _HOPELESS, estimate.x.size)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""
         rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
         return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
 
-    def _excluded_row(self, name: str, outcome: _Outcome) -> Row | None:
+    def _excluded_row(self, one: _Candidate) -> Row | None:
         """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
-        best, first = self._best(), outcome.first
+        best, first, name = self._best(), one.first, one.name
         if best is None or first is None:
             return None
         error = 100 * first.error / self._span

@@ -107,10 +107,10 @@ def fit(
         "loss": loss,
         "noise": noise,
     }
+    if isinstance(model, str) and model == "auto" and is_sequential(method):
+        model = _OF_SEQUENTIAL
     if not isinstance(model, str) or model != "auto":
         return fit_model(model, records, seed=seed, test=tested, **options, **settings)  # type: ignore[arg-type]
-    if is_sequential(method):
-        return fit_model(_OF_SEQUENTIAL, records, seed=seed, test=tested, **options, **settings)  # type: ignore[arg-type]
     if changed := [*changed_settings(options), *settings]:
         raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
     result = best_model(records, seed)
@@ -118,23 +118,15 @@ def fit(
 
 
 def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") -> FitResult:
-    """The fit of the model that wins the comparison, with notes on the choice.
-
-    Args:
-        data: records to fit.
-        seed: of the starting points.
-        purpose: see `compare`.
-    """
+    """The fit of the model that wins the comparison, with notes on the choice."""
     comparison = compare(data, purpose=purpose, seed=seed)
     best, count = comparison.rows[0], len(comparison.rows)
     score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
-    reason = (
-        f"is the best of {count} models by cross-validation" if count > 1 else "is the only candidate for these data"
-    )
-    if (
-        min((row.score_percent for row in comparison.rows if row.score_percent is not None), default=None)
-        != best.score_percent
-    ):
+    scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
+    reason = "is the only candidate for these data"
+    if count > 1:
+        reason = f"is the best of {count} models by cross-validation"
+    if min(scores, default=None) != best.score_percent:
         reason = f"predicts left-out data as well as the best of {count} models, with a simpler or converged fit"
     choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
     failed = [row for row in comparison.rows if row.status is Status.FAILED]

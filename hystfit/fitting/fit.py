@@ -1,4 +1,4 @@
-"""The fit of one model to records, without starting values from the user; `hystfit.fit` in `entry` calls it."""
+"""The fit of one model to records; `hystfit.fit` in `entry` calls it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ from hystfit.fitting.fit_setup import (
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.structure import search_structure
-from hystfit.fitting.verdict import Fitted, evaluate_on, verdict_of, with_left_out, worse
+from hystfit.fitting.trial import evaluate_on, with_left_out, worse
+from hystfit.fitting.verdict import Fitted, verdict_of
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
 from hystfit.inference.noise.base import AbstractNoise
@@ -104,15 +105,7 @@ def fit(
 def judge(
     fit_setup: FitSetup, estimate: Estimate, *, noise: str | type[AbstractNoise], seed: int, watch: Stopwatch
 ) -> FitResult:
-    """The result of a solved fit: standard errors under the noise, and the verdict.
-
-    Args:
-        fit_setup: what was solved.
-        estimate: where the fit ended.
-        noise: see `hystfit.fit`.
-        seed: of the starting points.
-        watch: started with the fit.
-    """
+    """The result of a solved fit: standard errors under the noise, and the verdict."""
     problem, notes = fit_setup.problem, list(fit_setup.notes)
     if noise in ("auto", "iid"):
         errors = uncertainty(problem, estimate, correlated=noise == "auto")
@@ -123,7 +116,7 @@ def judge(
         notes.append(description)
     notes += _mismatches(errors, noise, problem.scales.y)
     label = ESTIMATORS.label(fit_setup.method)
-    return make_result(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
+    return _make_result(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
 
 
 def changed_settings(given: Mapping[str, Any]) -> list[str]:
@@ -139,23 +132,18 @@ def _with_noise(
     if problem.objective.loss != "linear":
         raise ParameterError(f"noise={noise!r} has a likelihood of its own: leave loss at 'linear'")
     refined = refine(problem, estimate.x, noise)
+    label, notes = refined.noise.name, estimate.notes
+    if not refined.converged:
+        notes = (*notes, warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"))
     predicted = zip(problem.data, problem.predict(refined.x), strict=True)
     squares = sum(np.sum((r.weight * (r.y - y) ** 2)[r.used]) for r, y in predicted)
-    label = refined.noise.name
-    rough = (
-        ()
-        if refined.converged
-        else (warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"),)
-    )
     cost = 0.5 * float(squares) / problem.scales.y**2
-    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=(*estimate.notes, *rough))
-    shown = ", ".join(
-        f"{name} = {value:.3g} {unit}".rstrip()
-        for name, value, unit in zip(refined.space.names, refined.values, refined.space.units, strict=True)
-    )
-    described = Note(Code.NOISE_MODEL, f"noise model {label}: {shown}")
-    estimated = NoiseEstimate(NOISES.label(noise), refined.parameters)
-    return changed, uncertainty(problem, changed, root=refined.root), estimated, described
+    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=notes)
+    rows = zip(refined.space.names, refined.values, refined.space.units, strict=True)
+    values = ", ".join(f"{name} = {value:.3g} {unit}".rstrip() for name, value, unit in rows)
+    description = Note(Code.NOISE_MODEL, f"noise model {label}: {values}")
+    noise_estimate = NoiseEstimate(NOISES.label(noise), refined.parameters)
+    return changed, uncertainty(problem, changed, root=refined.root), noise_estimate, description
 
 
 def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: float) -> list[Note]:
@@ -171,7 +159,7 @@ def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: flo
     ]
 
 
-def make_result(
+def _make_result(
     problem: Problem,
     estimate: Estimate,
     errors: Uncertainty,
@@ -182,18 +170,7 @@ def make_result(
     noise: NoiseEstimate,
     notes: Sequence[Note] = (),
 ) -> FitResult:
-    """Make the `FitResult` of an estimate.
-
-    Args:
-        problem: what was fitted.
-        estimate: where the fit ended.
-        errors: its standard errors.
-        method: name of the estimator.
-        seed: of the starting points.
-        watch: started with the fit.
-        noise: behind the standard errors.
-        notes: of choices made on the way.
-    """
+    """The `FitResult` of an estimate, with its verdict."""
     data, x = problem.data, estimate.x
     measured = [r.y[r.used] for r in data]
     predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
@@ -209,7 +186,7 @@ def make_result(
         x=np.asarray(x),
         status=status,
         notes=(*reasons, *notes, *notes_of(problem, model, estimate, errors)),
-        parameters=parameters_of(problem, x, errors),
+        parameters=_parameters_of(problem, x, errors),
         covariance=errors.covariance,
         joint=errors.joint,
         train=train,
@@ -234,10 +211,7 @@ def make_result(
 def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
     """The result judged on records that were not fitted: their error, and a status that includes it.
 
-    Args:
-        result: the fit.
-        test: the records.
-        refit_offset: shift each prediction to the mean of the record.
+    With `refit_offset`, each prediction is shifted to the mean of its record.
 
     Raises:
         HystfitError: the model cannot predict the records.
@@ -249,14 +223,8 @@ def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, r
     return changed.with_notes(*trial.notes, *notes)
 
 
-def parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:
-    """Every parameter, free ones first, for the report.
-
-    Args:
-        problem: what was fitted.
-        x: free parameters, physical, shape (p,).
-        errors: their standard errors.
-    """
+def _parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:
+    """Every parameter, free ones first, for the report."""
     rows, variance, sides = parameter_estimates(problem.space, x), np.diag(errors.covariance), problem.at_bound(x)
     free = [
         dataclasses.replace(

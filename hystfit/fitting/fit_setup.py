@@ -13,7 +13,7 @@ from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.multistart import spread_starts
+from hystfit.fitting.multistart import starting_vectors, with_record_parameters
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.objective import Loss
@@ -58,12 +58,8 @@ def set_up_fit(
 ) -> FitSetup:
     """Set up a fit: the problem, its estimator and starting points.
 
-    Args:
-        model: what is fitted.
-        data: the records.
-        method, fix, free, start, loss: see `hystfit.fit`.
-        held: whether parameters in `fix` without a value keep that of the model where starting values are read off the data.
-        notes: of choices made before.
+    Arguments as in `hystfit.fit`, and notes on choices made before. With `held`, parameters in `fix` without a value keep that of
+    the model where starting values are read off the data.
     """
     check_fittable(model, data)
     data = without_saturated(data)
@@ -97,13 +93,7 @@ def without_saturated(data: Dataset) -> Dataset:
 def started_problem(
     model: AbstractHysteresis, data: Dataset, **options: Any
 ) -> tuple[Problem, tuple[AbstractHysteresis, ...]]:
-    """The problem of a model with starting values from the records, and all models to start from.
-
-    Args:
-        model: any model.
-        data: records.
-        **options: of `Problem`.
-    """
+    """The problem of a model with starting values from the records, and all models to start from."""
     check_fittable(model, data)
     points = model.starting_points(list(data.map(model.prepared)))
     return Problem(points[0], data, **options), points
@@ -117,9 +107,6 @@ def _fixed_values(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, A
 
 def check_settings(method: Any, starts: int, loss: str, noise: Any, start: Any) -> None:
     """Refuse settings that no data can be fitted with.
-
-    Args:
-        method, starts, loss, noise, start: see `hystfit.fit`; no sequential method.
 
     Raises:
         ParameterError: one of them is unknown.
@@ -151,47 +138,13 @@ def solve(
 ) -> Estimate:
     """Run one estimator from several models, or from the values of one and a hypercube about them.
 
-    Args:
-        problem: what to fit.
-        method: an estimator or its name.
-        starts: number of starting points.
-        seed: of the hypercube.
-        points: models to start from, the best first; that of the problem by default.
+    It starts from `points`, the best first, or from the problem's model; `seed` is that of the hypercube.
 
     Raises:
         ParameterError: nothing is free.
     """
     estimator = ESTIMATORS.make(method)
     return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))
-
-
-def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[AbstractHysteresis] = ()) -> np.ndarray:
-    """Starting points of shape (S, p) in unconstrained coordinates; arguments and errors as for `solve`.
-
-    Args:
-        problem: what to fit.
-        count: of the points at most.
-        seed: of the hypercube.
-        points: models to start from, the best first.
-    """
-    if not len(problem.space):
-        raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
-    models = points[:count] or (problem.model,)
-    at = [
-        problem.space.unconstrained(_with_record_parameters(problem, problem.space.vector(model))) for model in models
-    ]
-    return np.stack(at) if len(at) > 1 else spread_starts(problem, at[0], count, seed)
-
-
-def _with_record_parameters(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Starting values with each record's own linear parameters (offsets, first outputs) solved for, and all inside their bounds."""
-    per_record = problem.space.linear & np.array([info.per_record for info in problem.space.infos], dtype=bool)
-    if len(problem.data) > 1 and per_record.any():
-        system = LinearSystem.of(problem, x, per_record)
-        x = x.copy()
-        x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
-    c = problem.space.coordinates
-    return np.clip(x, np.asarray(c.lower), np.asarray(c.upper))
 
 
 def _choose_rest(
@@ -207,7 +160,7 @@ def _choose_rest(
     other = Problem(first, problem.data, fix=fix, free=free, loss=loss)
     scores = []
     for candidate in (problem, other):
-        x = _with_record_parameters(candidate, candidate.space.vector(candidate.model))
+        x = with_record_parameters(candidate, candidate.space.vector(candidate.model))
         scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
     best, where = (problem, "on zero input") if scores[0] <= scores[1] else (other, "on its first input")
     gain = 1 - min(scores) / max(scores)

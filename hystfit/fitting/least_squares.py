@@ -53,9 +53,12 @@ class LeastSquares(AbstractEstimator):
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
         short = thin(problem)
-        objective, settings = (problem.objective, self) if short is None else (short, _loose(self))
+        objective, settings = problem.objective, self
+        if short is not None:  # tolerances of starting points that are polished later
+            objective = short
+            settings = dataclasses.replace(self, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
         ended = settings._run(objective, starts)
-        # The first start goes on too: another basin may be ahead after few steps.
+        # The first start continues too: another basin may be ahead after few steps.
         for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
             settings._continue(objective, ended, number)
         costs, steps = ended.cost, int(ended.evaluations.sum())
@@ -93,11 +96,6 @@ class LeastSquares(AbstractEstimator):
         runs = [_dogleg(self, objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
         parts = (np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True))
         return Descents(*parts, np.zeros(len(starts), bool))
-
-
-def _loose(settings: LeastSquares) -> LeastSquares:
-    """The tolerances of starting points that are polished later."""
-    return dataclasses.replace(settings, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
 
 
 def dogleg() -> LeastSquares:

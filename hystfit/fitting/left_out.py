@@ -52,7 +52,7 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
 
 
 def _futures(problem: Problem) -> list[tuple[list[np.ndarray], list[np.ndarray]]]:
-    """(samples to fit, samples to predict), one mask a record, for each part of the future."""
+    """(samples to fit, samples to predict), one mask per record, for each part of the future."""
     parts = [record.blocks(_PARTS) for record in problem.data]
     before = lambda k: [np.any(blocks[:k], axis=0) for blocks in parts]
     return [(before(k), [blocks[k] for blocks in parts]) for k in range(2, _PARTS)]
@@ -61,9 +61,8 @@ def _futures(problem: Problem) -> list[tuple[list[np.ndarray], list[np.ndarray]]
 def _refitted(
     method: str, problem: Problem, x: np.ndarray, splits: list[tuple[list[np.ndarray], list[np.ndarray]]]
 ) -> float:
-    """Error of refits, from physical x on, to one side of each split on its other side."""
-    c = problem.space.coordinates
-    z = problem.space.unconstrained(np.clip(x, np.asarray(c.lower), np.asarray(c.upper)))
+    """Error on the held-out side of each split, of refits to its other side that start from physical x."""
+    z = problem.space.unconstrained(problem.space.clip(x))
     name = "lm" if method == "convex" and not len(linear_positions(problem)) else method
     squares, total = 0.0, 0.0
     for seen, asked in splits:

@@ -24,7 +24,6 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened, restricted
-from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
@@ -73,11 +72,6 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a
     second round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
 
-    Args:
-        problem: what was fitted.
-        x: where the fit ended, physical, shape (p,).
-        noise: a name of `NOISES`, my_noise.py:MyNoise, or a class.
-
     Raises:
         ParameterError: an unknown noise model.
     """
@@ -86,10 +80,9 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     released = on_bound & ~weights
     if not released.any():
         return refine_moving(problem, x, noise, ~on_bound)
-    c = problem.space.coordinates
-    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
-    edge = _INSIDE * np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
-    inside = np.where(released, np.clip(x, lower + edge, upper - edge), x)
+    space = problem.space
+    edge = _INSIDE * space.width
+    inside = np.where(released, np.clip(x, space.lower + edge, space.upper - edge), x)
     refined = refine_moving(problem, inside, noise, ~weights)
     returned = problem.on_bound(refined.x) & released
     if not returned.any():
@@ -115,7 +108,7 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
     starts = np.tile(space.unconstrained(space.vector(start)), (len(_STARTS), 1))
     if "noise_time" in space.names:
         starts[:, space.names.index("noise_time")] += np.log(_STARTS)
-    settled, scale = False, np.asarray(problem.space.coordinates.scale)
+    settled, scale = False, problem.space.scale
     for _ in range(_ROUNDS):
         criterion = functools.partial(_restricted_slope, density, jnp.asarray(r), jnp.asarray(J), live)
         best, noise_settled = _fit_noise(criterion, starts)
@@ -135,7 +128,8 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
 def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refined:
     p, space = len(problem.space), problem.noise_space
     assert space is not None
-    start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), _z_of(space, problem)])
+    z_of_noise = space.unconstrained(space.vector(problem.noise))
+    start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), z_of_noise])
     best = _fit_jointly(problem.density, jnp.asarray(start), jnp.asarray(x), jnp.asarray(moving))
     x = np.where(moving, problem.space.physical(best.z[:p]), x)
     noise: AbstractNoise = space.tree(best.z[p:])
@@ -143,10 +137,6 @@ def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refi
     r, J = problem.linearize(x)
     root = _information_root(problem.whitened(White(noise_white=noise.gaussian_scale())), r, J)
     return Refined(x, problem, space.physical(best.z[p:]), root, bool(best.converged))
-
-
-def _z_of(space: ParameterSpace, problem: Problem) -> np.ndarray:
-    return space.unconstrained(space.vector(problem.noise))
 
 
 @compiled

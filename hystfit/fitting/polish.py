@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hystfit.inference.blocks import triangle
 from hystfit.inference.problem import Problem
-from hystfit.inference.triangle import triangle
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
@@ -46,7 +46,7 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         gain: predicted decrease of the cost, relative to it, at which the fit has converged.
     """
     offsets = problem.space.offsets
-    order, bounded = np.argsort(~offsets, kind="stable"), np.asarray(problem.space.coordinates.kinds) != REAL
+    order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
     cost, factor = _linearize(problem, z, order)
     damping, converged = 1e-6, False
     for evaluations in range(1, steps):
@@ -84,7 +84,7 @@ def _floor(problem: Problem, z: np.ndarray) -> float:
 def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray) -> tuple[float, np.ndarray]:
     """The cost, and the triangular factor of [J, r] with the columns of J in an order; empty where the cost is not finite."""
     residual, jacobian = problem.linearize_misfit(problem.space.physical(z))
-    bounded = np.asarray(problem.space.coordinates.kinds) != REAL
+    bounded = problem.space.kinds != REAL
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         jacobian *= problem.space.slope(z)
         size = np.sqrt(np.einsum("np,np->p", jacobian, jacobian))

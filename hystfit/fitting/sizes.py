@@ -1,4 +1,4 @@
-"""The number of elements of a model, where they are and where they start from, chosen by the error on left-out data."""
+"""The number and positions of a model's elements, and its state before the records, chosen by the error on left-out data."""
 
 from __future__ import annotations
 
@@ -38,11 +38,6 @@ def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[st
     """Greedy search: repeat the single change of size that lowers the cross-validation error most.
 
     The weights are solved for at the starting values of the other parameters.
-
-    Args:
-        model: where the choice starts.
-        data: records.
-        progress: called with the name of each model tried.
     """
     found = model.sizes(list(data))
     if not found:

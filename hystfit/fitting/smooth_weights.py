@@ -81,7 +81,7 @@ class SmoothWeights(AbstractEstimator):
         if others.size > _FEW:
             names = ", ".join(problem.space.names[k] for k in others[:_FEW])
             raise ModelError(
-                f"smooth weights are fitted beside at most {_FEW} other parameters, and {others.size} are free ({names}, ...): "
+                f"smooth weights are fitted together with at most {_FEW} other parameters, and {others.size} are free ({names}, ...): "
                 "fix some, or use method='trf'"
             )
         strength = fit_smooth(first.system, self.smoothness, held=first.held).smoothness
@@ -90,17 +90,14 @@ class SmoothWeights(AbstractEstimator):
             now = split(x)
             return float(np.log(fit_smooth(now.system, (strength,), held=now.held).cost + 1e-300))
 
-        # The tolerances are small beside the standard errors: the cost of n samples rises by 1 / n over one of them.
+        # The tolerances are small compared with the standard errors: the cost of n samples rises by 1 / n over one of them.
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
 def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
     """Root mean square error on the blocks left out that choose the smoothness, output units.
 
-    Args:
-        problem: the model and records.
-        x: physical parameters, shape (p,); weights are solved for.
-        smoothness: strengths to choose among, two or more.
+    The weights in x are solved for; `smoothness` has two or more strengths.
     """
     now = Split.of(problem.space, list(problem.data), x)
     error = fit_smooth(now.system, smoothness, held=now.held).error

@@ -1,4 +1,4 @@
-"""Which terms do the data ask for? A greedy search over the Prandtl-Ishlinskii family, judged on blocks left out.
+"""Greedy search for the terms of a Prandtl-Ishlinskii model, judged on blocks left out.
 
 Plays or stops, one envelope or three, the degree of the single-valued part, a lag, creep, forces of the input's rate,
 hardening: given the lag all of them are columns of one linear system, so that a candidate costs one ridge solve.
@@ -17,7 +17,7 @@ from hystfit.data.batch import bucket
 from hystfit.data.record import Dataset, Record
 from hystfit.fitting.convex import LinearSystem, block_of, fit_ridge
 from hystfit.inference.problem import check_fittable
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Delay, Lag
 from hystfit.models.negate import Negate
@@ -26,6 +26,7 @@ from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlins
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.registry import model_name
 from hystfit.models.series import Series
+from hystfit.models.simulation import simulate
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
@@ -39,13 +40,13 @@ _ALL = get_args(Envelope)
 _PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
 _FEWEST_RANGES = 4  # that the input runs through, so that later cycles can differ from the first one
 _FEWEST = 3  # plays, however few the samples are
-# Terms beside plays and stops, and the name of their weight.
+# Terms besides plays and stops, and the name of their weight.
 _BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
     "creep": (LinearCreep, "a[0]"),
     "viscous": (Viscous, "c"),
     "saturating": (SaturatingRate, "F"),
 }
-_LEVELS = 200  # inputs closer than this part of their range count as one
+_LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,34 +74,27 @@ class Structure:
     hardening: int = 0
 
     def columns(self, plays: int, records: int) -> int:
-        """Number of weights with this many plays, one offset a record included."""
+        """Number of weights with this many plays, one offset per record included."""
         return plays * (self.envelopes + (self.hardening > 0)) + self.degree + records + self.creep + self.rate
 
     def change_from(self, other: Structure) -> str:
         """The one term in which it differs from another structure, in words."""
-        field = next(f.name for f in dataclasses.fields(self) if getattr(self, f.name) != getattr(other, f.name))
-        match field:
-            case "operator":
-                return f"{self.operator}s instead of {other.operator}s"
-            case "envelopes":
-                return (
-                    "one envelope for symmetric loops"
-                    if self.envelopes == 1
-                    else "three envelopes for asymmetric loops"
-                )
-            case "degree":
-                return f"a single-valued part of degree {self.degree}"
-            case "rest":
-                return f"rest on the {'first input' if self.rest == 'first' else 'input 0'} before the record"
-            case "lag":
-                return f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag"
-            case "creep":
-                return f"{'adding' if self.creep else 'leaving out'} creep"
-            case "hardening":
-                return (
-                    f"hardening over {self.hardening} input ranges" if self.hardening else "leaving out the hardening"
-                )
-        return ("leaving out forces of the rate", "a viscous force", "a viscous and a saturating force")[self.rate]
+        envelopes = (
+            "one envelope for symmetric loops" if self.envelopes == 1 else "three envelopes for asymmetric loops"
+        )
+        hardening = f"hardening over {self.hardening} input ranges" if self.hardening else "leaving out the hardening"
+        rates = ("leaving out forces of the rate", "a viscous force", "a viscous and a saturating force")
+        words = {
+            "operator": f"{self.operator}s instead of {other.operator}s",
+            "envelopes": envelopes,
+            "degree": f"a single-valued part of degree {self.degree}",
+            "rest": f"rest on the {'first input' if self.rest == 'first' else 'input 0'} before the record",
+            "lag": f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag",
+            "creep": f"{'adding' if self.creep else 'leaving out'} creep",
+            "rate": rates[self.rate],
+            "hardening": hardening,
+        }
+        return next(text for field, text in words.items() if getattr(self, field) != getattr(other, field))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +124,7 @@ class Found:
 
 
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
-    """The search below; where the output has a delay or falls, of the delayed input or that of the opposite sign; arguments as there."""
+    """Search for the terms of a model: on the delayed or negated input where the output has a delay or falls as the input rises."""
     records = [summarize(record) for record in data]
     before = [Delay().start(list(data))] * delayed(records) + [Negate()] * falling(records)
     if not before:
@@ -145,9 +139,7 @@ def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
 def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
     """Greedy search from plays with one envelope: repeat the single change that lowers the cross-validation error most.
 
-    Args:
-        data: records; only samples that count are fitted or judged.
-        plays: number of thresholds; None for the number that blocks left out choose among those that the data can determine.
+    `plays` is the number of thresholds; by default blocks left out choose it among those that the data can determine.
     """
     check_fittable(PrandtlIshlinskii.of(1), data)
     most = max_plays(data)
@@ -200,13 +192,7 @@ def _step(change: str, before: float, after: float, span: float) -> str:
 
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:
-    """The model of a structure, started on the data.
-
-    Args:
-        structure: its terms.
-        data: records.
-        plays: number of thresholds.
-    """
+    """The model of a structure, started on the data."""
     play = PrandtlIshlinskii.of(
         plays,
         structure.degree,
@@ -312,7 +298,7 @@ class Terms:
 
     @functools.cached_property
     def _offset(self) -> _Term:
-        """One column of ones a record."""
+        """One column of ones per record."""
         record = np.repeat(np.arange(len(self.data)), [len(record) for record in self.data])
         return _Term(self._weighted(np.eye(len(self.data))[record]), free=True, ridged=False)
 
@@ -322,7 +308,7 @@ class Terms:
         return self.data.map(lambda record: record.replace(u=_output(through, record))) if lag else self.data
 
     def _positions_of(self, rest: Rest, lag: float) -> list[tuple[np.ndarray, float]]:
-        """Input of each record in parts of the range, and where it rested before."""
+        """Input of each record as a fraction of the range, and where it rested before."""
         records = list(self._lagged(rest, lag))
         place = fitted_input_range(records)
         low, high = place.center - place.half, place.center + place.half

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from hystfit.errors import ModelError
-from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.multistart import with_record_parameters
 from hystfit.inference.problem import Problem
 from hystfit.models.preisach.everett_table import EverettTable
 from hystfit.models.preisach.tabulated import TabulatedPreisach
@@ -44,11 +44,7 @@ class TableReading(AbstractEstimator):
             notes.append(
                 f"{moved.nodes} values moved by up to {moved.largest:.2g} % of the largest, so that the table is monotone"
             )
-        x = problem.space.vector(TabulatedPreisach.from_table(table))
-        per_record = np.array([info.per_record for info in problem.space.infos])
-        if len(records) > 1 and per_record.any():
-            system = LinearSystem.of(problem, x, per_record)
-            x[per_record] = np.linalg.lstsq(system.columns, system.target, rcond=None)[0]
+        x = with_record_parameters(problem, problem.space.vector(TabulatedPreisach.from_table(table)))
         cost = 0.5 * float(np.sum(problem.misfit(x) ** 2))
         return Estimate(
             x, cost, True, "read", 1, np.array([cost]), notes=tuple(Note(Code.CHOICE, text) for text in notes)

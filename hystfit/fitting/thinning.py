@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import equinox as eqx
+import dataclasses
+
 import numpy as np
 
 from hystfit.data.batch import Batch, bucket
@@ -22,22 +23,24 @@ _PAYS = 2  # times as many samples make the short form worth its compilation
 def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
     """The objective on every k-th sample and the reversals of the input; None for short records, and models that do not allow it.
 
-    Args:
-        problem: its model says whether it can be simulated on fewer samples (`AbstractHysteresis.allows_thinning`).
-        samples: of all records together; more where the input has many reversals.
+    All records together keep `samples`, or more where the input has many reversals.
     """
     if not problem.model.allows_thinning:
         return None
     turns, length = _plan(problem.data, samples)
     if _PAYS * length > problem.objective.batch.u.shape[1]:
         return None
-    batch = on_host(problem.objective.batch)
-    rows = [
-        _row(batch, number, kept_samples(len(record), turn, length), length)
-        for number, (record, turn) in enumerate(zip(problem.data, turns, strict=True))
-    ]
-    thinned = Batch(*(to_device(np.stack(column)) for column in zip(*rows, strict=True)))
-    return eqx.tree_at(lambda o: o.batch, problem.objective, thinned)
+    batch = problem.objective.batch
+    u, y, dt, weight = (np.asarray(values) for values in (batch.u, batch.y, batch.dt, batch.weight))
+    rows = []
+    for number, (record, turn) in enumerate(zip(problem.data, turns, strict=True)):
+        kept = _kept_samples(len(record), turn, length)
+        padding = (0, length - kept.size)  # as `Batch` pads
+        elapsed = np.diff(np.cumsum(dt[number])[kept], prepend=0.0)
+        others = (np.pad(values, padding) for values in (y[number, kept], elapsed, weight[number, kept]))
+        rows.append((np.pad(u[number, kept], padding, mode="edge"), *others))
+    short = Batch(*(to_device(np.stack(column)) for column in zip(*rows, strict=True)))
+    return dataclasses.replace(problem.objective, batch=short)
 
 
 def thinned(data: Dataset) -> Dataset:
@@ -45,7 +48,7 @@ def thinned(data: Dataset) -> Dataset:
     turns, length = _plan(data)
     pairs = zip(data, turns, strict=True)
     return Dataset(
-        tuple(r.take(kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),
+        tuple(r.take(_kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),
         data.name,
     )
 
@@ -57,26 +60,8 @@ def _plan(data: Dataset, samples: int = _SAMPLES) -> tuple[list[np.ndarray], int
     return turns, bucket(max(samples // len(turns), _LEAST, _A_BRANCH * most))
 
 
-def kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:
+def _kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:
     """Numbers of at most `most` samples: the turning points, the first and last one, and as many evenly spaced ones as have room."""
     fixed = np.concatenate([[0], turns, [samples - 1]])
     even = np.linspace(0, samples - 1, min(samples, most - fixed.size)).round()
     return np.unique(np.concatenate([fixed, even])).astype(int)
-
-
-def on_host(batch: Batch) -> tuple[np.ndarray, ...]:
-    """The arrays of a batch on the host: u, y, dt, weight."""
-    return tuple(np.asarray(values) for values in (batch.u, batch.y, batch.dt, batch.weight))
-
-
-def _row(batch: tuple[np.ndarray, ...], number: int, kept: np.ndarray, length: int) -> tuple[np.ndarray, ...]:
-    """u, y, dt and weight of one record at the samples kept, padded to a length as `Batch` does."""
-    u, y, dt, weight = (values[number] for values in batch)
-    extra = (0, length - kept.size)
-    elapsed = np.diff(np.cumsum(dt)[kept], prepend=0.0)
-    return (
-        np.pad(u[kept], extra, mode="edge"),
-        np.pad(y[kept], extra),
-        np.pad(elapsed, extra),
-        np.pad(weight[kept], extra),
-    )

@@ -26,8 +26,7 @@ class TrustRegion(AbstractEstimator):
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
-        c = problem.space.coordinates
-        scale, lower, upper = (np.asarray(v) for v in (c.scale, c.lower, c.upper))
+        scale, lower, upper = problem.space.scale, problem.space.lower, problem.space.upper
         solutions = []
         for z in starts:
             x0 = np.clip(problem.space.physical(z) / scale, lower / scale, upper / scale)
@@ -47,5 +46,5 @@ class TrustRegion(AbstractEstimator):
         costs = np.array([s.cost if np.isfinite(s.cost) else np.inf for s in solutions])
         best = solutions[int(np.argmin(costs))]
         evaluations = int(sum(s.nfev for s in solutions))
-        x = np.clip(best.x * scale, lower, upper)
+        x = problem.space.clip(best.x * scale)
         return Estimate(x, float(best.cost), best.status > 0, str(best.message), evaluations, costs)

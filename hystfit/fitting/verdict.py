@@ -7,14 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
-from hystfit.errors import HystfitError
+from hystfit.data.record import Dataset
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import has, warn
+from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples, saturated_samples
@@ -30,20 +29,17 @@ from hystfit.results.accuracy import (
     persistent_error,
 )
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import FitResult
 
 _LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
-_POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
+POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
 _ROUGH = 3.0  # percent of range above which the fit is checked for signs of a wrong model
 _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
 _FEWEST = 10  # samples, below which no fit is usable
-_LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
 _BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _DAMAGED = "the loop loses stiffness or strength from cycle to cycle (damage)"
 _VISIBLE_DELAY = 0.3  # percent of range, below which a delay does not matter
 _VISIBLE = 1.0  # percent of range, below which it does not matter
-_OFFSET = 0.5  # part of the test error that remains, below which a constant offset explains it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,10 +91,8 @@ def turns_back(data: Dataset) -> bool:
 def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
     """Whether residuals are white and the loop stands out of them: however large they are, no other model would leave less.
 
-    Args:
-        rows: residuals of each record.
-        plain: RMSE of the best single-valued curve.
-        parameters: number of the model's; the loop must be worth them by the Bayesian information criterion.
+    `plain` is the RMSE of the best single-valued curve. The loop must be worth the model's number of parameters by the Bayesian
+    information criterion.
     """
     count = sum(row.size for row in rows)
     rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
@@ -171,12 +165,12 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
     shares = (fitted.model.hysteretic_share(record.u, record.dt) for record in data)
     share = max((share for share in shares if share is not None), default=1.0)
-    if percent <= _POOR and share < _LEAST_SHARE:
+    if percent <= POOR and share < _LEAST_SHARE:
         text = f"hysteresis takes {100 * share:.2g} % of the dissipated energy: the data show damping, and no hysteresis of the spring"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
-    if not fitted.model.from_saturation and percent <= _POOR and _is_single_valued(train, baselines, unexplained):
+    if not fitted.model.from_saturation and percent <= POOR and _is_single_valued(train, baselines, unexplained):
         text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
@@ -204,7 +198,7 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
     """
     baselines, percent = fitted.baselines, fitted.percent
     code, text = Code.POOR_FIT, ""
-    if percent > _POOR and (unexplained or not is_noise(fitted.train.rmse, baselines)):
+    if percent > POOR and (unexplained or not is_noise(fitted.train.rmse, baselines)):
         text = f"the error is {percent:.3g} % of the range: the model does not describe this loop"
     elif percent > _ROUGH and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
@@ -226,7 +220,7 @@ def _degrading(data: Dataset) -> bool:
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:
-    if fitted.percent <= _POOR and (
+    if fitted.percent <= POOR and (
         fitted.percent <= _ROUGH or not is_single_valued_error(fitted.train.rmse, fitted.baselines)
     ):
         return []
@@ -276,93 +270,3 @@ def _at_an_end(fitted: Fitted) -> Note | None:
         f"the largest error, {largest:.3g} % of the range, lies in the {which} half cycle of {record.name!r}: {remedy}"
     )
     return warn(code, text)
-
-
-# -- records that were not fitted, and samples left out ----------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class Trial:
-    """A fit on records that were not fitted.
-
-    Attributes:
-        metrics: error of the prediction.
-        baselines: error of plain descriptions fitted to the same records as the model.
-        status: `OK`, `ROUGH` or `POOR`.
-        notes: reasons, numbers, assumptions, and a warning where the records leave the fitted range.
-    """
-
-    metrics: Metrics
-    baselines: Baselines
-    status: Status
-    notes: tuple[Note, ...]
-
-
-def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
-    """Judge a fit on records that were not fitted.
-
-    Args:
-        result: the fit.
-        records: with a measured output.
-        refit_offset: shift each prediction to the mean of the record.
-
-    Raises:
-        HystfitError: the model cannot predict the records.
-    """
-    try:
-        records = [result.in_fitted_units(result.problem.prepared(record)) for record in records]
-        runs = [result.predict(record, refit_offset=refit_offset) for record in records]
-    except HystfitError as error:
-        raise type(error)(f"test data: {error}") from error
-    rows = [(run - record.y)[record.used] for run, record in zip(runs, records, strict=True)]
-    metrics = Metrics.of([r.y[r.used] for r in records], [run[r.used] for run, r in zip(runs, records, strict=True)])
-    baselines = Baselines.of(result.data, records, refit_offset=refit_offset)
-    units = dict.fromkeys(note for record in records for note in record.notes if note.code is Code.UNITS)
-    notes, status = [dataclasses.replace(note, text=f"test data: {note.text}") for note in units], Status.OK
-    percent = metrics.nrmse_percent
-    if percent is not None and percent > _POOR and not is_noise(metrics.rmse, baselines):
-        status = Status.POOR
-        text = f"test data: the error is {percent:.3g} % of the range: the model does not describe these records"
-        notes += _error(Code.TEST_ERROR, text)
-    elif reasons := exceeded_limits(metrics, rows, baselines):
-        status = Status.ROUGH
-        notes += [warn(Code.TEST_ERROR, f"test data: {text}") for text in reasons]
-    notes.append(accuracy_note(metrics, baselines, "test error"))
-    notes += [note for record in records if (note := result.extrapolation(record))]
-    notes += [note for record in records if (note := result.assumption(record, refit_offset=refit_offset))]
-    if status is not Status.OK and not refit_offset and _offset_explains(rows, metrics.rmse):
-        text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
-        notes.append(warn(Code.RECORD_PARAMETERS, text))
-    return Trial(metrics, baselines, status, tuple(notes))
-
-
-def _offset_explains(rows: Sequence[np.ndarray], rmse: float) -> bool:
-    remaining = np.concatenate([row - row.mean() for row in rows])
-    return float(np.sqrt(np.mean(remaining**2))) < _OFFSET * rmse
-
-
-def worse(first: Status, second: Status) -> Status:
-    """The status of a fit that has one on its records and another on further data."""
-    if first is Status.OK or (first is Status.ROUGH and second is Status.POOR):
-        return second
-    return first
-
-
-def with_left_out(result: FitResult, rmse: float) -> FitResult:
-    """The result with its cross-validation error [y], which decides the status where it is far larger than that of the fit.
-
-    Where there are at least as many parameters as samples, a warning states that only this error tests the fit.
-    """
-    result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
-    limit = max(_LEFT_OUT / 100 * span, _WORSE * result.train.rmse)
-    if len(result.free_names) >= result.train.n:
-        text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
-        if not has(result.notes, Code.MANY_WEIGHTS):
-            result = result.with_notes(warn(Code.MANY_WEIGHTS, text))
-    if not result.usable or not rmse > limit:
-        return result
-    text = (
-        f"the cross-validation error is {100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %: the fit "
-        "does not predict samples that were left out of it"
-    )
-    return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)

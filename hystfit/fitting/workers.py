@@ -41,7 +41,7 @@ class Workers:
 
     def run(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
         """What the tasks return; the first error, and an interrupt of the calling thread, end the others at their next `check`."""
-        # Several threads of linear algebra beside each other only wait; and sums depend on their number in the last digit.
+        # Parallel threads of linear algebra only wait for each other, and their number changes the last digit of sums.
         with threadpool_limits(1, user_api="blas"):
             if self.count <= 1 or len(tasks) <= 1:
                 return [task() for task in tasks]

@@ -230,10 +230,7 @@ def run_stream(identifier: AbstractIdentifier, state: Any, stream: Sample) -> tu
 def free_only(model: AbstractHysteresis, names: Sequence[str], data: Dataset) -> ParameterSpace:
     """The space of a model in which just some parameters are free, also those that the model fixes by default.
 
-    Args:
-        model: the template.
-        names: leaves ("w"), elements ("w[2]") or longer paths; a record's label ("offset@run1") is ignored.
-        data: records that have parameters of their own, and the units.
+    A name is that of a leaf ("w"), an element ("w[2]") or a longer path; a record's label ("offset@run1") is ignored.
 
     Raises:
         ParameterError: an unknown or ambiguous name.

@@ -27,10 +27,11 @@ from hystfit.config import require_x64
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample
-from hystfit.models.base import AbstractHysteresis, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.duhem import Duhem
 from hystfit.models.polynomial import legendre_to_powers, powers_to_legendre
 from hystfit.models.shapes import Scalar
+from hystfit.models.simulation import simulate
 from hystfit.models.starting import first_output, input_range, output_range
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
@@ -149,12 +150,7 @@ class DuhemRegressor(eqx.Module):
         return jnp.ones_like(self.size) if self.basis == "powers" else self.size * self.step / self.half
 
     def scaled(self, rows: Rows, theta: np.ndarray) -> tuple[DuhemRegressor, Rows, np.ndarray]:
-        """The scaled regressor, rows and theta of the same regression.
-
-        Args:
-            rows: of this regressor.
-            theta: of this regressor, shape (p,).
-        """
+        """The scaled regressor, rows and theta of the same regression."""
         if self.basis == "legendre":
             return self, rows, theta
         regressor = dataclasses.replace(self, basis="legendre")
@@ -266,7 +262,7 @@ class LinearIdentifier(AbstractIdentifier):
 
     @abc.abstractmethod
     def correct(self, state: Any, phi: Float[Array, " p"], error: Scalar) -> Any:
-        """The state after a row of the regression: its regressors, and its response less that of the parameters so far."""
+        """The state after a row of the regression: its regressors, and its response minus the one predicted by the parameters so far."""
 
     @abc.abstractmethod
     def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
@@ -366,7 +362,7 @@ def rank_of(phi: np.ndarray) -> int:
 
 def with_first_output(model: Duhem, record: Record) -> Duhem:
     """The model with the first output that fits a record best; the simulated output is linear in it."""
-    put = lambda value: eqx.tree_at(lambda m: m.w0, model, jnp.asarray(value, dtype=jnp.result_type(float)))
+    put = lambda value: dataclasses.replace(model, w0=value)
     base = float(model.w0)
     low, high = (np.asarray(simulate(put(base + shift), record.u)[0])[record.used] for shift in (0.0, 1.0))
     decay, residual = high - low, record.y[record.used] - low

@@ -13,18 +13,13 @@ from hystfit.outcome.note import warn
 from hystfit.quality.loops import reversals
 
 NIS_BAND = 0.2  # how far the mean normalized innovation squared of a consistent filter may lie from 1
-FOLLOWS = 0.01  # simulation error beyond the noise, RMS in parts of the output's range
+FOLLOWS = 0.01  # simulation error beyond the noise, RMS as a fraction of the output's range
 _NIS_SIGMAS = 3.0  # standard deviations of that mean which are allowed where its samples are few
 _SETTLED = 1e-3  # largest relative change of a parameter over the last tenth of the record
 
 
 def relative_change(before: np.ndarray, after: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Changes of physical parameters in parts of their values, or of their scales where those are larger.
-
-    Args:
-        before, after: values, shape (p,).
-        scale: natural sizes, shape (p,).
-    """
+    """Changes of physical parameters in parts of their values, or of their scales where those are larger."""
     return np.abs(after - before) / np.maximum(np.abs(after), scale)
 
 
@@ -38,12 +33,9 @@ def unsettled(names: Sequence[str], change: np.ndarray) -> Note | None:
 
 
 def excess(rmse: float, noise: float, span: float) -> float:
-    """Simulation error beyond the noise, in parts of the output's range.
+    """Simulation error beyond the noise, as a fraction of the output's range.
 
-    Args:
-        rmse: of the simulation [y].
-        noise: standard deviation of the measurement [y].
-        span: range of the output [y].
+    `rmse` is that of the simulation, `noise` the standard deviation of the measurement, `span` the output's range [y].
     """
     return math.sqrt(max(0.0, rmse**2 - noise**2)) / span
 
@@ -51,10 +43,7 @@ def excess(rmse: float, noise: float, span: float) -> float:
 def undetermined(shape: Sequence[str], data: Dataset, *, follows: bool) -> Note | None:
     """A note where the input has too few amplitudes to separate the parameters of the hysteresis.
 
-    Args:
-        shape: names of these parameters.
-        data: the records.
-        follows: whether the simulation follows them.
+    `shape` names these parameters; `follows` says whether the simulation follows the records.
     """
     count = loop_count(data)
     if len(shape) < 2 or count > 2:
@@ -96,9 +85,8 @@ def skipped(missing: int, rejected: int) -> list[Note]:
 def innovations(average: float, memory: float) -> Note:
     """A note on the mean normalized innovation squared over the last samples, a warning where it is outside its band.
 
-    Args:
-        average: exponentially weighted mean.
-        memory: its time constant, samples; the mean of white Gaussian innovations then has a standard deviation of memory^-1/2.
+    `memory` is the time constant of the exponentially weighted mean in samples; for white Gaussian innovations its standard
+    deviation is memory^-1/2.
     """
     width = max(NIS_BAND, _NIS_SIGMAS / math.sqrt(max(memory, 1.0)))
     text = f"mean normalized innovation squared over the last tenth: {average:.3g} (1 +- {width:.2g} for a consistent filter)"

@@ -28,7 +28,7 @@ from hystfit.outcome.note import warn
 from hystfit.params.param import as_array
 
 _SLACK = 1e-12  # relative, of the condition on time-varying weights
-_EXCESS = 0.02  # part of the response's RMS by which the equation error may exceed that of the batch solution
+_EXCESS = 0.02  # fraction of the response's RMS by which the equation error may exceed that of the batch solution
 
 
 class GradientState(NamedTuple):

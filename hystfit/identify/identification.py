@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from hystfit.data.record import Dataset
 from hystfit.errors import ModelError
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.inference.problem import Problem
-from hystfit.models.base import AbstractHysteresis, simulate
-from hystfit.outcome import Code, Note, Status
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import simulate
+from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
@@ -25,7 +26,7 @@ from hystfit.results.timing import Stopwatch
 
 
 @dataclasses.dataclass(frozen=True)
-class Identification:
+class Identification(WithStatus):
     """The result of `AbstractIdentifier.fit`.
 
     Attributes:
@@ -42,7 +43,7 @@ class Identification:
         free_run: error of the final models driven by the input only; None where there is none.
         counts: numbers of samples: "total", "used", "missing" (no output), "still" (the input did not move), and
             "first" (of a record or pass).
-        status: `status.advice("identify")` is the remedy.
+        status: `advice` is the remedy.
         notes: findings with their remedies.
         state: final state of the identifier, from which `update` can continue.
     """
@@ -62,6 +63,7 @@ class Identification:
     status: Status
     notes: tuple[Note, ...]
     state: Any
+    verb: ClassVar[str] = "identify"
 
     def __repr__(self) -> str:
         values = ", ".join(f"{p.name} {p.value:.5g} {p.unit}".rstrip() for p in self.parameters)
@@ -71,11 +73,6 @@ class Identification:
             else f"simulation error {self.free_run.nrmse_percent:.3g} % of range"
         )
         return f"<Identification by {self.method}, {self.status}: {values}; {error}>"
-
-    @property
-    def usable(self) -> bool:
-        """Whether the status is `OK`."""
-        return self.status.usable
 
     @property
     def model(self) -> AbstractHysteresis | None:
@@ -129,7 +126,7 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
         ModelError: the identified parameters are not a valid model, or its simulation is not finite.
     """
     method, data, space = identification.method, identification.data, identification.space
-    advice = identification.status.advice("identify")
+    advice = identification.advice
     if space is None or identification.free_run is None:
         reasons = "; ".join((advice, *map(str, identification.notes)))
         raise ModelError(f"{method} found no usable model: {reasons}")

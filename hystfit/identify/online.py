@@ -16,7 +16,7 @@ from hystfit.identify.base import Sample, run_stream
 from hystfit.identify.filter_verdict import FOLLOWS, NIS_BAND, excess, loop_count, relative_change
 from hystfit.identify.identification import Identification
 from hystfit.identify.ukf import Ukf, UkfState
-from hystfit.models.base import Resume, simulate
+from hystfit.models.simulation import Resume, simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import warn
 
@@ -24,12 +24,12 @@ _CHANGE = 0.01  # largest relative change of a parameter over a block of a filte
 
 
 class BlockVerdict(NamedTuple):
-    """How a filter did over one block.
+    """Performance of a filter over one block.
 
     Attributes:
         change: largest relative change of a parameter.
         innovations: moving average of the normalized innovation squared.
-        ahead: simulation error beyond the noise, RMS in parts of the output's range, of the model with the parameters from before
+        ahead: simulation error beyond the noise, RMS as a fraction of the output's range, of the model with the parameters from before
             the block: a prediction, because it has not used the block.
     """
 
@@ -39,7 +39,7 @@ class BlockVerdict(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether the parameters stay, the innovations have their predicted size, and the model predicts the block."""
+        """Whether the parameters have settled, the innovations have their predicted size, and the model predicts the block."""
         consistent = abs(self.innovations - 1) <= NIS_BAND
         return self.change <= _CHANGE and consistent and self.ahead <= FOLLOWS
 
@@ -47,11 +47,7 @@ class BlockVerdict(NamedTuple):
 def judge_block(ukf: Ukf, before: UkfState, after: UkfState, block: Sample, record: Record) -> BlockVerdict:
     """The verdict on a block that the filter has just used.
 
-    Args:
-        ukf: the filter.
-        before, after: its states before and after the block.
-        block: the samples, leaves of shape (T,).
-        record: from which the samples come; its range is that of the output.
+    The output's range is that of the record from which the samples come.
     """
     s, measured = ukf.states, np.asarray(block.y)
     old, new = (np.asarray(state.mean[s:]) for state in (before, after))
@@ -71,8 +67,8 @@ def judge_block(ukf: Ukf, before: UkfState, after: UkfState, block: Sample, reco
 def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
     """Filter a record block by block, as it arrives, until the filter has converged.
 
-    It has when the input has had several amplitudes and a block was predicted, before it was used, by settled parameters with
-    consistent innovations (`BlockVerdict`). The later samples are not used.
+    The filter has converged when the input has run through several amplitudes, and settled parameters with consistent innovations
+    have predicted a block before using it (`BlockVerdict`). Later samples are not used.
 
     Args:
         ukf: the filter; its scales may come from an earlier record.
@@ -80,7 +76,7 @@ def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
         block: samples between verdicts, a loop or more (2 s at 1 Hz).
 
     Returns:
-        The identification from the samples up to that block: `counts["total"]` of them. "not-converged" where there was none.
+        The identification from the samples up to that block, `counts["total"]` of them; "not-converged" where there is no such block.
 
     Raises:
         ParameterError: fewer samples than one block.

@@ -13,8 +13,8 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.identify.bias import noise_bias
 from hystfit.identify.duhem_regression import DuhemRegressor, with_first_output
 from hystfit.identify.rls import Rls
-from hystfit.models.base import simulate
 from hystfit.models.duhem import Duhem
+from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,22 +13,19 @@ from jaxtyping import Array
 
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
+from hystfit.identify.base import free_only
 from hystfit.identify.identification import free_runs, run_metrics
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import noise_rms
 
-_QUIETEST = 1e-4  # least measurement noise, in parts of the output's half range
+_QUIETEST = 1e-4  # least measurement noise, as a fraction of the output's half range
 
 
 def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> float:
     """Standard deviation of the measurement noise [y].
-
-    Args:
-        data: the records.
-        half_range: of their output [y].
-        noise: the result if it is not None; else it is estimated from the records, with a floor.
 
     Raises:
         ParameterError: a noise that is not positive.
@@ -41,6 +38,31 @@ def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> 
         return float(noise)
     estimates = [rms for rms, _ in (noise_rms(record.y) for record in data) if rms is not None]
     return max([_QUIETEST * half_range, *estimates])
+
+
+def identified_space(
+    model: AbstractHysteresis,
+    data: Dataset,
+    *,
+    fix: Sequence[str] | Mapping[str, float],
+    free: Sequence[str],
+    only: Sequence[str] | None,
+) -> ParameterSpace:
+    """The parameters that a filter identifies: those of `only`, or by default all but `fix`, with `free`.
+
+    Raises:
+        ParameterError: an unknown name, `only` together with the others, or no free parameter.
+    """
+    if only is not None and (fix or free):
+        raise ParameterError("only names all free parameters: leave fix and free out, or leave only out")
+    if only is not None:
+        space = free_only(model, only, data)
+    else:
+        records = [record.name for record in data]
+        space = ParameterSpace.of(model, fix=fix, free=free, scales=scales_of(data), records=records)
+    if not len(space):
+        raise ParameterError("every parameter is fixed: there is nothing to identify (use predict)")
+    return space
 
 
 @eqx.filter_jit
@@ -86,9 +108,9 @@ def parameter_root(
     Raises:
         ParameterError: not positive, an unknown name, wrong shape, not symmetric, not positive definite.
     """
-    kinds = np.asarray(space.coordinates.kinds)
-    # with wider priors of many parameters the outer sigma points are too far off for a useful mean
-    deviations = np.where(kinds == REAL, 0.02, 0.2) if near else np.where(kinds == REAL, 0.1, 0.5)
+    # With wider priors of many parameters the outer sigma points are too far away for a useful mean.
+    unbounded, bounded = (0.02, 0.2) if near else (0.1, 0.5)
+    deviations = np.where(space.kinds == REAL, unbounded, bounded)
     if isinstance(prior, Mapping):
         for name, value in prior.items():
             leaf, positions = space.find(name)
@@ -129,9 +151,7 @@ def _root_of(covariance: np.ndarray, size: int) -> np.ndarray:
 def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
     """Which free parameters are fixed while the input rests, shape (p,).
 
-    Args:
-        space: the free parameters.
-        hold: "auto" (those of rate-independent models in the tree), "all" or "none".
+    `hold` is "auto" (those of rate-independent models in the tree), "all" or "none".
     """
     if hold != "auto":
         return np.full(len(space), hold == "all")
@@ -148,11 +168,6 @@ def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
 
 def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str) -> np.ndarray:
     """Standard deviations of the states, shape (states,).
-
-    Args:
-        given: one for all, shape (states,), or None for the default.
-        default: shape (states,).
-        name: of the setting, for messages.
 
     Raises:
         ParameterError: negative, not finite, or of another length.

@@ -15,15 +15,13 @@ from jaxtyping import Array, Bool, Float
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import ParameterError
 from hystfit.identify import filter_verdict, tuning
-from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, free_only, run_stream
+from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, run_stream
 from hystfit.identify.sigma_points import Unscented, triangular
 from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shapes import Scalar
-from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.params.coordinates import Coordinates
-from hystfit.params.space import ParameterSpace
 
 _STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the records
 
@@ -143,17 +141,7 @@ class Ukf(AbstractIdentifier):
         tuning.not_negative(still, "still")
         if start == "data":
             model = model.start(list(data))
-        scales = scales_of(data)
-        if only is None:
-            space = ParameterSpace.of(
-                model, fix=fix, free=free, scales=scales, records=[record.name for record in data]
-            )
-        elif fix or free:
-            raise ParameterError("only names all free parameters: leave fix and free out, or leave only out")
-        else:
-            space = free_only(model, only, data)
-        if not len(space):
-            raise ParameterError("every parameter is fixed: there is nothing to identify (use predict)")
+        space = tuning.identified_space(model, data, fix=fix, free=free, only=only)
         ranges = tuning.state_ranges(space.template, data)
         s, p = ranges.size, len(space)
         state_deviation = tuning.deviations(state_prior, _STATE_PRIOR * ranges, "state_prior")
@@ -161,17 +149,10 @@ class Ukf(AbstractIdentifier):
         root = np.zeros((s + p, s + p))
         root[:s, :s] = np.diag(state_deviation)
         root[s:, s:] = tuning.parameter_root(space, prior, near=start == "data")
-        noise = tuning.measurement_noise(data, scales.y, noise)
+        noise = tuning.measurement_noise(data, space.scales.y, noise)
         length = sum(int(record.used.sum()) for record in data)
         caution = tuning.initial_error(space, data) if caution is None else tuning.not_negative(caution, "caution")
         settling = length / 20 if settling is None else tuning.not_negative(settling, "settling")
-        scheme = Unscented(s + p, alpha, beta, kappa)
-        if not scheme.safe:
-            warnings.warn(
-                f"alpha={alpha:g}, beta={beta:g}, kappa={kappa:g} give the central point the covariance weight "
-                f"{scheme.central_weight:.3g}: a covariance may lose positive definiteness; alpha=1 has no negative weight",
-                stacklevel=2,
-            )
         return cls(
             coordinates=space.coordinates,
             z0=jnp.asarray(space.unconstrained(space.vector(space.template))),
@@ -184,7 +165,7 @@ class Ukf(AbstractIdentifier):
             caution=jnp.asarray(caution / noise),
             settling=jnp.asarray(settling),
             free=space.names,
-            scheme=scheme,
+            scheme=_checked_scheme(Unscented(s + p, alpha, beta, kappa)),
         )
 
     @property
@@ -330,3 +311,14 @@ class Ukf(AbstractIdentifier):
             return Judgment(Status.NOT_CONVERGED, notes, equation_error)
         consistent = innovations.severity is Severity.INFO
         return Judgment(Status.OK if consistent else Status.INCONSISTENT, notes, equation_error)
+
+
+def _checked_scheme(scheme: Unscented) -> Unscented:
+    """The sigma points, with a warning where a negative weight may spoil covariances."""
+    if not scheme.safe:
+        warnings.warn(
+            f"alpha={scheme.alpha:g}, beta={scheme.beta:g}, kappa={scheme.kappa:g} give the central point the covariance weight "
+            f"{scheme.central_weight:.3g}: a covariance may lose positive definiteness; alpha=1 has no negative weight",
+            stacklevel=3,
+        )
+    return scheme

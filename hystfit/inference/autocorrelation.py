@@ -11,13 +11,13 @@ def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
     """Autocorrelation of a series about its mean at lags 0..lags, shape (lags + 1,)."""
     x = np.asarray(x, float) - np.mean(x)
     if lags <= _FEW:
-        full = np.array([x[: x.size - lag] @ x[lag:] for lag in range(min(lags + 1, x.size))])
-        full = np.pad(full, (0, lags + 1 - full.size))
-        return full / full[0] if full[0] > 0 else np.eye(lags + 1)[0]
-    size = 1 << (2 * x.size - 1).bit_length()
-    spectrum = np.fft.rfft(x, size)
-    full = np.fft.irfft(spectrum * np.conj(spectrum), size)[: lags + 1]
-    return full / full[0] if full[0] > 0 else np.eye(lags + 1)[0]
+        sums = np.array([x[: x.size - lag] @ x[lag:] for lag in range(min(lags + 1, x.size))])
+        sums = np.pad(sums, (0, lags + 1 - sums.size))
+    else:
+        size = 1 << (2 * x.size - 1).bit_length()
+        spectrum = np.fft.rfft(x, size)
+        sums = np.fft.irfft(spectrum * np.conj(spectrum), size)[: lags + 1]
+    return sums / sums[0] if sums[0] > 0 else np.eye(lags + 1)[0]
 
 
 def is_correlated(x: np.ndarray) -> bool:

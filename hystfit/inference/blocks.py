@@ -1,13 +1,16 @@
-"""Linear algebra on long records in blocks of rows or columns: next to the data, memory holds what is asked for and one block."""
+"""Linear algebra on long records by blocks of rows or columns: memory holds the result and one block besides the data."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.lapack import dtpqrt
 
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
+_PANEL = 64  # columns that `triangle_of_blocks` eliminates together
+ROWS = 2**16  # of a block of `triangle`; shorter matrices are factored at once
 
 
 def parts(size: int, other: int) -> Iterator[slice]:
@@ -18,7 +21,7 @@ def parts(size: int, other: int) -> Iterator[slice]:
 
 
 def chosen(rows: np.ndarray, on: np.ndarray) -> np.ndarray:
-    """rows[on] for a mask on, shape (n,): a view where the rows chosen are the first ones, as they are of one padded record."""
+    """rows[on] for a mask of shape (n,); a view where the mask selects the first rows, as in one padded record."""
     count = int(np.count_nonzero(on))
     return rows[:count] if on[:count].all() else rows[on]
 
@@ -28,9 +31,7 @@ def qr(
 ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "m p"]]:
     """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), m = min(n, p).
 
-    Args:
-        rows: the matrix.
-        overwrite: whether Q may take its place.
+    With `overwrite`, Q may take the place of the rows.
     """
     n, p = rows.shape
     blocks = _tall(n, p)
@@ -56,12 +57,40 @@ def _tall(n: int, p: int) -> list[slice]:
     return blocks
 
 
-def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:
-    """X' apply(X) for columns X that stay where they are, with `apply` on as many of them at once as fit a block.
+def triangle(
+    rows: Float[np.ndarray, "n p"], last: Float[np.ndarray, " n"] | None = None, order: np.ndarray | None = None
+) -> Float[np.ndarray, "m p2"]:
+    """R of rows = Q R, or of [rows, last] = Q R, by blocks of rows: with at most as many rows as columns.
 
-    Args:
-        columns: arrays of shapes (n, k_i) or (n,), side by side in X.
-        apply: of some of the columns, in Fortran order as LAPACK takes them.
+    `order` is that of the columns of `rows` in R. Least squares needs no more of a Jacobian of a million samples.
+    """
+    factor = None
+    for start in range(0, max(len(rows), 1), ROWS):
+        block = rows[start : start + ROWS]
+        block = block if order is None else block[:, order]
+        if last is not None:
+            block = np.column_stack([block, last[start : start + ROWS]])
+        factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
+    assert factor is not None
+    return factor
+
+
+def triangle_of_blocks(blocks: Iterable[Float[np.ndarray, "n p"]], size: int) -> Float[np.ndarray, "p p"]:
+    """R of a matrix Q R of which blocks of rows come one after another, each eliminated below the factor of those before it.
+
+    The cost is that of one factorization of the whole, however small the blocks are. `size` is p.
+    """
+    factor = np.zeros((size, size), order="F")
+    for rows in blocks:
+        if len(rows) and size:
+            factor = dtpqrt(0, min(_PANEL, size), factor, rows, overwrite_a=True)[0]
+    return factor
+
+
+def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:
+    """X' apply(X) without a copy of the columns X; `apply` gets as many of them at once as fit into a block.
+
+    The columns have shapes (n, k_i) or (n,); `apply` gets them in Fortran order, as LAPACK takes them.
     """
     groups = [part[:, None] if part.ndim == 1 else part for part in columns]
     pieces = []

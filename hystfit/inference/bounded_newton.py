@@ -19,6 +19,7 @@ from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.host_arrays import compiled
+from hystfit.params.space import ParameterSpace
 
 _LONGEST = 2.0  # step of an unconstrained coordinate
 _EDGE = 8.0  # |z| beyond which a parameter counts as lying on its bound: within 3e-4 of the scale or the interval
@@ -60,53 +61,48 @@ class BoundedNewton:
 
     # -- coordinates ---------------------------------------------------------------------------------------------------
 
+    @property
+    def _space(self) -> ParameterSpace:
+        return self.problem.space
+
     @functools.cached_property
     def linear(self) -> np.ndarray:
         """Which parameters move in units of their scale, shape (p,), bool."""
-        return self.problem.space.linear
+        return self._space.linear
 
     @functools.cached_property
-    def _kind(self) -> np.ndarray:
-        return np.asarray(self.problem.space.coordinates.kinds)
+    def _one_sided(self) -> np.ndarray:
+        return (self._space.kinds == LOWER) | (self._space.kinds == UPPER)
 
     @functools.cached_property
-    def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lower and upper bounds and scales, physical."""
-        c = self.problem.space.coordinates
-        return np.asarray(c.lower), np.asarray(c.upper), np.asarray(c.scale)
+    def _two_sided(self) -> np.ndarray:
+        return self._space.kinds == BOTH
 
     @functools.cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest coordinates, shapes (p,)."""
-        kind, (lower, upper, scale) = self._kind, self._bounds
-        low = np.where((kind == LOWER) | (kind == UPPER) | (kind == BOTH), -_END, -np.inf)
-        high = np.where(kind == BOTH, _END, np.inf)
-        return np.where(self.linear, lower / scale, low), np.where(self.linear, upper / scale, high)
+        low = np.where(self._one_sided | self._two_sided, -_END, -np.inf)
+        high = np.where(self._two_sided, _END, np.inf)
+        linear_low, linear_high = self._space.lower / self._space.scale, self._space.upper / self._space.scale
+        return np.where(self.linear, linear_low, low), np.where(self.linear, linear_high, high)
 
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """v of physical parameters; nonlinear parameters on a bound are moved to `_EDGE`."""
-        kind = self._kind
         with np.errstate(all="ignore"):
-            z = self.problem.space.coordinates.unconstrained(x, 1e-9, np)
-        z = np.where((kind == LOWER) | (kind == UPPER), np.maximum(z, -_EDGE), z)
-        z = np.where(kind == BOTH, np.clip(z, -_EDGE, _EDGE), z)
-        return np.where(self.linear, x / self._bounds[2], z)
+            z = self._space.coordinates.unconstrained(x, 1e-9, np)
+        z = np.where(self._one_sided, np.maximum(z, -_EDGE), z)
+        z = np.where(self._two_sided, np.clip(z, -_EDGE, _EDGE), z)
+        return np.where(self.linear, x / self._space.scale, z)
 
     def physical(self, v: np.ndarray) -> np.ndarray:
         """Physical parameters at v."""
-        x = self.problem.space.physical(np.where(self.linear, 0.0, v))
-        return np.where(self.linear, v * self._bounds[2], x)
+        x = self._space.physical(np.where(self.linear, 0.0, v))
+        return np.where(self.linear, v * self._space.scale, x)
 
     def inside(self, v: np.ndarray, held: int = -1) -> np.ndarray | None:
-        """v with the nonlinear parameters that lie on a bound moved away from it; None where there is none.
-
-        Args:
-            v: coordinates, shape (p,).
-            held: position of a parameter that stays.
-        """
-        kind = self._kind
-        low = (kind == LOWER) | (kind == UPPER) | (kind == BOTH)
-        near = ~self.linear & ((low & (v < -_INSIDE)) | ((kind == BOTH) & (v > _INSIDE)))
+        """v with the nonlinear parameters that lie on a bound, except number `held`, moved away from it; None where there are none."""
+        near_low = (self._one_sided | self._two_sided) & (v < -_INSIDE)
+        near = ~self.linear & (near_low | (self._two_sided & (v > _INSIDE)))
         near &= np.arange(v.size) != held
         return np.where(near, np.sign(v) * _INSIDE, v) if near.any() else None
 
@@ -130,7 +126,7 @@ class BoundedNewton:
             value, gradient = value + gradient @ move + 0.5 * move @ matrix @ move, gradient + matrix @ move
         else:
             value, gradient, matrix = self._traced(x)
-        slope = np.where(self.linear, self._bounds[2], self.problem.space.slope(v))
+        slope = np.where(self.linear, self._space.scale, self._space.slope(v))
         return Point(v, value, gradient * slope, matrix * np.outer(slope, slope))
 
     def descend(self, v: np.ndarray, moving: np.ndarray, steps: int = _STEPS, tolerance: float = 1e-5) -> Point:

@@ -63,9 +63,7 @@ class Density(eqx.Module):
     def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Scalar:
         """Log posterior over z, up to a constant; minus infinity where it is not finite.
 
-        Args:
-            z: shape (d,).
-            lean: by `log_likelihood_lean`.
+        With `lean`, the likelihood is that of `log_likelihood_lean`.
         """
         total = self.log_prior(z) + (self.log_likelihood_lean(z) if lean else self.log_likelihood(z))
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)

@@ -1,4 +1,4 @@
-"""Information about parameters under the noise behind the standard errors of a fit, traced: present data and inputs still to be measured.
+"""Information about parameters under the noise of a fit, traced: from present data, and from inputs still to be measured.
 
 Moments of records add up, and the covariance of all parameters follows from their sum. For one set of records the covariance is that of
 `fitting.covariance`.
@@ -7,6 +7,7 @@ Moments of records add up, and the covariance of all parameters follows from the
 from __future__ import annotations
 
 import abc
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -30,20 +31,13 @@ class AbstractInformation(eqx.Module):
 
     @abc.abstractmethod
     def moments(self, setting: Setting, J: Float[Array, "R T p"]) -> Moments:
-        """Sums over records from which `covariance` follows.
-
-        Args:
-            setting: the records in the form that noise models need.
-            J: derivatives of the output with respect to the parameters.
-        """
+        """Sums over records from which `covariance` follows."""
 
     @abc.abstractmethod
     def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
         """Covariance of the estimate from the sum of moments.
 
-        Args:
-            moments: of all records.
-            prior: information about the parameters before any measurement.
+        `prior` is the information about the parameters before any measurement.
         """
 
 
@@ -69,10 +63,8 @@ class LeastSquaresInformation(AbstractInformation):
     def of(cls, plain: float, fit: SlowNoiseFit | None, ratio: float = 1.0) -> LeastSquaresInformation:
         """From the noise estimated from residuals.
 
-        Args:
-            plain: variance of the residuals [y^2].
-            fit: slow and independent noise; None for independent residuals.
-            ratio: standard errors over those for independent residuals, where there is no such noise.
+        `plain` is the variance of the residuals [y^2]. Without slow noise (`fit` None), `ratio` is that of the standard errors to
+        those for independent residuals.
         """
         if fit is None:
             none = jnp.zeros(0)
@@ -135,14 +127,14 @@ class LikelihoodInformation(AbstractInformation):
 
     def moments(self, setting: Setting, J: Float[Array, "R T p"]) -> Moments:
         """Products of the whitened columns [J, shapes]."""
-        inside = eqx.tree_at(lambda one: one.place, setting, jnp.clip(setting.place, 0.0, 1.0))
+        inside = dataclasses.replace(setting, place=jnp.clip(setting.place, 0.0, 1.0))
         e, _ = self.noise.whiten(setting, jnp.concatenate([J, self.noise.columns(inside)], axis=-1))
         e = e.reshape(-1, e.shape[-1])
         p = J.shape[-1]
         return e[:, :p].T @ e[:, :p], e[:, :p].T @ e[:, p:], e[:, p:].T @ e[:, p:]
 
     def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
-        """Inverse of the information that is left after the shapes are eliminated."""
+        """Inverse of the information after elimination of the shapes."""
         square, cross, shapes = moments
         if cross.shape[1]:
             square = square - cross @ jnp.linalg.solve(jnp.eye(cross.shape[1]) + shapes, cross.T)

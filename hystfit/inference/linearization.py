@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hystfit.inference.blocks import chosen, parts
-from hystfit.inference.triangle import triangle_of_blocks
+from hystfit.inference.blocks import chosen, parts, triangle_of_blocks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,13 +31,7 @@ class Linearization:
     def of(
         cls, misfit: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n p"], used: Bool[np.ndarray, " n"]
     ) -> Linearization:
-        """From the derivatives of all samples.
-
-        Args:
-            misfit: of all samples.
-            jacobian: its derivatives.
-            used: which samples count.
-        """
+        """From the misfit of all samples and its derivatives; `used` says which samples count."""
         rows = chosen(jacobian, used)
         return cls(misfit, used, jacobian.shape[1], lambda: (rows[part] for part in parts(*rows.shape)))
 

@@ -15,10 +15,12 @@ FORWARD = 16  # coordinates up to which forward-mode second derivatives are the 
 _LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
+_NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
 _DIFFERENCE = 1e-4  # in z, before any curvature is known
 _FARTHEST = 0.2  # in z
-_PART = 0.5  # of a standard deviation: differences of gradients that far apart do not mistake for curvature the kinks that a
-# likelihood has where a sample changes branch
+# Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
+# do not look like curvature.
+_PART = 0.5
 
 
 class Optimum(NamedTuple):
@@ -73,6 +75,20 @@ def second_order(
     return values[0], jnp.stack([gradients[0], gradients[1:].mean(axis=0)]), back @ (0.5 * (along + along.T)) @ back.T
 
 
+class _Climb(NamedTuple):
+    """A maximization between two evaluations: the next one is at z + step, by differences of `width` along `axes`."""
+
+    z: Array
+    step: Array
+    value: Array
+    hessian: Array
+    axes: Array
+    width: Array
+    phase: Array
+    count: Array
+    near: Array
+
+
 def maximize(
     function: Callable[[Array], Array],
     z: Float[Array, " d"],
@@ -104,34 +120,43 @@ def maximize(
         t, new, _ = jax.lax.while_loop(worse, halve, start)
         return jnp.where(new > value, t, 0.0) * step
 
-    def go_on(carry: tuple[Any, ...]) -> Array:
-        return (carry[5] < _DONE) & (carry[6] < steps)
+    def unfinished(last: _Climb) -> Array:
+        return (last.phase < _DONE) & (last.count < steps)
 
-    def once(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        z, polishing = carry[0] + carry[1], carry[5] == _POLISHING
-        value, gradients, hessian = second_order(slope, z, *carry[4])
-        # Half as wide differences and Richardson's extrapolation: in a bent valley the wide ones see its walls.
-        hessian = jnp.where(polishing, (4 * hessian - carry[3]) / 3, hessian)
+    def once(last: _Climb) -> _Climb:
+        z, polishing = last.z + last.step, last.phase == _POLISHING
+        value, gradients, hessian = second_order(slope, z, last.axes, last.width)
+        # Differences half as wide and Richardson's extrapolation: in a bent valley the wide ones reach its walls.
+        hessian = jnp.where(polishing, (4 * hessian - last.hessian) / 3, hessian)
         size, axes = jnp.linalg.eigh(jnp.where(jnp.isfinite(hessian), hessian, 0.0))
         size = jnp.maximum(jnp.abs(size), 1e-8 * jnp.max(jnp.abs(size)) + 1e-12)
         along = jnp.where(jnp.isfinite(gradients), gradients, 0.0) @ axes
         step = axes @ (along[0] / size)
         step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
         gain = jnp.sum(along**2 / size, axis=1)
-        small = ((gain[0] < 1e-7) & (carry[6] > 0)) | polishing
+        small = ((gain[0] < 1e-7) & (last.count > 0)) | polishing
         step = jax.lax.cond(small, lambda: jnp.zeros_like(z), lambda: search(z, value, step))
         there = small | ~jnp.any(step != 0)
-        frame = (axes, jnp.clip(_PART / jnp.sqrt(size), 1e-7, _FARTHEST))
-        frame = jax.tree.map(lambda new, old: jnp.where(there, old, new), frame, (carry[4][0], 0.5 * carry[4][1]))
+        axes = jnp.where(there, last.axes, axes)
+        width = jnp.where(there, 0.5 * last.width, jnp.clip(_PART / jnp.sqrt(size), 1e-7, _FARTHEST))
         phase = jnp.where(polishing, _DONE, jnp.where(there, _POLISHING, _CLIMBING))
-        return z, step, value, hessian, frame, phase, carry[6] + 1, jnp.min(gain) < 1e-2
+        return _Climb(z, step, value, hessian, axes, width, phase, last.count + 1, jnp.min(gain) < 1e-2)
 
-    d, no = z.shape[0], jnp.zeros((), bool)
-    frame = (jnp.eye(d), jnp.full(d, _DIFFERENCE))
-    begin = jnp.asarray(_CLIMBING)
-    start = (z, jnp.zeros(d), jnp.asarray(-jnp.inf), jnp.zeros((d, d)), frame, begin, jnp.asarray(0), no)
-    z, _, value, hessian, _, _, _, near = jax.lax.while_loop(go_on, once, start)
-    return Optimum(z, value, hessian, near & jnp.isfinite(value) & jnp.all(jnp.isfinite(hessian)))
+    d = z.shape[0]
+    start = _Climb(
+        z=z,
+        step=jnp.zeros(d),
+        value=jnp.asarray(-jnp.inf),
+        hessian=jnp.zeros((d, d)),
+        axes=jnp.eye(d),
+        width=jnp.full(d, _DIFFERENCE),
+        phase=jnp.asarray(_CLIMBING),
+        count=jnp.asarray(0),
+        near=jnp.zeros((), bool),
+    )
+    end = jax.lax.while_loop(unfinished, once, start)
+    finite = jnp.isfinite(end.value) & jnp.all(jnp.isfinite(end.hessian))
+    return Optimum(end.z, end.value, end.hessian, end.near & finite)
 
 
 def descend(
@@ -140,7 +165,6 @@ def descend(
     z: Float[Array, " p"],
     moving: Any,
     steps: int = 30,
-    tolerance: float = 1e-9,
 ) -> tuple[Float[Array, " p"], Scalar, Array]:
     """Levenberg-Marquardt on half a sum of squares: (z, cost, converged).
 
@@ -153,7 +177,6 @@ def descend(
         z: start.
         moving: which coordinates may move, shape (p,), bool.
         steps: at most.
-        tolerance: predicted gain, absolute and relative to the cost, at which it stops.
     """
 
     def go_on(carry: tuple[Array, ...]) -> Array:
@@ -173,7 +196,7 @@ def descend(
         new = cost(z + step)
         better = new < value
         gain = -jnp.sum(g * step)
-        done = gain < tolerance * (1 + value)
+        done = gain < _NEGLIGIBLE * (1 + value)
         damping = jnp.where(better, jnp.maximum(0.1 * damping, 1e-10), 10.0 * jnp.maximum(damping, 1e-6))
         return jnp.where(better, z + step, z), jnp.where(better, new, value), damping, done | (damping > 1e9), k + 1
 

@@ -13,10 +13,10 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.inference.blocks import parts
-from hystfit.models.base import run
 from hystfit.models.parallel.kernel import linear_run
 from hystfit.models.parallel.route import Route, on_gpu, route
 from hystfit.models.shapes import Scalar
+from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 
@@ -159,9 +159,9 @@ def _linearize(objective: Objective, x: Array, directions: Array | None) -> tupl
 def linearized(
     objective: Objective, x: Any, at: np.ndarray | None = None
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
-    """`Objective.linearize` on the host, by one compiled program for all uses; 0 for derivatives whose squares cannot be added.
+    """`Objective.linearize` on the host, by one compiled program for all uses; derivatives too large to be squared are set to 0.
 
-    On long records as many derivatives at once as fit a block, one program for all groups.
+    On long records it computes as many derivatives at once as fit into a block, by one program for all groups.
 
     Args:
         objective: what is fitted.
@@ -185,7 +185,7 @@ def linearized(
 
 
 def _flat(jacobian: np.ndarray) -> np.ndarray:
-    """A Jacobian with 0 at a root at zero, or in a simulation beyond its stable range."""
+    """A Jacobian whose infinite entries (a root at zero, an unstable simulation) are set to 0."""
     if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
         return jacobian
     return np.where(np.abs(jacobian) < _STEEPEST, jacobian, 0.0)
@@ -194,10 +194,7 @@ def _flat(jacobian: np.ndarray) -> np.ndarray:
 def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray | None = None) -> Any:
     """`Objective.misfit` on the host from residuals, shape (n,), and its derivatives, shape (n, p), where these are given.
 
-    Args:
-        objective: gives weights, size and loss.
-        residual: shape (R, T).
-        jacobian: derivatives of the residuals, shape (R, T, p), overwritten where they may be; None for the misfit alone.
+    The residuals have shape (R, T), their derivatives (R, T, p); the derivatives are overwritten where they may be.
     """
     misfit, slope = misfit_slope(objective, residual)
     if jacobian is None:

@@ -181,18 +181,16 @@ def parse(text: str) -> AbstractPrior:
 def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> dict[str, AbstractPrior]:
     """Priors about given values, with a relative `spread` in the distance to a bound or in the natural size.
 
+    A value on a bound (a play's weight of zero) is first moved inside, by a hundredth of the natural size or of the interval.
+
     Args:
         space: the free parameters.
         x: physical values, shape (p,).
         spread: relative width.
-
-    About a value on a bound (a play's weight of zero) there is no such prior: it is moved inside by a hundredth of the natural
-    size, or of the way between two bounds.
     """
-    c = space.coordinates
-    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
+    lower, upper, scale = space.lower, space.upper, space.scale
     priors: dict[str, AbstractPrior] = {}
-    for k, (name, kind) in enumerate(zip(space.names, c.kinds, strict=True)):
+    for k, (name, kind) in enumerate(zip(space.names, space.kinds, strict=True)):
         if kind == REAL:
             priors[name] = Normal(x[k], spread * max(0.1 * scale[k], abs(float(x[k]))))
         elif kind == BOTH:
@@ -208,14 +206,11 @@ def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> 
 def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[str, AbstractPrior]:
     """Weak priors from the declarations: about the natural size for positive parameters, wide normal without bounds, uniform between two.
 
-    Args:
-        space: the free parameters.
-        x: the fitted values; an unbounded parameter far from zero (an offset of a distant sensor) widens its own prior.
+    Fitted values x, shape (p,), widen the prior of an unbounded parameter far from zero, such as the offset of a distant sensor.
     """
-    c = space.coordinates
-    lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
+    lower, upper, scale = space.lower, space.upper, space.scale
     priors: dict[str, AbstractPrior] = {}
-    for k, (name, info, kind) in enumerate(zip(space.names, space.infos, c.kinds, strict=True)):
+    for k, (name, info, kind) in enumerate(zip(space.names, space.infos, space.kinds, strict=True)):
         if kind == REAL:
             size = scale[k] if x is None else max(scale[k], abs(float(x[k])))
             priors[name] = Normal(0.0, _WIDE * size)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,9 +27,8 @@ from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.one_device import check_one_device
+from hystfit.models.simulation import check_one_device
 from hystfit.models.starting import scales_of
-from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 
@@ -100,7 +99,7 @@ class Problem:
         self.priors: tuple[AbstractPrior, ...] = ()
 
     def prepared(self, record: Record) -> Record:
-        """The record as it is fitted: see the model; where its initial state is free, it starts there and not in a steady period."""
+        """The record as the model prepares it; with a free initial state, without the steady period that would come before it."""
         ready, count = self.model.prepared(record), len(record)
         if len(ready) == count or not any(info.per_record and info.fixed for info in self.space.infos):
             return ready
@@ -121,20 +120,20 @@ class Problem:
         """The same problem with other weights, one array (T,) for each record; shapes stay, so nothing is compiled again."""
         records = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
         data = Dataset(tuple(records))
-        return self._changed(data=data, objective=eqx.tree_at(lambda o: o.batch, self.objective, Batch.of(data)))
+        return self._changed(data=data, objective=dataclasses.replace(self.objective, batch=Batch.of(data)))
 
     def with_loss(self, loss: Loss) -> Problem:
         """The same problem with another loss."""
-        same = loss == self.objective.loss
-        objective = Objective(*(getattr(self.objective, k) for k in ("coordinates", "batch", "size", "bend")), loss)
-        return self if same else self._changed(objective=objective)
+        if loss == self.objective.loss:
+            return self
+        return self._changed(objective=dataclasses.replace(self.objective, loss=loss))
 
     def trimmed(self) -> Problem:
         """The same problem without padding that no record needs: long runs pay for their own compilation."""
         used = np.asarray(self.objective.batch.weight) > 0
         end = int(np.max(np.flatnonzero(used.any(axis=0)))) + 1
         batch = jax.tree_util.tree_map(lambda v: v[:, :end], self.objective.batch)
-        return self._changed(objective=eqx.tree_at(lambda o: o.batch, self.objective, batch))
+        return self._changed(objective=dataclasses.replace(self.objective, batch=batch))
 
     def with_noise(
         self, noise: AbstractNoise, priors: Mapping[str, AbstractPrior] | None = None, x: np.ndarray | None = None
@@ -186,10 +185,8 @@ class Problem:
             x: physical parameters of the model, shape (p,).
             tolerance: distance in the parameter's scale, or with two bounds in the width between them.
         """
-        c = self.space.coordinates
-        lower, upper, scale = (np.asarray(v) for v in (c.lower, c.upper, c.scale))
-        width = np.where(np.asarray(c.kinds) == BOTH, upper - lower, scale)
-        low, high = x - lower < tolerance * width, upper - x < tolerance * width
+        near = tolerance * self.space.width
+        low, high = x - self.space.lower < near, self.space.upper - x < near
         return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
 
     def on_bound(self, x: np.ndarray) -> np.ndarray:

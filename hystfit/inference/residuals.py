@@ -54,10 +54,7 @@ class ResidualAnalysis:
     ) -> ResidualAnalysis:
         """From residuals and derivatives of all samples of a batch, record after record.
 
-        Args:
-            setting: the data in the form that noise models need.
-            residual: weighted residuals [y], shape (R T,).
-            derivatives: see the class; None without them.
+        `residual` is weighted [y], shape (R T,).
         """
         samples = Samples.of(setting)
         on = samples.on.reshape(-1)
@@ -66,14 +63,14 @@ class ResidualAnalysis:
     @functools.cached_property
     def basis(self) -> Float[np.ndarray, "n p"]:
         """Orthonormal basis of the derivatives."""
-        return (
-            np.zeros((self.residual.size, 0)) if self.derivatives is None else qr(self.derivatives(), overwrite=True)[0]
-        )
+        if self.derivatives is None:
+            return np.zeros((self.residual.size, 0))
+        return qr(self.derivatives(), overwrite=True)[0]
 
     @functools.cached_property
     def rows(self) -> list[np.ndarray]:
         """Residuals record by record."""
-        return np.split(self.residual, np.cumsum(self.samples.on.sum(axis=1))[:-1])
+        return self.samples.by_record(self.residual)
 
     @functools.cached_property
     def correlation_time(self) -> float:
@@ -109,7 +106,7 @@ class ResidualAnalysis:
 
     @property
     def of_errors(self) -> SlowNoiseFit | None:
-        """`noise` where least-squares errors allow for it: for correlated residuals, with the derivatives of the parameters."""
+        """`noise` for the errors of a least-squares fit; None for uncorrelated residuals, or without the parameters' derivatives."""
         return self.noise if self.correlated and self.basis.shape[1] else None
 
     @functools.cached_property
@@ -228,7 +225,7 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     projected out.
     """
     samples, residual, basis = analysis.samples, analysis.residual, analysis.basis
-    turns = sum(int(np.count_nonzero(np.diff(row))) for row in _by_record(samples, samples.rising.astype(int)))
+    turns = sum(int(np.count_nonzero(np.diff(row))) for row in samples.by_record(samples.rising.astype(int)))
     if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
         return None
     columns = curves(samples, _LENGTH)
@@ -261,7 +258,3 @@ def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
         for half, branch in zip(np.split(out[part], 2, axis=1), (samples.rising, ~samples.rising), strict=True):
             np.multiply(shapes, (root * branch)[part, None], out=half)
     return out
-
-
-def _by_record(samples: Samples, values: np.ndarray) -> list[np.ndarray]:
-    return np.split(values, np.cumsum(samples.on.sum(axis=1))[:-1])

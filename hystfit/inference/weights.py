@@ -47,12 +47,7 @@ class Split:
     ) -> Split:
         """Split at given values of the other parameters.
 
-        Args:
-            space: the free parameters.
-            records: what is fitted.
-            x: physical parameters, shape (p,); those that are weights do not matter.
-            left_out: see `SmoothSystem.of`.
-            offsets: see `SmoothSystem.of`.
+        Values of x that are weights do not matter. `left_out` and `offsets` are those of `SmoothSystem.of`.
         """
         system = SmoothSystem.of(_designs(space, records, x), records, left_out=left_out, offsets=offsets)
         layout, values = system.layout, jax.tree_util.tree_leaves(space.template)
@@ -89,11 +84,7 @@ def responses(
 
     Exact columns for the weights, central differences of look-ups for the few others: no scan needs to be compiled.
 
-    Args:
-        space: the free parameters.
-        records: of the problem.
-        predict: output of every record at physical parameters.
-        x: physical parameters, shape (p,).
+    `predict` gives the output of every record at physical parameters.
 
     Yields:
         Number of the record, which of its samples, and their derivatives.
@@ -118,10 +109,7 @@ def _difference(
     space: ParameterSpace, predict: Callable[[np.ndarray], list[np.ndarray]], x: np.ndarray, k: int
 ) -> list[np.ndarray]:
     """Derivative of the output of every record with respect to parameter k, by a central difference inside its bounds."""
-    lower, upper, scale = (
-        np.asarray(v) for v in (space.coordinates.lower, space.coordinates.upper, space.coordinates.scale)
-    )
-    step = _STEP * max(abs(x[k]), scale[k]) * np.eye(x.size)[k]
-    above, below = np.minimum(x + step, upper), np.maximum(x - step, lower)
+    step = _STEP * max(abs(x[k]), space.scale[k]) * np.eye(x.size)[k]
+    above, below = np.minimum(x + step, space.upper), np.maximum(x - step, space.lower)
     pairs = zip(predict(above), predict(below), strict=True)
     return [(high - low) / (above[k] - below[k]) for high, low in pairs]

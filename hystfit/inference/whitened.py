@@ -76,12 +76,8 @@ class Whitened(eqx.Module):
 def restricted(noise: AbstractNoise, setting: Setting, r: Array, J: Array, moving: Array) -> Array:
     """Restricted log likelihood of a noise model (Patterson and Thompson 1971).
 
-    Args:
-        noise: with values.
-        setting: the data in the form that the noise needs.
-        r: residuals [y], shape (R, T).
-        J: their derivatives, shape (R, T, p).
-        moving: which columns of J are fitted, shape (p,), bool; a small ridge keeps a rank-deficient J harmless.
+    r has shape (R, T) [y], its derivatives J (R, T, p). Columns of J that are not `moving` are not fitted; a small ridge keeps a
+    rank-deficient J harmless.
     """
     size = jnp.sqrt(jnp.sum(J**2, axis=(0, 1)))
     columns = J * jnp.where(moving & (size > 0), 1 / jnp.where(size > 0, size, 1.0), 0.0) * jnp.linalg.norm(r)

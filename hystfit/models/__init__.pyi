@@ -1,8 +1,6 @@
 """The names of this room and their modules: the only list, read by `__init__.py` and by type checkers."""
 
 from .base import AbstractHysteresis as AbstractHysteresis
-from .base import Resume as Resume
-from .base import simulate as simulate
 from .bouc_wen import BoucWen as BoucWen
 from .bouc_wen_asymmetric import AsymmetricBoucWen as AsymmetricBoucWen
 from .bouc_wen_force import BoucWenForce as BoucWenForce
@@ -25,4 +23,6 @@ from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
 from .relaxation import Relaxation as Relaxation
 from .series import Series as Series
+from .simulation import Resume as Resume
+from .simulation import simulate as simulate
 from .sum import Sum as Sum

@@ -1,20 +1,16 @@
-"""The base class of all models: parameters as fields, dynamics as `init` and `step`, simulation by one scan."""
+"""The base class of all models: parameters as fields, dynamics as `init` and `step`, and what fits and controllers use."""
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
@@ -22,11 +18,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
 from hystfit.models.design import Block, DesignMatrix
-from hystfit.models.one_device import check_one_device
-from hystfit.models.parallel.associative import StateMap, sweep_at_once
-from hystfit.models.parallel.kernel import scan
-from hystfit.models.parallel.route import Route, route
-from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import AbstractDynamics, drive, run
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import leaves_of
@@ -36,35 +28,13 @@ from hystfit.quality.needs import Needs
 Use = Literal["inverse", "export"]
 
 
-class AbstractHysteresis(eqx.Module):
-    """A hysteresis model: `init` returns the state at rest on an input, `step` advances it by one sample.
+class AbstractHysteresis(AbstractDynamics):
+    """A hysteresis model: `init` returns the state at rest on an input, `step` advances it by one sample (`AbstractDynamics`).
 
-    The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
-
-    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init` and `step`. The methods
-    below `step` are optional: each has a default here, a model overrides those that it can do better, `start` first, and `Sum` and
-    `Series` delegate all of them to their parts. `hystfit.testing.check_model` tests what a model gives.
+    A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init` and `step`. All other
+    methods are optional: each has a default, a model overrides those that it can do better, `start` first, and `Sum` and `Series`
+    delegate all of them to their parts. `hystfit.testing.check_model` tests what a model gives.
     """
-
-    @property
-    @abc.abstractmethod
-    def rate_independent(self) -> bool:
-        """Whether the output depends only on the order of the inputs, so that no time is needed."""
-
-    @abc.abstractmethod
-    def init(self, u0: Scalar) -> State:
-        """State of the model at rest on the input u0, with no history."""
-
-    @abc.abstractmethod
-    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """Advance the state by one sample, from input u0 to u1 in the time dt: (new state, output at u1).
-
-        Args:
-            state: before the sample, shape (states,).
-            u0: input of the previous sample [u].
-            u1: input of this sample [u].
-            dt: time between the two [s]; 0 where there is no time.
-        """
 
     # -- values ------------------------------------------------------------------------------------------------------------
 
@@ -84,75 +54,17 @@ class AbstractHysteresis(eqx.Module):
             raise ParameterError(f"parameter {missing[0]!r} needs a value, got None")
         return ParameterSpace.of(self, fix=values).template
 
-    # -- optional: simulation ----------------------------------------------------------------------------------------------
+    def settings(self) -> dict[str, int | bool | str]:
+        """Settings besides parameter values, as written after a name (`preisach:n=60`): whole numbers, words and switches.
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
-
-        To override where part of the work does not depend on the state, and need not be in the scan.
-
-        Args:
-            state: before the first sample.
-            u0: input before the first sample.
-            u: input, shape (T,).
-            dt: time since the sample before, shape (T,) [s].
+        By default the fields that are not parameters; override it where a constructor takes other settings.
         """
-        single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
-
-        def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-            state, y = self.step(state[None] if single else state, *sample)
-            return (state[0] if single else state), y
-
-        before = jnp.concatenate([u0[None], u[:-1]])
-        state, y = scan(body, state[0] if single else state, (before, u, dt))
-        return (state[None] if single else state), y
-
-    # What `step` does to the state, where it is one of the maps that compose.
-    state_map: ClassVar[StateMap | None] = None
-
-    @property
-    def associative(self) -> bool:
-        """Whether `sweep_at_once` needs no scan over the samples."""
-        return self.state_map is not None
-
-    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """`sweep` by an associative scan where `state_map` is set: for long records on a GPU.
-
-        Args:
-            state: before the first sample.
-            u0: input before the first sample.
-            u: input, shape (T,).
-            dt: time since the sample before, shape (T,) [s].
-        """
-        if self.state_map is None:
-            return self.sweep(state, u0, u, dt)
-        return sweep_at_once(self.step, self.state_map, state, u0, u, dt)
-
-    @property
-    def one_scan(self) -> bool:
-        """Whether a scan of `step` is as fast as `sweep`, so that sums over the samples can share it."""
-        return True
-
-    @property
-    def has_fast_run(self) -> bool:
-        """Whether `free_run` is faster than a scan over the samples."""
-        return False
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """The output of `simulate` on the host, shape (T,), in the fastest way that the model has.
-
-        Args:
-            u: input, shape (T,).
-            dt: as in `simulate`.
-
-        Raises:
-            ModelError: as `simulate`.
-        """
-        return np.asarray(simulate(self, u, dt)[0])
+        values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
+        return {name: value for name, value in values if isinstance(value, (int, str))}
 
     @property
     def linear_in_input(self) -> bool:
-        """Whether the output is linear in the signal that comes in, apart from a constant of the initial state: linear filters."""
+        """Whether the output is linear in the input signal, apart from a constant from the initial state (linear filters)."""
         return False
 
     @property
@@ -160,38 +72,25 @@ class AbstractHysteresis(eqx.Module):
         """Whether the model has a pure delay."""
         return False
 
-    @property
-    def causal(self) -> bool:
-        """Whether the output depends on no later sample, so that `step` works and a simulation can be resumed."""
-        return True
-
-    def settings(self) -> dict[str, int | bool | str]:
-        """Choices besides the values of parameters, as they follow a name (`preisach:n=60`): whole numbers, words and switches.
-
-        By default the fields that are not parameters; to override where the model is built by other settings than its fields.
-        """
-        values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
-        return {name: value for name, value in values if isinstance(value, (int, str))}
-
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
 
     def start(self, records: Sequence[Record]) -> AbstractHysteresis:
         """The same model with starting values estimated from measured records (host side, no gradient).
 
-        By default the best of a Latin hypercube within the bounds and the data's scales; to override where the loop shows them.
+        By default the best of a Latin hypercube within the bounds and the data's scales; override it where the loop shows them.
         """
         return hypercube_start(self, records)
 
     @property
     def allows_thinning(self) -> bool:
-        """Whether a simulation on every k-th sample is near enough for starting values: no delay or resonance of a few samples."""
+        """Whether starting values may be fitted on every k-th sample: not with a delay or resonance of a few samples."""
         return self.rate_independent
 
     def prepared(self, record: Record) -> Record:
         """The record as it is fitted: samples that the model cannot describe have weight 0.
 
-        By default a record that begins with a steady period follows that period once more, without weight, because its first sample
-        lies on a branch. A record whose device rested before is `Record.resting_on` the input there.
+        By default a record that starts with a steady period is preceded by one more copy of that period, without weight, because
+        its first sample lies on a branch. For a device that rested before the record, use `Record.resting_on`.
 
         Raises:
             ModelError: a record that cannot drive the model.
@@ -212,12 +111,7 @@ class AbstractHysteresis(eqx.Module):
         return ()
 
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
-        """Share of the dissipated energy that hysteresis takes, of a model that dissipates by rate as well; None for others.
-
-        Args:
-            u: input, shape (T,).
-            dt: time since the sample before, shape (T,) [s].
-        """
+        """Fraction of the dissipated energy due to hysteresis, for models that also dissipate by rate; None for others."""
         return None
 
     def derived(self) -> tuple[Derived, ...]:
@@ -245,7 +139,7 @@ class AbstractHysteresis(eqx.Module):
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The design matrix of the linear weights, at the present values of the other parameters.
 
-        By differentiation of the simulation; to override where the columns are known in closed form.
+        By differentiation of the simulation; override it where the columns are known in closed form.
 
         Args:
             u: input, shape (T,).
@@ -275,11 +169,10 @@ class AbstractHysteresis(eqx.Module):
         return False
 
     def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
-        """Models of its kind that a comparison should try on these records, by their size in words.
+        """Models of its kind that a comparison should try on these records, by their size in words; empty without a choice.
 
-        First the model itself, where needed with fewer elements than given, as many as the records can determine; then models that
-        differ from it by one choice: the number of elements, where they are, the state before the records. Empty where there is
-        nothing to choose.
+        First the model itself, with fewer elements where the records cannot determine as many; then models that differ from it in
+        one choice: the number of elements, their positions, or the state before the records.
         """
         return {}
 
@@ -294,7 +187,7 @@ class AbstractHysteresis(eqx.Module):
         return None
 
     def inputs_between(self, low: float, high: float) -> tuple[float, float]:
-        """Limits of the input within which a filter puts out signals between two values: a static gain of one by default."""
+        """Limits of the input for which the output of a filter stays between two values; by default for a static gain of one."""
         return low, high
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
@@ -372,9 +265,6 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
     return output(zero), jax.jacfwd(output)(zero) if at else []
 
 
-# -- simulation ------------------------------------------------------------------------------------------------------------------
-
-
 def check_rest(rest: str) -> None:
     """Refuse an unknown state of rest before a record.
 
@@ -399,114 +289,3 @@ class PlayWeights(NamedTuple):
     threshold: np.ndarray
     weight: np.ndarray
     names: tuple[str, ...]
-
-
-class Resume(NamedTuple):
-    """The end of a simulation, from which it can be resumed: state of the model and the last input."""
-
-    state: State
-    u: Scalar
-
-
-def simulate(
-    model: AbstractHysteresis,
-    u: ArrayLike | Sequence[float],
-    dt: ArrayLike | Sequence[float] | None = None,
-    *,
-    resume: Resume | None = None,
-) -> tuple[Signal, Resume]:
-    """Free run of a model over an input.
-
-    Args:
-        model: any model.
-        u: input, shape (T,).
-        dt: time over which each input acted before its sample was read, shape (T,), or one number for all: the time
-            since the sample before. A rate-independent model needs none.
-        resume: what an earlier run returned, to continue it; None starts from `model.init(u[0])`.
-
-    Returns:
-        Output, shape (T,), and where the run stopped. Running two halves in turn equals one run.
-
-    Raises:
-        ModelError: no time for a model that needs it, shapes that do not fit, or a run of a model that is not causal to resume.
-        ParameterError: the model holds several devices.
-        PrecisionError: double precision is off.
-    """
-    if resume is not None and not model.causal:
-        raise ModelError(
-            f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
-        )
-    u, dt = _checked_drive(model, u, dt)
-    # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
-    try:
-        y, *end = _run(model, u, dt, resume)
-        return y, Resume(*end)
-    except (TypeError, ValueError):
-        check_one_device(model)
-        raise
-
-
-def drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Array, Array]:
-    """Input and time steps as arrays of shape (T,).
-
-    Args:
-        model: to be driven.
-        u: input, shape (T,).
-        dt: see `simulate`.
-
-    Raises:
-        ModelError: no time for a model that needs it, or shapes that do not fit.
-        PrecisionError: double precision is off.
-    """
-    u, dt = _checked_drive(model, u, dt)
-    return jnp.asarray(u), jnp.asarray(dt)
-
-
-def _checked_drive(model: AbstractHysteresis, u: Any, dt: Any) -> tuple[Any, Any]:
-    """`drive` without conversion to JAX arrays: compiled code accepts NumPy arrays faster than they convert here."""
-    require_x64()
-    u = _floating(u)
-    if u.ndim != 1 or u.size == 0:
-        raise ModelError(f"the input must have shape (T,) with T > 0, got {u.shape}")
-    if dt is None:
-        if not model.rate_independent:
-            raise ModelError(f"{type(model).__name__} depends on time: give dt, the time between samples")
-        return u, np.zeros(u.shape)
-    dt = _floating(dt)
-    if dt.ndim == 0:
-        dt = jnp.broadcast_to(dt, u.shape) if isinstance(dt, jax.Array) else np.full(u.shape, dt)
-    if dt.shape != u.shape:
-        raise ModelError(f"dt must have the shape of the input {u.shape}, got {dt.shape}")
-    return u, dt
-
-
-def _floating(values: Any) -> Any:
-    """Values in double precision: as an array of JAX where they are one, else in NumPy."""
-    if isinstance(values, jax.Array):
-        return values if values.dtype == np.float64 else values.astype(np.float64)
-    return np.asarray(values, dtype=np.float64)
-
-
-def run(model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None = None) -> tuple[Array, Resume]:
-    """`simulate` without checks or jit, for use inside other traced code.
-
-    Args:
-        model: any model.
-        u: input, shape (T,).
-        dt: time since the sample before, shape (T,) [s].
-        resume: see `simulate`.
-    """
-    if resume is None:
-        resume = Resume(model.init(u[0]), u[0])
-    if route(u.shape[0], associative=model.associative) is Route.ASSOCIATIVE:
-        state, y = model.sweep_at_once(resume.state, resume.u, u, dt)
-    else:
-        state, y = model.sweep(resume.state, resume.u, u, dt)
-    return y, Resume(state, u[-1])
-
-
-@compiled
-def _run(model: AbstractHysteresis, u: Array, dt: Array, resume: Resume | None) -> tuple[Array, ...]:
-    """`run`, compiled."""
-    y, end = run(model, u, dt, resume)
-    return y, *end

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -26,9 +27,8 @@ from hystfit.models.bouc_wen_steps import (
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -124,11 +124,8 @@ class BoucWen(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> BoucWen:
         """A grid over (tau, rho), for each of which c, mu c and the offset follow by linear least squares."""
-        tau, rho, theta = grid_start(records, 0)
-        c = max(theta[0], 1e-3 * abs(theta[1]), 1e-12)
-        mu = float(np.clip(-theta[1] / c, 0.02, 0.98))
-        values = (c, mu, tau, rho, theta[2])
-        return eqx.tree_at(lambda m: (m.c, m.mu, m.tau, m.rho, m.offset), self, tuple(map(to_device, values)))
+        values, _ = grid_start(records, 0)
+        return dataclasses.replace(self, **values)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `BoucWenStep`."""
@@ -148,7 +145,7 @@ class BoucWenStep(AbstractStepInverse):
     """
 
     model: BoucWen
-    needs_limits: bool = eqx.field(static=True, default=False)
+    needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""
@@ -190,13 +187,7 @@ class BoucWenStep(AbstractStepInverse):
 
 
 def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
-    """Advice where `rate` times the largest step of u, shape (T,), is too much for the cheap scheme.
-
-    Args:
-        scheme: of the model; the exact one needs no advice.
-        rate: of the hysteresis [1/u].
-        u: input, shape (T,).
-    """
+    """Advice where `rate` times the largest step of u, shape (T,), is too much for the cheap scheme."""
     largest = rate * float(np.max(np.abs(np.diff(u)), initial=0.0))
     if scheme == "exact" or largest <= COARSE:
         return ()
@@ -206,27 +197,32 @@ def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def grid_start(records: Sequence[Record], degree: int) -> tuple[float, float, np.ndarray]:
-    """Best (tau, rho) of a grid and the linear unknowns there: slope, factor of the unit hysteresis, offset, backbone 2, 3, ..."""
+def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float], np.ndarray]:
+    """c, mu, tau, rho and offset at the best (tau, rho) of a grid, and Legendre coefficients 2, 3, ... of the backbone there.
+
+    The output is linear in all but tau and rho.
+
+    Args:
+        records: measured.
+        degree: number of the backbone's coefficients.
+    """
     place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))
     states = np.concatenate([unit_hysteresis(record.u, tau, rho)[record.used] for record in records])
-    u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
+    u, y = used_samples(records)
     offsets = offset_columns(records)
     bend = np.polynomial.legendre.legvander((u - place.center) / place.half, degree + 1)[:, 2:]
     k = best_column(np.column_stack([u, offsets, bend]), states, y)
     theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets, bend]), y)
-    return float(tau[k]), float(rho[k]), np.concatenate([theta[:3], theta[2 + len(records) :]])
+    slope, unit_factor, offset = theta[:3]
+    c = max(slope, 1e-3 * abs(unit_factor), 1e-12)
+    mu = float(np.clip(-unit_factor / c, 0.02, 0.98))
+    values = {"c": c, "mu": mu, "tau": float(tau[k]), "rho": float(rho[k]), "offset": offset}
+    return values, theta[2 + len(records) :]
 
 
 def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau)).
-
-    Args:
-        u: input, shape (T,).
-        tau: rates of saturation [1/u], shape (K,).
-        rho: shapes of the tips, shape (K,).
-    """
+    """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau))."""
     state, out = np.zeros(tau.size), np.zeros((u.size, tau.size))
     highest = 1 / (tau * (1 + rho))
     up, down = 0.5 * tau * (1 + rho), tau * rho

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -28,7 +29,6 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
-from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -129,13 +129,9 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> AsymmetricBoucWen:
         """As `BoucWen`, with the backbone's polynomials among the linear unknowns."""
-        place, count = input_range(records), self.b.shape[0]
-        tau, rho, theta = grid_start(records, count)
-        c = max(theta[0], 1e-3 * abs(theta[1]), 1e-12)
-        mu = float(np.clip(-theta[1] / c, 0.02, 0.98))
-        values = (c, mu, tau, rho, theta[3:], theta[2], place.center, place.half)
-        fields = lambda m: (m.c, m.mu, m.tau, m.rho, m.b, m.offset, m.center, m.half)
-        return eqx.tree_at(fields, self, tuple(map(to_device, values)))
+        place = input_range(records)
+        values, backbone = grid_start(records, self.b.shape[0])
+        return dataclasses.replace(self, **values, b=backbone, center=place.center, half=place.half)
 
     def reach(self) -> tuple[float, float]:
         """A quarter of half the range beyond the range of the backbone."""

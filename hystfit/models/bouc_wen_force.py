@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -18,12 +19,12 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import power_of, rate_integral, semi_implicit
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _SUBSTEPS = 2
-_TRUSTED = 0.25  # part of the yield displacement in one substep up to which the error stays near 0.1 % of the range
+_TRUSTED = 0.25  # fraction of the yield displacement in one substep up to which the error stays near 0.1 % of the range
 
 
 class BoucWenForce(AbstractHysteresis):
@@ -57,7 +58,7 @@ class BoucWenForce(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if self.substeps < 1:
-            raise ModelError(f"at least one substep a sample is needed, got {self.substeps}")
+            raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
 
     def init(self, u0: Scalar) -> State:
         """State: w, shape (1,)."""
@@ -100,13 +101,12 @@ class BoucWenForce(AbstractHysteresis):
         half, records = input_range(records).half, thinned(records)
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
         states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
-        u, y = (np.concatenate([getattr(record, name)[record.used] for record in records]) for name in ("u", "y"))
+        u, y = used_samples(records)
         offsets = offset_columns(records)
         k = best_column(np.column_stack([u, offsets]), states, y)
         theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets]), y)
-        values = (theta[0], theta[1], rho[k], max(n[k], 1.05), theta[2])
-        fields = lambda m: (m.kappa_x, m.kappa_w, m.rho, m.n, m.offset)
-        return eqx.tree_at(fields, self, tuple(jnp.asarray(v, dtype=float) for v in values))
+        linear = dict(zip(("kappa_x", "kappa_w", "offset"), theta[:3], strict=True))
+        return dataclasses.replace(self, **linear, rho=rho[k], n=max(n[k], 1.05))
 
 
 def _unit_force(u: np.ndarray, rho: np.ndarray, n: np.ndarray, sigma: float) -> np.ndarray:

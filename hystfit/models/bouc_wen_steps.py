@@ -39,8 +39,8 @@ def initial_state(model: Any) -> Array:
 def rate_integral(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
     """Integral of kappa over a step, with q rising by m: `down` until it reaches zero, `up` beyond.
 
-    So the step is continuous in its arguments. With a kappa by the sign of q at its start it jumps where q passes zero, and
-    sharp likelihoods are full of small steps.
+    This makes the step continuous in its arguments. A kappa chosen by the sign of q at the start of the step would jump where q
+    passes zero, and a sharp likelihood would have many small steps.
     """
     return up * x + over(down - up, m) * rise_below_zero(q, x, m)
 

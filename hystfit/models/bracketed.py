@@ -75,7 +75,7 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
         newton = s.x - value / jnp.where(slope > 0, slope, 1.0)
         settled = (slope > 0) & (jnp.abs(newton - s.x) <= 2 * eps * jnp.abs(s.x))
         held = jnp.clip(newton, low, high)
-        # An end where the value is known is not a trial; nor is Newton trusted for more than five steps running.
+        # An end of known value is not tried again, and at most five Newton steps follow each other.
         refused = (
             ~(slope > 0)
             | ((held == low) & ends[0])

@@ -21,23 +21,15 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block
 
 
-def _size(model: AbstractHysteresis) -> int:
-    return jax.eval_shape(model.init, jnp.zeros(())).shape[0]
-
-
 def split_state(state: Array, parts: Sequence[AbstractHysteresis]) -> list[Array]:
     """States of the parts of a composition, which come first in its state, one after another."""
-    edges = np.cumsum([0, *(_size(part) for part in parts)])
+    sizes = [jax.eval_shape(part.init, jnp.zeros(())).shape[0] for part in parts]
+    edges = np.cumsum([0, *sizes])
     return [state[lo:hi] for lo, hi in itertools.pairwise(edges)]
 
 
 def check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> None:
     """Refuse parts that are not models, or too few of them.
-
-    Args:
-        parts: of a composition.
-        least: number of parts needed.
-        name: of the composition, for the message.
 
     Raises:
         ModelError: a part is not a model, or there are too few.

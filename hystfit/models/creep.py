@@ -23,7 +23,6 @@ from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -62,7 +61,7 @@ class LogCreep(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if hasattr(self.tau, "shape") and hasattr(self.weights, "shape") and self.tau.shape != self.weights.shape:
-            raise ModelError(f"one weight a time constant: got {self.weights.shape} and {self.tau.shape}")
+            raise ModelError(f"one weight per time constant: got {self.weights.shape} and {self.tau.shape}")
 
     @classmethod
     def spanning(cls, shortest: float, longest: float, **fields: object) -> LogCreep:
@@ -114,7 +113,7 @@ class LogCreep(AbstractHysteresis):
         place = input_range(records)
         span = abs(place.center) + place.half
         gamma = np.where(np.arange(self.gamma.shape[0]) == 0, 0.01, 0.0)
-        return eqx.tree_at(lambda m: (m.gamma, m.span), self, (to_device(gamma), to_device(span)))
+        return dataclasses.replace(self, gamma=gamma, span=span)
 
     @property
     def linear_in_input(self) -> bool:
@@ -123,14 +122,14 @@ class LogCreep(AbstractHysteresis):
 
     def without_creep(self) -> LogCreep:
         """See the base class."""
-        return eqx.tree_at(lambda m: m.gamma, self, jnp.zeros_like(self.gamma))
+        return dataclasses.replace(self, gamma=jnp.zeros_like(self.gamma))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `CreepStep`."""
         return CreepStep(self)
 
     def c_part(self) -> CPart:
-        """One recursion a relaxation."""
+        """One recursion per relaxation."""
         modes = int(self.tau.shape[0])
         numbers = {"SPAN": self.span, "BASE": self.base, "MODES": modes, "DEGREE": int(self.gamma.shape[0]) - 1}
         arrays = {"gamma": self.gamma, "weights": self.weights, "tau": self.tau}
@@ -138,10 +137,10 @@ class LogCreep(AbstractHysteresis):
 
 
 class CreepStep(AbstractStepInverse):
-    """Inverse of `LogCreep` (Minase et al. 2010, eq. (19)): target less the remaining relaxations, over the gain of one sample."""
+    """Inverse of `LogCreep` (Minase et al. 2010, eq. (19)): (target - remaining relaxations) / gain of one sample."""
 
     model: LogCreep
-    needs_limits: bool = eqx.field(static=True, default=False)
+    needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""
@@ -200,7 +199,7 @@ class LinearCreep(AbstractHysteresis):
     def __check_init__(self) -> None:
         check_rest(self.rest)
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape not in ((1,), self.tau.shape):
-            raise ModelError(f"one weight for all or one a time constant {self.tau.shape}: got {self.a.shape}")
+            raise ModelError(f"one weight for all or one per time constant {self.tau.shape}: got {self.a.shape}")
 
     def init(self, u0: Scalar) -> State:
         """State: the relaxations, at rest."""
@@ -221,10 +220,9 @@ class LinearCreep(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""
         place = fitted_input_range(records)
-        low, high = (to_device(place.center + side * place.half) for side in (-1.0, 1.0))
         typical = sampling_interval(records)
-        tau = to_device(np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0]))
-        return eqx.tree_at(lambda m: (m.low, m.high, m.tau), self, (low, high, tau))
+        tau = np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0])
+        return dataclasses.replace(self, low=place.low, high=place.high, tau=tau)
 
     def with_rest(self, rest: str) -> LinearCreep:
         """See the base class."""
@@ -232,17 +230,12 @@ class LinearCreep(AbstractHysteresis):
 
     def without_creep(self) -> LinearCreep:
         """See the base class."""
-        return eqx.tree_at(lambda m: m.a, self, jnp.zeros_like(self.a))
+        return dataclasses.replace(self, a=jnp.zeros_like(self.a))
 
     def c_part(self) -> CPart:
-        """One recursion a relaxation."""
+        """One recursion per relaxation."""
         modes = int(self.tau.shape[0])
-        numbers = {
-            "LOW": self.low,
-            "HIGH": self.high,
-            "LEVEL": self.level,
-            "FIRST": int(self.rest == "first"),
-            "MODES": modes,
-        }
+        numbers = {"LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
+        numbers |= {"FIRST": int(self.rest == "first"), "MODES": modes}
         arrays = {"a": np.broadcast_to(np.asarray(self.a), (modes,)), "tau": self.tau}
         return CPart(template("linear_creep.c"), modes, numbers, arrays)

@@ -15,7 +15,7 @@ from hystfit.reading.in_memory import records_of
 
 _FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")
 _SYMMETRIC = 5.0  # percent of the stroke up to which a loop counts as symmetric about its center
-_CENTERED = 0.2  # distance of the middle of the input from 0, in parts of its range, up to which it counts as centered
+_CENTERED = 0.2  # distance of the middle of the input from 0, relative to its range, up to which it counts as centered
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
@@ -106,22 +106,14 @@ def _advice(report: QualityReport) -> Advice | None:
 
 def _determined(advice: Advice | None, report: QualityReport) -> Advice | None:
     """The advice, or the first model that the data determine where they do not determine any of its parts."""
-    verdicts = {item.model: item.verdict for item in report.determines}
-    wanted = () if advice is None else (judged_as(name) for name in advice.model.split("+"))
-    if advice is None or any(
-        verdicts.get(name, Verdict.YES) is Verdict.NO
-        for name in wanted
-        if name in verdicts and MODELS[name].place == "core"
-    ):
-        return next(
-            (
-                Advice(item.model, "the first model that so few samples determine")
-                for item in sorted(report.determines, key=lambda item: _RANK[item.verdict])
-                if advice is not None and item.verdict is not Verdict.NO and MODELS[item.model].place == "core"
-            ),
-            None,
-        )
-    return advice
+    if advice is None:
+        return None
+    hysteresis = [item for item in report.determines if MODELS[item.model].place == "core"]
+    undetermined = {item.model for item in hysteresis if item.verdict is Verdict.NO}
+    if not undetermined & {judged_as(name) for name in advice.model.split("+")}:
+        return advice
+    best = min(hysteresis, key=lambda item: _RANK[item.verdict])
+    return None if best.model in undetermined else Advice(best.model, "the first model that so few samples determine")
 
 
 def _lagging(report: QualityReport, kinds: tuple[DataKind, ...], verdicts: dict[str, Determination]) -> Advice:

@@ -22,14 +22,10 @@ _RECORDS = 4  # of several records, the ones simulated
 
 
 def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
-    """The model with the values, of its own and of a hypercube within its bounds, that simulate the records best.
+    """The model with the values that simulate the records best, among its own and those of a hypercube within its bounds.
 
     Linear parameters are solved for at every point, and are not part of the hypercube. Points at which one of the others has no
     influence on the output (a play wider than the input's range) come last: no solver finds a way from there.
-
-    Args:
-        model: any model.
-        records: measured, with time where the model needs it.
     """
     chosen = [records[k] for k in np.unique(np.linspace(0, len(records) - 1, _RECORDS).astype(int))]
     short = thinned(chosen, 200) if model.allows_thinning else chosen

@@ -60,6 +60,6 @@ class DesignMatrix:
     index: np.ndarray
 
     def rows(self) -> DesignMatrix:
-        """The same with one row a sample."""
+        """The same with one row per sample."""
         blocks = tuple(dataclasses.replace(block, columns=block.columns[self.index]) for block in self.blocks)
         return DesignMatrix(blocks, self.rest[self.index], np.arange(self.index.size))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -178,20 +179,19 @@ class Duhem(AbstractHysteresis):
         Regressing increments on the measured output instead would let its noise, larger than most increments, bias the rate.
         """
         place, records = input_range(records), thinned(records)
-        best: tuple[float, np.ndarray, float] | None = None
+        fits: list[tuple[float, float, np.ndarray]] = []  # cost, rate, coefficients
         m, n = self.f.shape[0], self.g.shape[0]
         for rate in np.geomspace(0.3, 100.0, 15) / place.half:
             parts = [_responses(record, place, m, n, rate) for record in records]
             rows = np.concatenate([columns[:, : m + n] for columns, _ in parts])
-            own = np.asarray(block_diag(*(columns[:, m + n :] for columns, _ in parts)))  # each record's first output
+            own = np.asarray(
+                block_diag(*(columns[:, m + n :] for columns, _ in parts))
+            )  # of each record's first output
             theta, cost = fit_linear(np.concatenate([rows, own], axis=1), np.concatenate([y for _, y in parts]))
-            if best is None or cost < best[0]:
-                best = (cost, theta, rate)
-        assert best is not None
-        _, theta, rate = best
-        values = (rate, theta[:m], theta[m : m + n], first_output(records[0]), place.center, place.half)
-        fields = lambda s: (s.alpha, s.f, s.g, s.w0, s.center, s.half)
-        return eqx.tree_at(fields, self, tuple(jnp.asarray(v, dtype=float) for v in values))
+            fits.append((cost, rate, theta))
+        _, rate, theta = min(fits, key=lambda fit: fit[0])
+        curves = {"f": theta[:m], "g": theta[m : m + n], "center": place.center, "half": place.half}
+        return dataclasses.replace(self, alpha=rate, w0=first_output(records[0]), **curves)
 
     def reach(self) -> tuple[float, float]:
         """A quarter of half the range beyond the range of f and g."""

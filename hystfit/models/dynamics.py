@@ -1,4 +1,4 @@
-"""Linear dynamics beside a hysteresis: a delay, a lag, a resonance."""
+"""Linear dynamics before or after a hysteresis: a delay, a lag, a resonance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
-from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.summary import delay_of
 
@@ -90,7 +89,12 @@ class Delay(AbstractHysteresis):
 
 
 class Lag(AbstractHysteresis):
-    """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
+    """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters.
+
+    Each lag takes its input as linear between samples. So tau is the same at every sampling rate: the output of a ramp comes tau
+    later to rounding, that of a smooth input to second order in the sampling interval. Samples much further apart than tau settle
+    only to tau / (2 dt) of a jump, until the sample after. The exact response of both lags together would not have this error, but
+    its inverse is unstable: a zero of the sampled transfer function lies outside the unit circle.
 
     `level` is the input on which it rested before the record, so that a jump at the first sample is smoothed too.
     """
@@ -113,24 +117,24 @@ class Lag(AbstractHysteresis):
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample through both lags."""
-        first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
+        first, second = _lagged((state[0], state[1]), u0, u1, self._factors(dt))
         return jnp.stack([first, second]), second
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
-        body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
-        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt)
+        before = jnp.concatenate([u0[None], u[:-1]])
+        body = lambda state, row, factors: (new := _lagged(state, *row, factors), new[1])
+        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, Array]:
-        """How much of a deviation is left after the time dt, in each lag and from the first in the second."""
+        """Deviation of one lag after the time dt, per deviation before it; and its mean over that time."""
         passed = 2.0 * dt / self.tau
-        return jnp.exp(-passed), passed
+        return jnp.exp(-passed), jnp.where(passed > 0, -jnp.expm1(-passed) / jnp.where(passed > 0, passed, 1.0), 1.0)
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
-        typical = sampling_interval(records)
-        return eqx.tree_at(lambda m: m.tau, self, to_device(3.0 * typical))
+        return dataclasses.replace(self, tau=3.0 * sampling_interval(records))
 
     def with_rest(self, rest: str) -> Lag:
         """See the base class."""
@@ -145,11 +149,11 @@ class Lag(AbstractHysteresis):
         return CPart(template("lag.c"), 2, {"TAU": self.tau, "LEVEL": self.level, "FIRST": int(self.rest == "first")})
 
 
-def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Outputs of two lags in a row after a step to u."""
-    decay, passed = factors
-    first, second = state[0] - u, state[1] - u
-    return u + decay * first, u + decay * (second + passed * first)
+def _lagged(state: tuple[Array, Array], u0: Array, u1: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Outputs of two lags in a row after an input that moves from u0 to u1 at a constant rate."""
+    decay, mean = factors
+    first = u1 + decay * (state[0] - u0) - mean * (u1 - u0)
+    return first, first + decay * (state[1] - state[0]) - mean * (first - state[0])
 
 
 class SecondOrder(AbstractHysteresis):

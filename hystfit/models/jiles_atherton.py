@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from typing import ClassVar
@@ -13,13 +14,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, Derived, run
+from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned
+from hystfit.models.simulation import run
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import compiled, to_device
+from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -128,19 +130,16 @@ class JilesAtherton(AbstractHysteresis):
         grid = np.array(list(itertools.product((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))))
         scale = np.array([half, 1.0, half, 1.0])
         plain = JilesAtherton()
-        columns = np.concatenate(
-            [
-                np.asarray(_over_grid(plain, jnp.asarray(grid * scale), jnp.asarray(record.u)))[:, record.used].T
-                for record in short
-            ]
-        )
-        y = np.concatenate([(record.y - slope * record.u)[record.used] for record in short])
+        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid * scale), jnp.asarray(record.u))) for record in short]
+        columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
+        u, y = used_samples(short)
+        y = y - slope * u
         offsets = offset_columns(short)
         best = best_column(offsets, columns, y)
         theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
-        values = (max(float(theta[0]), 1e-3 * float(np.ptp(y))), *(grid[best] * scale), slope, float(theta[1]))
-        where = lambda m: (m.Ms, m.a, m.coupling, m.k, m.c, m.slope, m.offset)
-        return eqx.tree_at(where, self, tuple(map(to_device, values)))
+        shape = dict(zip(("a", "coupling", "k", "c"), grid[best] * scale, strict=True))
+        saturation = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
+        return dataclasses.replace(self, Ms=saturation, **shape, slope=slope, offset=theta[1])
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `JilesAthertonStep`."""
@@ -157,7 +156,7 @@ class JilesAthertonStep(AbstractStepInverse):
     """Inverse of `JilesAtherton`: one search for the effective field, as for a step of the model, after which H = He - alpha M."""
 
     model: JilesAtherton
-    needs_limits: bool = eqx.field(static=True, default=True)
+    needs_limits: ClassVar[bool] = True
 
     def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
         """See the base class."""

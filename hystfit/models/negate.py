@@ -58,11 +58,7 @@ class NegateStep(AbstractStepInverse):
 
     model: Negate
     needs_limits: ClassVar[bool] = False
-
-    @property
-    def sign(self) -> float:
-        """See the base class."""
-        return -1.0
+    sign: ClassVar[float] = -1.0
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""

@@ -40,7 +40,8 @@ def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray
     fewest, patience = b.size + 1, _PATIENCE
     for _ in range(_LIMIT):
         w, dual = _solve_on(A, b, active)
-        wrong = bounded & np.where(active, w < -_slack(w), dual < -1e-11 * np.abs(b).max(initial=1e-300))
+        slack = 1e-13 * float(np.abs(w).max(initial=0.0))
+        wrong = bounded & np.where(active, w < -slack, dual < -1e-11 * np.abs(b).max(initial=1e-300))
         count = int(wrong.sum())
         if count == 0:
             return np.where(bounded, np.maximum(w, 0.0), w), active
@@ -52,10 +53,6 @@ def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray
             wrong[: np.flatnonzero(wrong)[-1]] = False
         active = active ^ wrong
     return _by_root(A, b, bounded)
-
-
-def _slack(w: np.ndarray) -> float:
-    return 1e-13 * float(np.abs(w).max(initial=0.0))
 
 
 def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,7 +28,7 @@ from hystfit.quality.needs import Needs
 
 Between = Literal["bandlimited", "linear", "hold"]
 _STABLE = 2.8  # largest step times angular frequency at which Runge-Kutta of fourth order does not grow
-_UNEVEN = 0.05  # deviation of a time step from their median, in parts of it, up to which the sampling is even
+_UNEVEN = 0.05  # deviation of a time step from their median, as a fraction of it, up to which the sampling is even
 # A force with more than 5 % of its power above 80 % of half the sampling rate is not band-limited.
 _UPPER, _UPPER_SHARE = 0.8, 0.05
 
@@ -77,7 +77,7 @@ class BoucWenOscillator(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if self.substeps < 1:
-            raise ModelError(f"at least one substep a sample is needed, got {self.substeps}")
+            raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
         if self.between not in get_args(Between):
             raise ModelError(f"between must be one of {', '.join(get_args(Between))}, got {self.between!r}")
 
@@ -131,7 +131,7 @@ class BoucWenOscillator(AbstractHysteresis):
         return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(any_power))
 
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
-        """Work of z over all dissipated work; what the spring stores at the end is small beside many cycles."""
+        """Work of z over all dissipated work; what the spring stores at the end is small compared with many cycles."""
         force = jnp.asarray(u)
         run = self._trajectory(self.init(force[0]), force[0], force, jnp.asarray(dt))
         _, y, z = (np.asarray(values) for values in run)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,11 +15,12 @@ from jaxtyping import Array
 
 from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
-from hystfit.models.base import AbstractHysteresis, run
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import run
 from hystfit.models.starting import output_range
 from hystfit.params.host_arrays import compiled
 
-_EXCITED = 1e-3  # part of the largest power of the input from which a spectral line counts as excited
+_EXCITED = 1e-3  # fraction of the largest power of the input from which a spectral line counts as excited
 _SHAPES = tuple(itertools.product((0.2, 0.5, 0.8), (-0.6, 0.0, 0.6), (0.0, 0.6, 1.5)))
 _BEST = 3
 _LONGEST = 2**15  # samples of each record that the grid simulates
@@ -41,9 +42,7 @@ class Started(NamedTuple):
 def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
     """The oscillator with the best starting values that were found, the best first.
 
-    Args:
-        model: an oscillator; it keeps its exponent.
-        records: measured; they have time.
+    The model keeps its exponent.
     """
     mass, damping, stiffness = _linear(records)
     force = 0.5 * stiffness * output_range(records).half
@@ -53,22 +52,18 @@ def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
     table = jnp.asarray(points, dtype=jnp.result_type(float))
     costs, offsets = (np.asarray(v) for v in _costs(model, table, batch))
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")[:_BEST]
-    return tuple(_placed(model, points[k]._replace(offset=np.nan_to_num(offsets[k]))) for k in order)
-
-
-def _placed(model: Any, values: Started) -> Any:
-    fields = lambda m: tuple(getattr(m, name) for name in Started._fields)
-    return eqx.tree_at(fields, model, tuple(jnp.asarray(value, dtype=jnp.result_type(float)) for value in values))
+    started = [points[k]._replace(offset=np.nan_to_num(offsets[k])) for k in order]
+    return tuple(dataclasses.replace(model, **values._asdict()) for values in started)
 
 
 @compiled
 def _costs(model: AbstractHysteresis, table: Array, batch: Batch) -> tuple[Array, Array]:
-    """Sum of squared residuals less the mean of each record, and that mean of the first record, for each row of the table."""
+    """Sum of squared residuals about the mean of each record, and that mean of the first record, for each row of the table."""
 
     def one(row: Array) -> tuple[Array, Array]:
         def of(record: tuple[Array, ...]) -> tuple[Array, Array]:
             u, y, dt, weight = record
-            rest = y - run(_placed(model, Started(*row)), u, dt)[0]
+            rest = y - run(dataclasses.replace(model, **Started(*row)._asdict()), u, dt)[0]
             mean = jnp.sum(weight * rest) / jnp.maximum(jnp.sum(weight), 1e-300)
             return jnp.sum(weight * (rest - mean) ** 2), mean
 

@@ -13,13 +13,7 @@ from hystfit.quality.loops import branches
 def play_columns(
     e: Float[np.ndarray, " T"], r: Float[np.ndarray, " plays"], rest: float
 ) -> Float[np.ndarray, "T plays"]:
-    """Plays of half widths r driven by e: between two turning points a play is max(e - r, last) or min(e + r, last).
-
-    Args:
-        e: input of the plays.
-        r: half widths.
-        rest: input on which they rested before.
-    """
+    """Plays of half widths r driven by e: between two turning points a play is max(e - r, last) or min(e + r, last)."""
     out = np.empty((e.size, r.size))
     out[0] = np.maximum(e[0] - r, np.minimum(e[0] + r, rest))
     for first, last in branches(e):

@@ -11,13 +11,7 @@ from numpy.polynomial import Legendre, Polynomial
 
 
 def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."], first: int = 0) -> Float[Array, "..."]:
-    """Sum of c_i P_(first + i)(x), by Clenshaw's recurrence (n is static).
-
-    Args:
-        coefficients: c, shape (n,).
-        x: any shape.
-        first: degree of the first polynomial.
-    """
+    """Sum of c_i P_(first + i)(x), by Clenshaw's recurrence (n is static)."""
     coefficients = jnp.concatenate([jnp.zeros(first, coefficients.dtype), coefficients])
     n = coefficients.shape[0]
     later, latest = jnp.zeros_like(x), jnp.zeros_like(x)
@@ -29,11 +23,7 @@ def legendre_series(coefficients: Float[Array, " n"], x: Float[Array, "..."], fi
 def rising_series(increments: Float[Array, " n"], x: Float[Array, "..."]) -> Float[Array, "..."]:
     """A polynomial of degree n with value 0 at x = 0 that never falls where the increments are >= 0.
 
-    Its Bernstein coefficients are the cumulative sums of the increments; outside 0 <= x <= 1 it goes on as its tangent.
-
-    Args:
-        increments: differences of the Bernstein coefficients, shape (n,); none for zero.
-        x: any shape.
+    Its Bernstein coefficients are the cumulative sums of the increments; outside 0 <= x <= 1 it continues as its tangent.
     """
     n = increments.shape[0]
     if n == 0:
@@ -56,24 +46,14 @@ def derivative_matrix(n: int) -> np.ndarray:
 
 
 def legendre_to_powers(coefficients: np.ndarray, center: float, half: float) -> np.ndarray:
-    """Coefficients of 1, v, v^2, ... of a Legendre series in (v - center) / half.
-
-    Args:
-        coefficients: of the series, shape (n,).
-        center, half: middle and half width of the range of v.
-    """
+    """Coefficients of 1, v, v^2, ... of a Legendre series in (v - center) / half."""
     series = Legendre(np.asarray(coefficients, float), domain=[center - half, center + half])
     powers = series.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
     return np.pad(powers, (0, len(coefficients) - powers.size))
 
 
 def powers_to_legendre(powers: np.ndarray, center: float, half: float) -> np.ndarray:
-    """Legendre coefficients in (v - center) / half of a polynomial given by its powers of v.
-
-    Args:
-        powers: coefficients of 1, v, v^2, ..., shape (n,).
-        center, half: middle and half width of the range of v.
-    """
+    """Legendre coefficients in (v - center) / half of a polynomial given by its powers of v."""
     polynomial = Polynomial(np.asarray(powers, float), domain=[-1, 1], window=[-1, 1])
     series = polynomial.convert(kind=Legendre, domain=[center - half, center + half])
     return np.pad(series.coef, (0, len(powers) - series.coef.size))

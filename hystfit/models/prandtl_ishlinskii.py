@@ -22,7 +22,6 @@ from hystfit.models.polynomial import legendre_series, rising_series
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.host_arrays import to_device
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -242,12 +241,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         b = np.where(np.arange(self.b.size) == 0, 0.8 * out.half, 0.0)
         rise = np.full(self.rise.shape, 1.6 * out.half / max(self.rise.size, 1))  # equal increments: a straight line
         offset = out.center - 0.5 * np.sum(rise)
-        low, high = place.center - place.half, place.center + place.half
-        return eqx.tree_at(
-            lambda m: (m.w, m.b, m.rise, m.offset, m.low, m.high),
-            self,
-            tuple(map(to_device, (w, b, rise, offset, low, high))),
-        )
+        return dataclasses.replace(self, w=w, b=b, rise=rise, offset=offset, low=place.low, high=place.high)
 
     def settings(self) -> dict[str, int | bool | str]:
         """See the base class."""
@@ -278,12 +272,8 @@ class PrandtlIshlinskii(AbstractHysteresis):
         hardens = int(bool(self.hardening.size))
         numbers = {"OFFSET": self.offset, "LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
         numbers |= {"FIRST": int(self.rest == "first"), "STOPS": int(self.operator == "stop"), "HARDENS": hardens}
-        numbers |= {
-            "ENVELOPES": int(count),
-            "PLAYS": int(plays),
-            "B": int(self.b.size) + 1,
-            "RISE": int(self.rise.size),
-        }
+        numbers |= {"ENVELOPES": int(count), "PLAYS": int(plays)}
+        numbers |= {"B": int(self.b.size) + 1, "RISE": int(self.rise.size)}
         arrays = {"w": self.w, "r": self.r, "b": np.append(0.0, np.asarray(self.b)), "kinds": np.array(kinds)}
         if self.rise.size:
             arrays["rise"] = self.rise
@@ -301,7 +291,7 @@ class PlayStep(AbstractStepInverse):
     """
 
     model: PrandtlIshlinskii
-    needs_limits: bool = eqx.field(static=True, default=False)
+    needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""

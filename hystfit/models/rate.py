@@ -1,4 +1,4 @@
-"""Forces of the input's rate: viscous and saturating damping beside a hysteresis (dampers, friction)."""
+"""Forces of the input's rate: viscous and saturating damping, added to a hysteresis (dampers, friction)."""
 
 from __future__ import annotations
 

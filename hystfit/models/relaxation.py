@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -43,7 +43,7 @@ class Relaxation(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape != self.tau.shape:
-            raise ModelError(f"one weight a time constant: got {self.a.shape} and {self.tau.shape}")
+            raise ModelError(f"one weight per time constant: got {self.a.shape} and {self.tau.shape}")
 
     def init(self, u0: Scalar) -> State:
         """State: the slow followers z, at rest on u0."""
@@ -64,13 +64,13 @@ class Relaxation(AbstractHysteresis):
         typical = sampling_interval(records)
         longest = max(float(np.sum(record.dt[1:])) for record in records)
         tau = np.geomspace(10 * typical, max(longest / 5, 100 * typical), self.tau.shape[0] + 2)[1:-1]
-        return eqx.tree_at(lambda m: (m.a, m.tau), self, (jnp.full(self.a.shape, 0.02), jnp.asarray(tau)))
+        return dataclasses.replace(self, a=np.full(self.a.shape, 0.02), tau=tau)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The output is affine in the new input."""
         return LinearStep(self)
 
     def c_part(self) -> CPart:
-        """One recursion a mode."""
+        """One recursion per mode."""
         modes = int(self.tau.shape[0])
         return CPart(template("relaxation.c"), modes, {"MODES": modes}, {"a": self.a, "tau": self.tau})

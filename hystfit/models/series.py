@@ -16,12 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, OutputResonance, drive, run, simulate
+from hystfit.models.base import AbstractHysteresis, OutputResonance
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive, run, simulate
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import compiled
 
@@ -204,7 +205,7 @@ class SeriesStep(AbstractStepInverse):
 
 
 def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
-    """A design matrix, one row a sample, through a filter that is linear in its input."""
+    """A design matrix, one row per sample, through a filter that is linear in its input."""
     columns = [block.columns for block in design.blocks]
     out = np.asarray(_filtered(part, jnp.asarray(np.column_stack([design.rest, *columns])), jnp.asarray(dt)))
     edges = np.cumsum([1, *(block.shape[1] for block in columns)])
@@ -217,7 +218,7 @@ def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarra
 
 @compiled
 def _filtered(part: Any, signals: Array, dt: Array) -> Array:
-    """Outputs for each column of signals, shape (T, p); of all but the first less the response of the initial state."""
+    """Outputs for each column of signals, shape (T, p); for all but the first, minus the response of the initial state."""
     outputs = jax.vmap(lambda signal: run(part, signal, dt)[0], in_axes=1, out_axes=1)(signals)
     constant = run(part, jnp.zeros_like(dt), dt)[0]
     return outputs.at[:, 1:].add(-constant[:, None])

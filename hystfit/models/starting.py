@@ -26,8 +26,18 @@ class Range(NamedTuple):
         return cls(0.5 * (low + high), 0.5 * (high - low) or 1.0)
 
     @property
+    def low(self) -> float:
+        """The lowest value."""
+        return self.center - self.half
+
+    @property
+    def high(self) -> float:
+        """The highest value."""
+        return self.center + self.half
+
+    @property
     def width(self) -> float:
-        """From the lowest to the highest value."""
+        """Distance from the lowest to the highest value."""
         return 2 * self.half
 
 
@@ -47,12 +57,7 @@ def output_range(records: Iterable[Record]) -> Range:
 
 
 def sampling_interval(records: Iterable[Record], without: float = 0.005) -> float:
-    """Median of the positive time steps of records [s].
-
-    Args:
-        records: any.
-        without: returned where they have no time.
-    """
+    """Median of the positive time steps of records [s]."""
     return median_interval(np.concatenate([record.dt[1:] for record in records])) or without
 
 
@@ -80,6 +85,11 @@ def thinned(records: Sequence[Record], count: int = 500) -> list[Record]:
     return short
 
 
+def used_samples(records: Sequence[Record]) -> tuple[np.ndarray, np.ndarray]:
+    """Input and output of all samples that count, record after record, shapes (n,)."""
+    return np.concatenate([r.u[r.used] for r in records]), np.concatenate([r.y[r.used] for r in records])
+
+
 def first_output(record: Record) -> float:
     """The first output that counts."""
     return float(record.y[np.argmax(record.used)])
@@ -99,12 +109,9 @@ def offset_columns(records: Sequence[Record]) -> np.ndarray:
 
 
 def best_column(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:
-    """Which candidate column, beside the fixed ones, leaves the smallest sum of squared residuals.
+    """Which candidate column, in addition to the fixed ones, leaves the smallest sum of squared residuals.
 
-    Args:
-        fixed: columns in every fit, shape (n, q).
-        candidates: columns of which one is added, shape (n, k).
-        y: what is fitted, shape (n,).
+    Columns have shapes (n, q) and (n, k).
     """
     Q = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
     rest, others = y - Q @ (Q.T @ y), candidates - Q @ (Q.T @ candidates)

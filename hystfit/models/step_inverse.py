@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -48,14 +48,7 @@ class AbstractStepInverse(eqx.Module):
         return 1.0
 
     def advance(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The model's step; to override where the inverse holds tables that make it faster.
-
-        Args:
-            state: before the sample, shape (states,).
-            u0: input of the previous sample [u].
-            u1: input of this sample [u].
-            dt: time between the two [s]; 0 where there is no time.
-        """
+        """The model's step; override it where the inverse holds tables that make it faster."""
         return self.model.step(state, u0, u1, dt)
 
 
@@ -64,21 +57,16 @@ class SearchStep(AbstractStepInverse):
 
     Attributes:
         model: any model.
-        falls: -1 where the output falls with the input, else 1.
+        sign: -1 where the output falls with the input, else 1.
     """
 
     model: Any
-    falls: float = eqx.field(static=True, default=1.0)
-    needs_limits: bool = eqx.field(static=True, default=True)
-
-    @property
-    def sign(self) -> float:
-        """See the base class."""
-        return self.falls
+    sign: float = eqx.field(static=True, default=1.0)
+    needs_limits: ClassVar[bool] = True
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""
-        miss = lambda u1: self.falls * (self.model.step(state, u0, u1, dt)[1] - target)
+        miss = lambda u1: self.sign * (self.model.step(state, u0, u1, dt)[1] - target)
         return solve_rising(miss, jnp.clip(u0, low, high), low, high)
 
 
@@ -86,7 +74,7 @@ class LinearStep(AbstractStepInverse):
     """Inverse of a model whose output is affine in the new input (`Lag`, `Relaxation`): a derivative gives its gain."""
 
     model: Any
-    needs_limits: bool = eqx.field(static=True, default=False)
+    needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
         """See the base class."""

@@ -38,9 +38,7 @@ def to_json(model: AbstractHysteresis) -> dict[str, Any]:
 def from_json(described: dict[str, Any], allowed: Collection[str] = ()) -> AbstractHysteresis:
     """The model that `to_json` described.
 
-    Args:
-        described: class and fields.
-        allowed: files of the user's that may be run.
+    `allowed` are the files of the user's that may be run.
 
     Raises:
         ModelError: not such a description, or a class that is not there or not allowed.

@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, drive, simulate
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive, simulate
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
 
@@ -78,7 +79,7 @@ class Sum(AbstractComposition):
         return tuple(line for part in self.parts for line in part.advice(u, dt))
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """Columns of all parts, one row a sample."""
+        """Columns of all parts, one row per sample."""
         u, dt = drive(self, u, dt)
         designs = [part.design_matrix(u, dt).rows() for part in self.parts]
         blocks = [block for k, design in enumerate(designs) for block in self._blocks(k, design.blocks)]
@@ -102,7 +103,7 @@ class Sum(AbstractComposition):
 
 
 class SumStep(AbstractStepInverse):
-    """Inverse of one model beside constants.
+    """Inverse of a sum of one model and constants.
 
     Attributes:
         model: the sum.

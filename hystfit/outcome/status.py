@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from typing import Any
 
 
 class Status(enum.StrEnum):
@@ -98,3 +99,20 @@ _OF_VERB = {
     ("batch", Status.FAILED): "no loop has a usable fit: the table gives the reason for each",
     ("calibrate", Status.OK): "the error bars of this setup hold, as far as this number of replicates can show",
 }
+
+
+class WithStatus:
+    """What all results share: whether their `status` allows to use them, and what to do about it."""
+
+    status: Any  # a `Status`: a field or a property
+    verb: Any = "fit"  # whose advice applies
+
+    @property
+    def usable(self) -> bool:
+        """Whether the numbers can be used as they are: the status is `Status.OK`."""
+        return self.status.usable
+
+    @property
+    def advice(self) -> str:
+        """What to do about the status, in one sentence."""
+        return self.status.advice(self.verb)

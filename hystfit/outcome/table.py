@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 
@@ -130,3 +132,21 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
     return float(value) if math.isfinite(float(value)) else None
+
+
+def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") -> None:
+    """Columns of text and numbers by heading as a CSV file; a missing value is an empty cell.
+
+    Args:
+        form: format of the numbers, such as ".10g"; all digits by default.
+    """
+
+    def cell(value: Any) -> str:
+        if isinstance(value, str):
+            return value
+        return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
+
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))

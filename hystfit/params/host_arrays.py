@@ -1,4 +1,4 @@
-"""Values of the host as arrays of JAX, without a program compiled for each shape."""
+"""NumPy values as JAX arrays, without compiling a program for each shape."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def to_device(values: Any, dtype: Any = None) -> jax.Array:
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """`equinox.filter_jit`, at half its cost for each call where all leaves of the arguments are arrays or numbers of NumPy.
+    """`equinox.filter_jit`, at half its cost per call where all leaves of the arguments are arrays or NumPy numbers.
 
     The command line keeps its programs on disk (`hystfit.params.kept_programs`).
 
     Args:
-        function: of a module, of positional arguments, all of them trees.
+        function: at the level of a module, of positional arguments that are trees.
     """
     of_arrays, of_any = jax.jit(function), eqx.filter_jit(function)
 

@@ -12,11 +12,6 @@ def latin_hypercube(dimensions: int, count: int, seed: int) -> Float[np.ndarray,
     """Points in the unit cube, one in each of `count` equal slices along every axis (McKay, Beckman and Conover 1979).
 
     The points are those of `scipy.stats.qmc.LatinHypercube`, whose import takes longer than a fit.
-
-    Args:
-        dimensions: of the cube.
-        count: number of points.
-        seed: of the random numbers.
     """
     rng = np.random.default_rng(seed).spawn(1)[0]
     inside = rng.uniform(size=(count, dimensions))

@@ -1,9 +1,9 @@
 """Traced and lowered programs, kept on disk between processes: half the time of a first fit whose programs are compiled.
 
 JAX keeps compiled programs, but finds one only after it has traced and lowered it again. Here a program is kept as `jax.export`
-serializes it: StableHLO, which computes and can do nothing else. It is found by the source of hystfit, the versions and settings of
-what traces it, and the arguments: arrays by their shapes, all else by value. What no text describes by value, such as a class of the
-user, is traced in every process.
+serializes it: StableHLO, which computes and can do nothing else. Its key is made of the source of hystfit, the versions and settings
+on which tracing depends, and the arguments: arrays by shape, everything else by value. Arguments that no text describes by value, such
+as a user's class, are traced in every process.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _NotByValueError(Exception):
 
 
 def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that calls the kept program for its arguments where there is a folder for programs, and `otherwise` without one.
+    """A function that runs the program kept for its arguments, or `otherwise` where no folder for programs is set.
 
     Args:
         function: of a module of hystfit, of trees; returns arrays in tuples, lists and dictionaries.
@@ -75,13 +75,13 @@ def _program(
         path = Path(os.environ[PROGRAM_FOLDER]) / name
         exported = None
         if (content := _read(path)) is not None:
-            with suppress(Exception):  # of another version of the form, though the versions agree
+            with suppress(Exception):  # written in an incompatible form, though the versions agree
                 exported = export.deserialize(bytearray(content))
         if exported is None:
             exported = export.export(jax.jit(flat))(*shapes)
             _write(path, bytes(exported.serialize()))
         return jax.jit(exported.call)
-    except Exception:  # it cannot be exported, described or written; an error of the function itself comes again
+    except Exception:  # it cannot be exported, described or written; `otherwise` raises an error of the function itself
         return None
 
 
@@ -101,7 +101,7 @@ def _setting() -> str:
 
 
 def _text(value: Any) -> str:
-    """A text that is the same for values that are traced alike, and for no others.
+    """A text that is equal for two values exactly when they are traced alike.
 
     Raises:
         _NotByValueError: there is none.
@@ -161,7 +161,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """A file at once or not at all; those unused for longest go where the folder is full."""
+    """Write a file atomically, and remove the files unused for longest where the folder is full."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
         file.write(hashlib.sha256(content).digest() + content)

@@ -60,8 +60,11 @@ def as_array(value: Any) -> Any:
     if type(value) is float:
         return _number(value, math.copysign(1.0, value), _float_type())
     whole = isinstance(value, jax.Array) and not jnp.issubdtype(value.dtype, jnp.floating)
+    traced = isinstance(value, (list, tuple)) and any(
+        isinstance(element, jax.core.Tracer) for element in jax.tree_util.tree_leaves(value)
+    )
     try:
-        if whole or (isinstance(value, (list, tuple)) and _holds_traced(value)):
+        if whole or traced:
             if jnp.iscomplexobj(value):
                 raise TypeError("complex")
             return jnp.asarray(value, dtype=_float_type())
@@ -75,22 +78,15 @@ def as_array(value: Any) -> Any:
     return value
 
 
-def _holds_traced(values: Any) -> bool:
-    return any(isinstance(value, jax.core.Tracer) for value in jax.tree_util.tree_leaves(values))
-
-
 def _float_type() -> Any:
     return np.float64 if jax.config.jax_enable_x64 else np.float32  # type: ignore[attr-defined]
 
 
 @functools.lru_cache(maxsize=1024)
 def _number(value: float, sign: float, dtype: Any) -> jax.Array:
-    """A number as an array. Arrays cannot be changed, so that models share them: making one takes longer than a model may.
+    """A number as an array, made once and shared: arrays are immutable, and making them would dominate the time to build a model.
 
-    Args:
-        value: of the number.
-        sign: tells 0.0 from -0.0, which are the same key otherwise.
-        dtype: of the array.
+    `sign` tells 0.0 from -0.0, which are equal as keys.
     """
     with jax.ensure_compile_time_eval():
         return to_device(value, dtype)

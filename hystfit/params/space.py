@@ -43,6 +43,7 @@ class ParameterSpace:
         infos: their declarations.
         units: their units as printed.
         coordinates: the traced half.
+        lower, upper, scale, kinds: those of `coordinates` on the host, shape (p,).
     """
 
     def __init__(
@@ -91,23 +92,21 @@ class ParameterSpace:
         match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
         words = tuple(match["path"].split(".")) if match else ()
         hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []
-        known = ", ".join(self._leaf_names)
-        if len(hits) > 1:
-            exact = [i for i in hits if self._leaf_names[i] == match["path"]]  # type: ignore[index]
-            hits = exact or hits
-        if len(hits) > 1:
-            raise ParameterError(
-                f"parameter {name!r} is ambiguous; choose one of: {', '.join(self._leaf_names[i] for i in hits)}"
-            )
-        if not hits:
+        if match is None or not hits:
+            known = ", ".join(self._leaf_names)
             raise ParameterError(f"no parameter {name!r}{near(name, self._leaf_names)}; the parameters are: {known}")
-        leaf = self.leaves[hits[0]]
-        if match is None or match["at"] is None:
-            return hits[0], list(range(leaf.size))
+        if len(hits) > 1:
+            hits = [i for i in hits if self._leaf_names[i] == match["path"]] or hits
+        if len(hits) > 1:
+            choices = ", ".join(self._leaf_names[i] for i in hits)
+            raise ParameterError(f"parameter {name!r} is ambiguous; choose one of: {choices}")
+        number, leaf = hits[0], self.leaves[hits[0]]
+        if match["at"] is None:
+            return number, list(range(leaf.size))
         at = tuple(int(k) for k in match["at"].split(","))
         if len(at) != len(leaf.shape) or any(k >= n for k, n in zip(at, leaf.shape, strict=False)):
-            raise ParameterError(f"parameter {name!r}: {self._leaf_names[hits[0]]} has shape {leaf.shape}")
-        return hits[0], [int(np.ravel_multi_index(at, leaf.shape))]
+            raise ParameterError(f"parameter {name!r}: {self._leaf_names[number]} has shape {leaf.shape}")
+        return number, [int(np.ravel_multi_index(at, leaf.shape))]
 
     def value(self, name: str) -> np.ndarray:
         """Value of a parameter, free or fixed, in the template: of one element, or of all of an array, flat.
@@ -167,21 +166,22 @@ class ParameterSpace:
         bounds = np.array([info.bounds for info in infos], dtype=float).reshape(-1, 2)
         finite = np.isfinite(bounds)
         kinds = np.where(finite.all(1), BOTH, np.where(finite[:, 0], LOWER, np.where(finite[:, 1], UPPER, REAL)))
-        scale = np.array([info.scale * self.scales.size(info.unit) for info in infos])
+        self.lower, self.upper, self.kinds = bounds[:, 0], bounds[:, 1], kinds
+        self.scale = np.array([info.scale * self.scales.size(info.unit) for info in infos])
         dtype = jnp.result_type(float)
         self.coordinates = Coordinates(
             leaves=tuple(flat),
-            lower=to_device(bounds[:, 0], dtype),
-            upper=to_device(bounds[:, 1], dtype),
-            scale=to_device(scale, dtype),
+            lower=to_device(self.lower, dtype),
+            upper=to_device(self.upper, dtype),
+            scale=to_device(self.scale, dtype),
             kinds=tuple(int(k) for k in kinds),
             layout=tuple(layout),
             treedef=treedef,
             n_records=len(self.records),
         )
-        self._check_values(flat, masks)
+        self._check_values(flat)
 
-    def _check_values(self, flat: list[Any], masks: list[np.ndarray]) -> None:
+    def _check_values(self, flat: list[Any]) -> None:
         for leaf, name in zip(self.leaves, self._leaf_names, strict=True):
             value = np.asarray(flat[leaf.index])
             lower, upper = leaf.info.bounds
@@ -199,8 +199,11 @@ class ParameterSpace:
         one = structure(trees) == structure(self.template)  # a single tree may be a tuple
         several = not one and isinstance(trees, (list, tuple)) and len(trees) == len(self.records) > 1
         flats = [jax.tree_util.tree_leaves(tree) for tree in (trees if several else [trees])]
-        leaf = lambda number, record: np.asarray(flats[(record or 0) if several else 0][self.leaves[number].index])
-        return np.array([float(leaf(number, record).reshape(-1)[k]) for number, k, record in self.sources])
+        values = []
+        for number, k, record in self.sources:
+            flat = flats[record if several and record is not None else 0]
+            values.append(float(np.asarray(flat[self.leaves[number].index]).reshape(-1)[k]))
+        return np.array(values)
 
     def unconstrained(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
         """z from x; values on their bound are moved inside.
@@ -211,8 +214,7 @@ class ParameterSpace:
         x = np.asarray(x, dtype=float)
         if x.shape != (len(self),):
             raise ParameterError(f"expected {len(self)} values ({', '.join(self.names)}), got shape {x.shape}")
-        lower, upper = np.asarray(self.coordinates.lower), np.asarray(self.coordinates.upper)
-        for name, value, low, high in zip(self.names, x, lower, upper, strict=True):
+        for name, value, low, high in zip(self.names, x, self.lower, self.upper, strict=True):
             if not (np.isfinite(value) and low <= value <= high):
                 raise ParameterError(f"parameter {name!r}: start {value:g} is outside its bounds [{low:g}, {high:g}]")
         with np.errstate(all="ignore"):
@@ -254,14 +256,27 @@ class ParameterSpace:
 
     @property
     def offsets(self) -> np.ndarray:
-        """Which free elements shift the output of a record, shape (p,), bool: they are of any size, and tell nothing about the others."""
-        real = np.asarray(self.coordinates.kinds) == REAL
-        return self.linear & np.array([info.per_record for info in self.infos], dtype=bool) & real
+        """Which free elements shift the output of one record, shape (p,), bool; their size says nothing about the other parameters."""
+        return self.linear & self.per_record & (self.kinds == REAL)
 
     @property
     def linear(self) -> np.ndarray:
         """In which free elements the output is linear, shape (p,), bool."""
         return np.array([info.linear for info in self.infos], dtype=bool)
+
+    @property
+    def per_record(self) -> np.ndarray:
+        """Which free elements have a value for each record, shape (p,), bool."""
+        return np.array([info.per_record for info in self.infos], dtype=bool)
+
+    @property
+    def width(self) -> np.ndarray:
+        """Distance between the bounds of each free element that has two, else its scale, shape (p,)."""
+        return np.where(self.kinds == BOTH, self.upper - self.lower, self.scale)
+
+    def clip(self, x: np.ndarray) -> np.ndarray:
+        """x with values beyond their bounds moved onto them."""
+        return np.clip(x, self.lower, self.upper)
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
         """Name, value and declaration of every fixed element."""
@@ -277,20 +292,15 @@ class ParameterSpace:
 
 
 def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
-    """Size in which each parameter's error is judged: its distance to the bounds, or its natural scale where it has none.
+    """Size against which the error of each parameter at x is judged: its distance to the bounds, or its natural scale without any.
 
-    That of an offset is its natural scale alone: its value tells where zero lies.
-
-    Args:
-        space: the free parameters.
-        x: their physical values, shape (p,).
+    For an offset it is the natural scale alone, because its value depends on where zero lies.
     """
-    c = space.coordinates
-    lower, upper, scale, kind = (np.asarray(v) for v in (c.lower, c.upper, c.scale, c.kinds))
+    lower, upper, scale, kind = space.lower, space.upper, space.scale, space.kinds
     with np.errstate(invalid="ignore"):
         both = (x - lower) * (upper - x) / (upper - lower)
         one = np.where(np.isfinite(lower), x - lower, upper - x)
     natural = np.where(space.offsets, scale, np.maximum(scale, np.abs(x)))
-    # A weight that is nearly zero is determined when its error is small beside its scale, not beside itself.
+    # A weight that is nearly zero is determined when its error is small compared with its scale, not with its value.
     one = np.where(space.linear, np.maximum(one, scale), one)
     return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))

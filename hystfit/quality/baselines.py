@@ -1,4 +1,4 @@
-"""What plain descriptions of the data leave unexplained: the yardsticks beside which the error of a fit is judged."""
+"""Errors of plain descriptions of the data, with which the error of a fit is compared."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Baselines:
     """Root mean square errors of plain descriptions, on the samples that count, and the extent of these samples [y].
 
     Attributes:
-        span: largest less smallest measured output.
+        span: largest minus smallest measured output.
         noise: rms noise as the differences of neighboring samples show it; None where they still contain the signal.
         line: of the best straight line over the input.
         curve: of the best single-valued curve over the input (a polynomial), without hysteresis.
@@ -44,9 +44,7 @@ class Baselines:
         """Fit the plain descriptions, with an offset for each record.
 
         Args:
-            train: records to fit.
             test: records to judge; those fitted by default. One that was not fitted has the offset of the first record.
-            refit_offset: shift the prediction of each test record to its mean.
         """
         judged = list(train if test is None else test)
         frame = _Frame.of(train)
@@ -108,11 +106,7 @@ def _parts(columns: _Columns, place: np.ndarray, record: Record, number: int, co
     """Columns with one offset for each of `count` records, and outputs, at the samples that count, block by block.
 
     Args:
-        columns: of a block, from its inputs, the input before it and the columns there.
         place: inputs, shape (T,).
-        record: has the outputs.
-        number: of the record, whose offset it has.
-        count: of records.
     """
     before = None
     for start in range(0, place.size, _BLOCK):
@@ -129,7 +123,7 @@ def _line(x: np.ndarray, before: _Before) -> np.ndarray:
 
 
 def _curve(x: np.ndarray, before: _Before) -> np.ndarray:
-    # Beyond the fitted range the curve goes on as its end: a polynomial of high degree would not.
+    # Constant beyond the fitted range, where a polynomial of high degree would diverge.
     return np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), _DEGREE)[:, 1:]
 
 

@@ -118,7 +118,6 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     """Data-quality report of a record or a data set.
 
     Args:
-        data: a record, a data set or a list of records.
         needs: what each model needs from data, by its name; without them no model is judged.
 
     Raises:
@@ -129,7 +128,8 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     notes, determined = findings(records), determine(records, needs or {})
     family = recognize_family(dataset)
     if family is None:
-        notes = (*notes, *_coverage(dataset, notes))
+        if not has(notes, Code.NO_LOOP, Code.SINGLE_VALUED):
+            notes = (*notes, *coverage_notes(dataset))
     else:
         notes = tuple(note for note in notes if note.code not in (Code.NO_LOOP, Code.TOO_FEW_SAMPLES))
         about = [
@@ -139,11 +139,6 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         notes = (*about, *notes)
         determined = tuple(_by_family(item, family) if item.model == "preisach" else item for item in determined)
     return QualityReport(dataset.name, records, notes, determined)
-
-
-def _coverage(dataset: Dataset, notes: tuple[Note, ...]) -> tuple[Note, ...]:
-    """Coverage of records in which there is a loop."""
-    return () if has(notes, Code.NO_LOOP, Code.SINGLE_VALUED) else coverage_notes(dataset)
 
 
 def _by_family(item: Determination, family: ReversalFamily) -> Determination:

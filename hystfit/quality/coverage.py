@@ -42,7 +42,6 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
     """What a model fitted to records cannot be relied on for.
 
     Args:
-        fitted: the records of the fit.
         others: records that it is to predict; none where they are unknown.
 
     Returns:

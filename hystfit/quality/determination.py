@@ -139,12 +139,7 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
 
 
 def determine(records: Sequence[RecordQuality], needs: Mapping[str, Needs]) -> tuple[Determination, ...]:
-    """Whether these records determine each model, and why.
-
-    Args:
-        records: measurements of all records of a data set.
-        needs: what each model needs, by its name.
-    """
+    """Whether these records determine each model, and why."""
     facts = _facts(records)
     return tuple(Determination(name, *_judge(facts, need)) for name, need in needs.items())
 

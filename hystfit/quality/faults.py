@@ -9,10 +9,8 @@ import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
-_ARRIVING, _STEEP = (
-    6,
-    0.3,
-)  # samples before a limit, and their least slope beside the usual one, where a sensor is clipped
+# Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
+_ARRIVING, _STEEP = 6, 0.3
 
 
 def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
@@ -81,7 +79,6 @@ def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
     Args:
         u: input, shape (T,).
         tolerance: largest extent of the input within a hold, its noise included [unit of u].
-        least: number of samples that make a hold.
     """
     values = np.asarray(u, dtype=float).tolist()
     found: list[tuple[int, int]] = []
@@ -187,7 +184,6 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     Args:
         y: output, shape (T,).
         noise: its rms [unit of y]; None for 0.
-        ignore: sample numbers next to which nothing counts (turning points of a sparse record).
     """
     y = np.asarray(y, dtype=float)
     if y.size < 5:

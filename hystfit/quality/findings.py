@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
@@ -24,7 +25,7 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
     """
     names: dict[Note, list[str]] = {}
     for record in records:
-        for note in (*_faults(record), *_traits(record)):
+        for note in itertools.chain(*(about(record) for about in (_faults, _response, _loops, _changes))):
             names.setdefault(note, []).append(record.name)
     merged = []
     for note, of in names.items():
@@ -59,11 +60,9 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
         yield warn(Code.SPIKES, f"outliers (spikes) in the output: {record.spikes}; fit with a robust loss")
     if record.motion.chatter_percent > MOST:
         length = record.motion.smoothing
-        remedy = (
-            f"--smooth {length} (smooth={length}) reduces them below {MOST:g} %"
-            if length
-            else "measure the input with less noise"
-        )
+        remedy = "measure the input with less noise"
+        if length:
+            remedy = f"--smooth {length} (smooth={length}) reduces them below {MOST:g} %"
         yield warn(
             Code.CHATTER,
             f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and models produce "
@@ -75,9 +74,9 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
         yield warn(Code.OUTPUT_NOISE, f"output noise: {size} rms, {100 * noise / span:.1f} % of the output range")
 
 
-def _traits(record: RecordQuality) -> Iterator[Note]:
-    """Properties of the loop that decide which models apply."""
-    shape, drift, lag, unit = record.shape, record.drift, record.lag, record.units["y"]
+def _response(record: RecordQuality) -> Iterator[Note]:
+    """How the output responds to the input, apart from the shape of loops."""
+    u_kind, y_kind = quantity(record.units["u"]), quantity(record.units["y"])
     if record.dynamics is not None and record.dynamic:
         yield warn(Code.DYNAMICS, _resonance(record.dynamics, record.units["t"]))
     if record.delay is not None:
@@ -92,49 +91,63 @@ def _traits(record: RecordQuality) -> Iterator[Note]:
             Code.FALLING,
             "the output falls as the input rises: loops are judged with the input mirrored, and models fitted with negate+ in front",
         )
-    if quantity(unit) in ("current", "current density") and quantity(record.units["u"]) in (
-        "voltage",
-        "electric field",
-    ):
+    if y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
         yield Note(
             Code.RATE,
-            f"the output is a {quantity(unit)} against a {quantity(record.units['u'])}: for a loop of charge or polarization, "
-            "--integrate (integrate=True) integrates it over time",
+            f"the output is a {y_kind} against a {u_kind}: for a loop of charge or polarization, --integrate (integrate=True) "
+            "integrates it over time",
         )
+
+
+def _loops(record: RecordQuality) -> Iterator[Note]:
+    """Whether there are loops, and of which shape."""
+    shape = record.shape
     if record.motion.monotonic:
         yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
-    if shape is not None and shape.crossing:
+    if shape is None:
+        return
+    if shape.crossing:
         yield warn(
             Code.CROSSING,
             "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): no model here "
             "describes that; fit the signed quantity of which the output is an even function, or one half of the input range",
         )
-    elif shape is not None and shape.circulation is None:
+    elif shape.circulation is None:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
-    if shape is not None and shape.closure_percent is not None and abs(shape.closure_percent) > 2:
+    if shape.closure_percent is not None and abs(shape.closure_percent) > 2:
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
-    if record.degrading and shape is not None:
+    if record.degrading:
         pinched = (
             f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinching < 0.6 else ""
         )
-        loss = (
-            f"stiffness (damage or backlash): late loops keep {100 * (record.stiffness_left or 0.0):.0f} % of the first stiffness at "
-            "the same stroke"
-        )
-        if record.softens:
-            loss = f"stiffness (damage): after late reversals {100 * (record.unloading_left or 0.0):.0f} % of the first stiffness is left"
-        if record.weakens:
-            loss = f"strength (damage): late loops reach {100 * (record.strength_left or 0.0):.0f} % of the output of shorter ones before"
         yield warn(
             Code.DEGRADING,
-            f"loss of {loss}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit "
-            "the cycles before the damage (window=)",
+            f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles before "
+            "the damage (window=)",
         )
+
+
+def _loss(record: RecordQuality) -> str:
+    """What a damaged device loses, and how much of it is left."""
+    percent = lambda part: f"{100 * (part or 0.0):.0f} %"
+    if record.weakens:
+        left = percent(record.strength_left)
+        return f"strength (damage): late loops reach {left} of the output of shorter ones before"
+    if record.softens:
+        left = percent(record.unloading_left)
+        return f"stiffness (damage): after late reversals {left} of the first stiffness is left"
+    left = percent(record.stiffness_left)
+    return f"stiffness (damage or backlash): late loops keep {left} of the first stiffness at the same stroke"
+
+
+def _changes(record: RecordQuality) -> Iterator[Note]:
+    """Dependence on time and speed: drift, lag, velocity."""
+    shape, drift, lag = record.shape, record.drift, record.lag
     if drift is not None and drift.law != "none":
         slope, per, r2 = drift.per_cycle, "cycle", drift.r2_linear
         if drift.law == "logarithmic" and drift.per_decade is not None and drift.r2_log is not None:
             slope, per, r2 = drift.per_decade, "decade of time", drift.r2_log
-        size = f"{slope:.3g} {unit}".rstrip()
+        size = f"{slope:.3g} {record.units['y']}".rstrip()
         text = f"the mean of like cycles drifts by {size} per {per} ({drift.law}, R2 {r2:.3f})"
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""

@@ -184,7 +184,6 @@ def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 60
         u: input, shape (T,).
         y: output, shape (T,).
         t: time, shape (T,).
-        most: number of samples used, from the start of the record.
 
     Returns:
         A number from 0 to 1; None with fewer than 100 samples.

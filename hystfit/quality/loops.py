@@ -16,7 +16,6 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
 
     Args:
         u: input, shape (T,).
-        threshold: hysteresis of the detector, in the unit of u.
 
     Returns:
         Sample numbers in rising order, shape (R,), the ends of the record excluded; on a flat top the first sample.

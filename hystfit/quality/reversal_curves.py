@@ -43,14 +43,7 @@ class ReversalFamily:
 
 
 def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
-    """Check that records are first-order reversal curves; samples that do not count and curves of one sample are omitted.
-
-    Args:
-        data: one record for each curve, its reversal point first.
-
-    Raises:
-        DataError: fewer than two curves, branches that reverse, or both rising and falling curves.
-    """
+    """Check that records are first-order reversal curves; samples that do not count and curves of one sample are omitted."""
     used = [record for record in Dataset.of(data) if np.count_nonzero(record.used) > 1]
     curves = [record if record.used.all() else record.take(record.used) for record in used]
     if len(curves) < 2:
@@ -121,7 +114,6 @@ def at_inputs(record: Record, u: np.ndarray) -> np.ndarray:
     """Output of a curve at given inputs, by linear interpolation.
 
     Args:
-        record: the curve.
         u: inputs, shape (N,) [unit of u].
     """
     order = np.argsort(record.u, kind="stable")

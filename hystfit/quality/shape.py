@@ -30,7 +30,7 @@ class Shape:
         width: largest vertical distance between the branches [unit of y].
         width_percent: the same in percent of the output's stroke.
         circulation: "counter-clockwise", "clockwise" or None where the loop is not open.
-        closure_percent: output at the end of the last large closed loop less that at its start, in percent of its
+        closure_percent: output at the end of the last large closed loop minus that at its start, in percent of its
             stroke; None where no large loop closes.
         asymmetry_percent: rms deviation from point symmetry about the loop's middle, in percent of the stroke.
         pinching: width at the middle of the input over the largest width (1: as wide as anywhere), the median over
@@ -67,36 +67,21 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     begun = None if len(cycles) else _from_its_end(u, y)
     if begun is not None:
         return loop_shape(*begun, closed_loops(begun[0], _CLOSED * float(np.ptp(u))), cycles, noise)
-    # A loop that begins with the record begins on the curve of first loading, which it does not meet again.
-    complete = [loop for loop in loops if loop.start > 0] or ([] if len(cycles) else loops)
-    spans = [(loop.start, loop.stop, loop.stroke) for loop in complete]
-    closed = bool(spans) and max(stroke for _, _, stroke in spans) > 0.5 * np.ptp(u)
-    if not closed:
-        spans = [(int(a), int(c), abs(u[b] - u[a])) for a, b, c in cycles]
-    whole = lambda u, y: u.size > 7 and np.isfinite(y).all() and _FEWEST <= _turn(u) < u.size - _FEWEST
-    measured = lambda start, stop: whole(u[start : stop + 1], y[start : stop + 1])
-    usable = [span for span in spans if measured(*span[:2])]
+    spans, closed = _spans(u, loops, cycles)
+    usable = [span for span in spans if _is_loop(u, y, *span[:2])]
     if not usable:
         return None
-    largest = max(s[2] for s in usable)
-    chosen = [s for s in usable if s[2] >= 0.95 * largest][-20:]
-    returning = [
-        (a, c)
-        for a, b, c in cycles
-        if abs(u[b] - u[a]) > 0.4 * largest and abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and measured(a, c)
-    ]
-    late = returning[-max(3, len(returning) // 2) :] or [s[:2] for s in usable if s[2] >= 0.5 * largest]
-    pinching = float(np.median([_measure(u[a : b + 1], y[a : b + 1])[4] for a, b in late]))
-    area, stroke, width, asymmetry, _ = np.median([_measure(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen], axis=0)
+    largest = max(stroke for _, _, stroke in usable)
+    chosen = [(start, stop) for start, stop, stroke in usable if stroke >= 0.95 * largest][-20:]
+    area, stroke, width, asymmetry, _ = np.median([_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0)
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
-    chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b, _ in chosen]) / len(chosen))
-    is_open = (fullness > 0.3 and abs(area) > _CHANCE * chance) or (
-        fullness > 0.03 and 0 < 3 * _CHANCE * chance < abs(area)
-    )
-    between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b, _ in chosen]))
+    chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b in chosen]) / len(chosen))
+    between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
     crossing = bool(abs(area) < _CROSSING * between and between > max(0.01 * stroke * largest, 3 * _CHANCE * chance))
+    is_open = fullness > 0.3 and abs(area) > _CHANCE * chance
+    is_open = is_open or (fullness > 0.03 and 0 < 3 * _CHANCE * chance < abs(area))
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
     if turning is None and not crossing and not closed and loops and len(cycles):
         first = max(loops, key=lambda loop: loop.stroke)
@@ -104,19 +89,45 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         shape = loop_shape(u[part], y[part], closed_loops(u[part]), cycles[:0], noise)
         if shape is not None and shape.circulation is not None:
             return dataclasses.replace(shape, closure_percent=None)
-    last = chosen[-1]
     return Shape(
         area=float(area),
         fullness_percent=float(fullness),
         width=float(width),
         width_percent=float(100 * width / stroke),
         circulation=turning,
-        closure_percent=_closure(u, y, last[0], last[1]) if closed else None,
+        closure_percent=_closure(u, y, *chosen[-1]) if closed else None,
         asymmetry_percent=float(100 * asymmetry / stroke),
-        pinching=pinching,
+        pinching=_late_pinching(u, y, cycles, usable),
         crossing=crossing,
         loops=len(chosen),
     )
+
+
+def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[tuple[int, int, float]], bool]:
+    """First and last sample and stroke of the closed loops, or of the cycles where no loop closes over half the range; and which."""
+    # A loop that begins with the record begins on the curve of first loading, which it does not meet again.
+    complete = [loop for loop in loops if loop.start > 0] or ([] if len(cycles) else loops)
+    if max((loop.stroke for loop in complete), default=0.0) > 0.5 * np.ptp(u):
+        return [(loop.start, loop.stop, loop.stroke) for loop in complete], True
+    return [(a, c, float(abs(u[b] - u[a]))) for a, b, c in cycles.tolist()], False
+
+
+def _is_loop(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> bool:
+    """Whether a stretch has samples enough on both branches, all of them measured."""
+    u, y = u[start : stop + 1], y[start : stop + 1]
+    return u.size > 7 and bool(np.isfinite(y).all()) and _FEWEST <= _turn(u) < u.size - _FEWEST
+
+
+def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list[tuple[int, int, float]]) -> float:
+    """Median pinching of the later half of the large cycles that return; of the large spans where none does."""
+    largest = max(stroke for _, _, stroke in spans)
+    returning = [
+        (a, c)
+        for a, b, c in cycles.tolist()
+        if abs(u[b] - u[a]) > 0.4 * largest and abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and _is_loop(u, y, a, c)
+    ]
+    late = returning[-max(3, len(returning) // 2) :] or [(a, b) for a, b, stroke in spans if stroke >= 0.5 * largest]
+    return float(np.median([_measure(u[a : b + 1], y[a : b + 1])[4] for a, b in late]))
 
 
 def _area_between(u: np.ndarray, y: np.ndarray) -> float:
@@ -165,7 +176,7 @@ def outline(u: np.ndarray) -> np.ndarray:
 
 
 def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float | None:
-    """Output where the input is back, less that at the start, in percent: along the slope of the last 2 % of u.
+    """Output where the input is back minus that at the start, in percent, along the slope of the last 2 % of u.
 
     None where the output is constant.
     """

@@ -56,7 +56,7 @@ class Column:
 
     @property
     def range(self) -> float:
-        """Largest value less smallest value."""
+        """Largest minus smallest value."""
         return self.high - self.low
 
     @property
@@ -317,7 +317,7 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
 
 
 def _change(y: np.ndarray) -> float:
-    """Size of the change over a hold: mean of its last fifth less mean of its first twentieth."""
+    """Size of the change over a hold: mean of its last fifth minus mean of its first twentieth."""
     part = max(1, y.size // 20)
     with np.errstate(invalid="ignore"):
         change = abs(float(np.mean(y[-4 * part :]) - np.mean(y[:part])))

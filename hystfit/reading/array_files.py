@@ -33,10 +33,6 @@ def check_size(size: int, raw: bytes) -> None:
 
     Args:
         size: of all numbers [bytes].
-        raw: the file.
-
-    Raises:
-        DataError: they would.
     """
     if size > allowed(len(raw)):
         raise DataError(
@@ -70,11 +66,7 @@ def _numpy(raw: bytes) -> dict[str, np.ndarray]:
 
 
 def _npy_size(start: bytes, size: int) -> int:
-    """Bytes of an array as doubles, from the first bytes of its file of `size` bytes.
-
-    Raises:
-        DataError: the file is shorter than its header states.
-    """
+    """Bytes of an array as doubles, from the first bytes of its file of `size` bytes."""
     if not start.startswith(b"\x93NUMPY"):
         return size
     stream = io.BytesIO(start)

@@ -107,10 +107,7 @@ def calibrated_curves(
     """Label and rows of every curve, its calibration points first.
 
     Args:
-        table: the rows.
-        choice: time, input and output.
         marked: which rows are calibration points, shape (rows,).
-        notes: to which a summary is added.
     """
     number = np.cumsum(_starts(table, marked)) - 1
     numbering = _numbering(table, _starts(table, marked))

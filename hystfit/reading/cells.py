@@ -88,7 +88,7 @@ def are_clocks(column: Sequence[str]) -> bool:
     return bool(matches) and all(m and (m["hh"] or m["min"]) and not (m["y"] or m["p"]) for m in matches)
 
 
-def _of_account(cell: str) -> str:
+def _accounting_number(cell: str) -> str:
     """The number in (1.5) or 1.5-; "" for other cells."""
     if cell.endswith("-") or (cell.startswith("(") and cell.endswith(")")):
         inner = cell[:-1].strip("( ")
@@ -101,7 +101,7 @@ def number(cell: str, decimal: str) -> float | None:
     if len(cell) > _LONGEST:
         return None
     plain, grouped, spaced = patterns(decimal)
-    if unsigned := _of_account(cell):
+    if unsigned := _accounting_number(cell):
         value = number(unsigned, decimal)
         return None if value is None else -value
     if plain.fullmatch(cell):
@@ -145,14 +145,16 @@ def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.nda
             return values, np.where(np.isnan(values), MISSING, NUMBER)
     plain = patterns(decimal)[0].fullmatch
     parsed = [
-        (float(cell.replace(decimal, ".")), NUMBER) if plain(cell) and "d" not in cell.lower() else _odd(cell, decimal)
+        (float(cell.replace(decimal, ".")), NUMBER)
+        if plain(cell) and "d" not in cell.lower()
+        else _parse_unusual(cell, decimal)
         for cell in cells
     ]
     return np.array([value for value, _ in parsed]), np.array([kind for _, kind in parsed])
 
 
 @functools.lru_cache(maxsize=8192)
-def _odd(cell: str, decimal: str) -> tuple[float, str]:
+def _parse_unusual(cell: str, decimal: str) -> tuple[float, str]:
     """Number (NaN where there is none) and kind of a cell that is not a plain number; the same words occur again and again."""
     cell = clean(cell)
     value = number(cell, decimal)
@@ -200,11 +202,7 @@ def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, boo
 
 
 def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
-    """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed.
-
-    Raises:
-        DataError: day and month cannot be distinguished, or a date does not exist.
-    """
+    """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed."""
     matches = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
     stamps = [stamp for stamp in matches if stamp]
     notes: list[Note] = []

@@ -24,10 +24,6 @@ def clean_columns(
     That is a line with anything but plain finite numbers, or a mark that could separate thousands.
 
     Args:
-        text: of the file.
-        lines: the same, one by one.
-        first: number of the first row of numbers.
-        layout: of the rows.
         settled: the decimal mark is not a guess.
     """
     if set(layout.kinds) != {cells.NUMBER}:

@@ -159,16 +159,7 @@ def _composed(name: str) -> str:
 
 
 def find(table: Table, key: str | int, role: str) -> int:
-    """Position of a column by name (with or without its unit, upper or lower case) or by number from 0.
-
-    Args:
-        table: the columns.
-        key: name or number.
-        role: of the column, for messages.
-
-    Raises:
-        DataError: there is no such column, or more than one.
-    """
+    """Position of a column by name (with or without its unit, upper or lower case) or by number from 0."""
     count = len(table.names)
     if isinstance(key, int | np.integer) and not isinstance(key, bool):
         if -count <= key < count:
@@ -217,12 +208,7 @@ def choose(
     """Time, input and output column of a table.
 
     Args:
-        table: the columns.
         time, input, output: names or numbers from 0; None guesses; `time=False` (or "none") reads without time.
-        taken: positions of columns with another role (the column that separates curves).
-
-    Raises:
-        DataError: a column does not exist or is not numeric, or no guess is possible.
     """
     notes: list[Note] = []
     given = {

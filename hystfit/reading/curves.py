@@ -47,41 +47,13 @@ def split_curves(
     """Label and rows of every curve, and whether the file holds several.
 
     Args:
-        table: the rows.
-        choice: time, input and output.
         divider: position of the column whose values separate curves; None where none was chosen.
-        notes: to which is added how the rows were divided.
-
-    Raises:
-        DataError: no curve has two rows, or every row is a curve of its own.
     """
     if divider is not None:
-        labels = labels_of(table, divider)
-        blank = int((labels == "").sum())
-        if blank:
-            notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
-        order = [value for value in dict.fromkeys(labels.tolist()) if value]
-        if len(order) > 1000 and len(order) > table.rows / 2:
-            raise DataError(
-                f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not separate curves"
-            )
-        title = split_unit(table.names[divider])[0]
-        groups = [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
-        return _apart(groups, table, choice, notes), True
+        return _of_several_rows(_by_column(table, divider, notes), table, choice, notes), True
     if table.calibration is not None:
         return calibrated_curves(table, choice, table.calibration, notes), True
-    restart = np.flatnonzero(np.diff(table.section) > 0) + 1
-    if choice.time is not None:  # a header repeated while time goes on is a page break
-        clock = table.columns[choice.time]
-        runs_on = [k for k in restart if clock[k] > clock[k - 1]]
-        if runs_on:
-            text = f"{len(runs_on)} repeated header rows do not begin a curve: time continues there"
-            notes.append(Note(Code.CURVES, text))
-        restart = np.array([k for k in restart if k not in set(runs_on)], dtype=int)
-    new = np.zeros(table.rows, dtype=bool)
-    new[restart] = True
-    new[1:] |= np.diff(table.curve) > 0
-    number = np.cumsum(new)
+    number = _numbers_of_curves(table, choice, notes)
     if number[-1] == 0:
         _suggest(table, choice, notes)
         return [("", np.arange(table.rows))], False
@@ -96,15 +68,43 @@ def split_curves(
     pieces = [piece for piece in pieces if piece.size > 1]
     if single:
         notes.append(Note(Code.CURVES, f"{single} blocks of a single row are not part of the curves"))
-    if len(pieces) < 2:
-        if not pieces:
-            raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
+    if not pieces:
+        raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
+    if len(pieces) == 1:
         return [("", pieces[0])], False
     notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
 
 
-def _apart(
+def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
+    """Label and rows of each value of a column."""
+    labels = labels_of(table, divider)
+    if blank := int((labels == "").sum()):
+        notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
+    order = [value for value in dict.fromkeys(labels.tolist()) if value]
+    if len(order) > 1000 and len(order) > table.rows / 2:
+        raise DataError(
+            f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not separate curves"
+        )
+    title = split_unit(table.names[divider])[0]
+    return [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
+
+
+def _numbers_of_curves(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
+    """Number of the curve that each row is in, by blank lines and repeated headers, shape (rows,)."""
+    begins = np.append(False, np.diff(table.section) > 0)
+    if choice.time is not None:  # a header repeated while time continues is a page break
+        clock = table.columns[choice.time]
+        page_breaks = begins & np.append(False, clock[1:] > clock[:-1])
+        if page_breaks.any():
+            text = f"{page_breaks.sum()} repeated header rows do not begin a curve: time continues there"
+            notes.append(Note(Code.CURVES, text))
+        begins &= ~page_breaks
+    begins[1:] |= np.diff(table.curve) > 0
+    return np.cumsum(begins)
+
+
+def _of_several_rows(
     groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
 ) -> list[tuple[str, np.ndarray]]:
     """Curves of at least two rows; the others are named in the notes."""
@@ -135,11 +135,6 @@ def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> l
 
     Args:
         groups: label ("loop=3") and curve of each.
-        only: the selection.
-        source: path of the file, for messages.
-
-    Raises:
-        DataError: there is no such curve.
     """
     values = [label.partition("=")[2] or label for label, _ in groups]
     if isinstance(only, str) and (found := re.fullmatch(r"\s*(-?\d*):(-?\d*)(?::(-?\d*))?\s*", only)):

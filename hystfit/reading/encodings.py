@@ -59,16 +59,16 @@ def encoding_of(raw: bytes, source: str) -> str:
             return name
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
-    if wide := _wide(raw):
+    if wide := _utf16_without_mark(raw):
         return wide
     try:
         raw.decode("utf-8")
     except UnicodeDecodeError:
-        return _older(raw, source)
+        return _legacy_encoding(raw, source)
     return "utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8"
 
 
-def _wide(raw: bytes) -> str:
+def _utf16_without_mark(raw: bytes) -> str:
     """UTF-16 without a byte-order mark: in rows of numbers every other byte is zero. "" for other text."""
     if b"\x00" not in raw:
         return ""
@@ -84,7 +84,7 @@ def _wide(raw: bytes) -> str:
     return ""
 
 
-def _older(raw: bytes, source: str) -> str:
+def _legacy_encoding(raw: bytes, source: str) -> str:
     lines = [line for line in re.split(rb"[\r\n]+", raw) if not line.isascii()]
     sample = b"\n".join(lines)[:_MOST]
     shares = {name: _share_of_words(sample, name) for name in (*_WORDS, *_SAME_WORDS)}
@@ -138,11 +138,7 @@ def _is_common(sample: bytes, name: str) -> bool:
 
 
 def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Note]]:
-    """Text of a file and what was assumed about its encoding.
-
-    Raises:
-        DataError: the bytes are not text, or not in the encoding that was given.
-    """
+    """Text of a file and what was assumed about its encoding."""
     for magic, what in _MAGIC.items():
         if raw.startswith(magic):
             raise DataError(f"{source} is not text but {what}")

@@ -36,7 +36,7 @@ def allowed(size: int) -> int:
 
 
 def exists(path: str | Path) -> bool:
-    """Whether there is a file or folder of this name; a name that the system does not take is none."""
+    """Whether there is a file or folder of this name; False for a name that the system does not accept."""
     try:
         return Path(path).exists()
     except (OSError, ValueError):
@@ -50,11 +50,7 @@ def inner_name(path: str | Path) -> Path:
 
 
 def load(path: str | Path) -> FileBytes:
-    """The content of a regular file, unpacked where it is gzip, bzip2 or xz.
-
-    Raises:
-        DataError: it is missing, a folder, a device or pipe, empty, too large or damaged, or may not be read.
-    """
+    """The content of a regular file, unpacked where it is gzip, bzip2 or xz."""
     path = Path(path)
     try:
         status = os.stat(path)

@@ -31,12 +31,7 @@ _SAMPLE = 2000  # rows of a sheet that show its layout
 
 
 def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
-    """All columns of a .npz, .npy, .mat, .xlsx, .h5 or .parquet file.
-
-    Raises:
-        DataError: the kind is unknown, or the file is damaged or holds no columns.
-        MissingExtraError: the library for it is not installed.
-    """
+    """All columns of a .npz, .npy, .mat, .xlsx, .h5 or .parquet file."""
     suffix = inner_name(path).suffix.lower()
     if suffix not in KINDS and suffix not in WORKBOOKS:
         known = ".csv .dat .txt .tsv " + " ".join(sorted({*KINDS, *WORKBOOKS}))
@@ -158,11 +153,7 @@ def _unreadable(source: str, error: Exception) -> DataError:
 
 
 def _cells_of(page: Any, source: str) -> list[list[str]]:
-    """Cells of a sheet, row by row.
-
-    Raises:
-        DataError: it is damaged, or has very many cells (a cell far outside the others makes the sheet that large).
-    """
+    """Cells of a sheet, row by row."""
     rows: list[list[str]] = []
     count = 0
     try:

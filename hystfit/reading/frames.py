@@ -40,11 +40,7 @@ def columns_of(data: Any) -> dict[Any, Any]:
 
 
 def frame_table(data: Any) -> Table:
-    """The columns of a data frame as those of a file.
-
-    Raises:
-        DataError: no columns of numbers, or columns of different lengths.
-    """
+    """The columns of a data frame as those of a file."""
     arrays: dict[Any, np.ndarray] = {}
     units: dict[Any, str] = {}
     columns = columns_of(data)

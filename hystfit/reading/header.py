@@ -82,12 +82,7 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
 
 
 def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Size, mass and other properties of the sample, by their name in the header, as text.
-
-    Args:
-        lines: lines above the numbers.
-        names: of the columns, which are not properties.
-    """
+    """Size, mass and other properties of the sample, by their name in the header, as text."""
     known: dict[str, str] = {}
     for line in lines:
         if len(line) > _LONGEST_SETTING:
@@ -161,8 +156,6 @@ def read_header(
     """Names and units from the lines above the numbers, and how many of those lines they took.
 
     Args:
-        above: lines above the first row of numbers, the nearest last.
-        width: number of columns.
         delimiter, decimal: those of the data; None is any white space.
         split: cells of lines that are split already (quoted cells), by position in `above`.
     """

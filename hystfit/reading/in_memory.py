@@ -9,8 +9,8 @@ import numpy as np
 from hystfit.data.preparation import real_numbers
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.reading.assemble import assemble
 from hystfit.reading.frames import columns_of, frame_table, is_clock, is_frame, seconds_of, unit_of
-from hystfit.reading.read import assemble
 from hystfit.reading.several import with_column
 
 _NAMES = "the columns of a data frame are chosen by u=, y= and t=; hystfit.read(frame, rate=..., units=..., by=...) has more options"
@@ -24,9 +24,6 @@ def records_of(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> Dat
         y: output, shape (T,); of a data frame the name or number of its column, guessed where None.
         t: time of each sample [s], shape (T,), or a column as for `y`; None where there is none.
         u: input, shape (T,), instead of `data`; of a data frame the name or number of its column.
-
-    Raises:
-        DataError: the data are none of these, or cannot make a record.
     """
     if is_frame(data):
         return Dataset.of(_framed(data, u, y, t, "data"))
@@ -48,10 +45,6 @@ def excitation_of(data: Any, t: Any = None, *, u: Any = None, like: Record) -> R
         data: a `Record`, a data frame, or the input, shape (T,).
         t: time of each sample, shape (T,), or of a data frame the name or number of its column.
         u: column of the input in a data frame; that of the fitted record or a guess where None.
-        like: a fitted record, which gives names and units.
-
-    Raises:
-        DataError: the data are none of these, or the input cannot be used.
     """
     if isinstance(data, Record):
         if t is not None or u is not None:
@@ -88,11 +81,7 @@ def _records(data: Any, t: Any) -> Any:
 
 
 def _vector(values: Any, what: str) -> np.ndarray:
-    """One column of numbers.
-
-    Raises:
-        DataError: not numbers, or an array of another number of dimensions.
-    """
+    """One column of numbers."""
     try:
         array = real_numbers(values)
     except (TypeError, ValueError) as error:

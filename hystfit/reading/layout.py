@@ -71,11 +71,7 @@ def apart(lines: Sequence[str]) -> tuple[list[str], int]:
 
 
 def check_lengths(lines: Sequence[str], source: str) -> None:
-    """Refuse lines that no table of numbers has.
-
-    Raises:
-        DataError: a line is too long.
-    """
+    """Refuse lines that no table of numbers has."""
     longest = max(map(len, lines), default=0)
     if longest > _LONGEST:
         where = next(k for k, line in enumerate(lines, start=1) if len(line) == longest)
@@ -117,12 +113,7 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
     """Delimiter, decimal mark and kinds of the columns.
 
     Args:
-        lines: of the text.
-        source: its path, for messages.
         delimiter, decimal: chosen by the user; detected where None.
-
-    Raises:
-        DataError: no line holds numbers under any of them, or the comma could be both.
     """
     filled = _sample(lines)
     if delimiter is not None:

@@ -20,11 +20,7 @@ _DEEPEST = 30
 
 
 def check_structure(raw: bytes) -> None:
-    """Refuse a MATLAB 5 file whose elements do not fit each other, or that unpacks to many times its size; pass others.
-
-    Raises:
-        DataError: it is damaged.
-    """
+    """Refuse a MATLAB 5 file whose elements do not fit each other, or that unpacks to many times its size; pass others."""
     order = {b"IM": "<", b"MI": ">"}.get(raw[126:128])
     if order is None:
         return

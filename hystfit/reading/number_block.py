@@ -63,11 +63,7 @@ def clean_block(text: Text, content: str) -> Block | None:
 
 
 def careful_block(text: Text, rows: list[list[str]]) -> Block:
-    """The rows of numbers, from the cells of every line.
-
-    Raises:
-        DataError: there are fewer than two.
-    """
+    """The rows of numbers, from the cells of every line."""
     lines, layout = text.lines, text.layout
     candidates, ragged = _of_width(rows, layout)
     columns = list(zip(*[rows[k] for k in candidates], strict=True))

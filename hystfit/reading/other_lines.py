@@ -51,8 +51,6 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     """Names and units from the lines above the first row of numbers.
 
     Args:
-        text: the lines.
-        block: the rows of numbers.
         extra: positions of columns that may have no name of their own, such as the time of day beside a date.
     """
     layout, first = text.layout, int(block.index[0])
@@ -89,16 +87,7 @@ def _uneven(text: Text, block: Block) -> tuple[list[str], int]:
 
 
 def left_out(text: Text, block: Block, header: Header) -> LeftOut:
-    """The lines that are neither the header nor rows of numbers, counted by reason.
-
-    Args:
-        text: the lines.
-        block: the rows of numbers.
-        header: of their columns.
-
-    Raises:
-        DataError: many rows have another number of cells.
-    """
+    """The lines that are neither the header nor rows of numbers, counted by reason."""
     above = sum(bool(line.strip()) for line in text.lines[: block.index[0]])
     count: dict[str, int] = {}
     notes = []

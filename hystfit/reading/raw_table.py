@@ -93,10 +93,7 @@ def plain_table(
     """A table from arrays of equal length, as binary formats hold them.
 
     Args:
-        names, units: of the columns.
         arrays: one for each column, shape (rows,).
-        source, sha256: path and checksum of the file.
-        notes: on how it was read.
     """
     rows = arrays[0].size
     columns, labels = [], {}

@@ -1,4 +1,4 @@
-"""Read a measured loop from a file: `read` by the file's kind, `read_csv` for text; records from the rows of a table."""
+"""Read measured loops from files: `read` by the kind of a file, `read_csv` for text."""
 
 from __future__ import annotations
 
@@ -8,37 +8,25 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hystfit.data.preparation import CoarseClock
-from hystfit.data.record import Dataset, Record, median_interval
+from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError
-from hystfit.outcome import Code, Note
-from hystfit.outcome.note import warn
-from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
-from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.curves import labels_of, select_curves, shown, split_curves, text_of
+from hystfit.reading.assemble import Column, assemble
 from hystfit.reading.file_bytes import inner_name
 from hystfit.reading.frames import frame_table, is_frame
 from hystfit.reading.raw_table import Table
-from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
 from hystfit.reading.text import read_table
-from hystfit.reading.treatment import UNTREATED, Treatment, weighted
-from hystfit.reading.two_branches import unfolded
+from hystfit.reading.treatment import Treatment
 
 TEXT_SUFFIXES = frozenset(
     {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
 )
-Column = str | int
 # Options of `read` that say how the file is read, with their defaults.
 _OPTIONS: dict[str, Any] = {
     **dict.fromkeys(("time", "input", "output", "sigma", "rate", "dt", "units")), "integrate": False, "smooth": None,
     **dict.fromkeys(("by", "only", "where")), "gaps": "error",
     **dict.fromkeys(("sheet", "delimiter", "decimal", "encoding")),
 }  # fmt: skip
-_UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
-_RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
 
 def read(
@@ -199,230 +187,3 @@ def _as_text(value: Any) -> str:
     if isinstance(value, Mapping):
         return ",".join(f"{key}={_as_text(item)}" for key, item in value.items())
     return value if isinstance(value, str) else ",".join(map(str, value)) if isinstance(value, Sequence) else str(value)
-
-
-def assemble(
-    table: Table,
-    *,
-    time: Column | bool | None = None,
-    input: Column | None = None,
-    output: Column | None = None,
-    sigma: Column | None = None,
-    by: Column | None = None,
-    only: str | Sequence[object] | None = None,
-    where: str | Mapping[str, object] | None = None,
-    gaps: str = "error",
-    name: str | None = None,
-    treatment: Treatment = UNTREATED,
-) -> Record | Dataset:
-    """Record or data set from a table.
-
-    Args:
-        table: the columns.
-        time, input, output, sigma, by, only, where, gaps, name: as for `read`.
-        treatment: clock, units, integration and smoothing of every record.
-    """
-    if gaps not in ("error", "split", "drop"):
-        raise DataError(f"gaps must be 'error', 'split' or 'drop', got {gaps!r}")
-    _check_unread(table, gaps)
-    stem = name or Path(table.source).stem or "record"
-    notes = list(table.notes)
-    table, replaced = without_infinite(table)
-    table, taken = _filter(table, where, notes)
-    divider = None if by is None else find(table, by, "by")
-    spread = None if sigma is None else find(table, sigma, "sigma")
-    others = [*taken, *(position for position in (divider, spread) if position is not None)]
-    if input is None and output is None and time in (None, False) and not others and (loop := unfolded(table)):
-        (table, input, output), time = loop, False
-        notes = [*table.notes]
-    marked, dividers = marked_by_kind(table, others)
-    choice = choose(table, time, input, output, [*others, *dividers])
-    notes += choice.notes
-    for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
-        notes += replaced_notes(replaced[position], role) if position in replaced else []
-    if marked is None and divider is None:
-        marked = marked_by_place(table, choice)
-    table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
-    groups, several = split_curves(table, choice, divider, notes)
-    if only is not None:
-        if not several:
-            raise DataError(
-                f"{table.source} holds one curve, so only={only!r} cannot choose among several; separate curves with by="
-            )
-        groups = select_curves(groups, only, table.source)
-    records: list[Record] = []
-    for label, rows in groups:
-        title = label if several else stem
-        records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
-    if not several and len(records) == 1:
-        return records[0]
-    return Dataset(tuple(records), name=stem)
-
-
-def _check_unread(table: Table, gaps: str) -> None:
-    """Refuse a table from which many rows of numbers are left out, as they would make jumps in the record."""
-    if gaps == "error" and not table.sectioned and table.unread > max(_UNREAD, _UNREAD_SHARE * table.rows):
-        raise DataError(
-            f"{table.source}: {table.unread} rows of numbers cannot be read, and {table.rows} can "
-            f"({', '.join(f'{count} x {reason}' for reason, count in table.left_out.items())}); correct them, or leave them out "
-            "with gaps='drop'"
-        )
-
-
-def _filter(table: Table, where: str | Mapping[str, object] | None, notes: list[Note]) -> tuple[Table, list[int]]:
-    if where is None:
-        return table, []
-    if isinstance(where, str):
-        pairs = [part.partition("=") for part in where.split(",")]
-        if not all(mark for _, mark, _ in pairs):
-            raise DataError(f"where must read column=value, got {where!r}")
-        where = {key.strip(): value.strip() for key, _, value in pairs}
-    positions = []
-    for key, value in where.items():
-        position = find(table, key, "where")
-        labels = labels_of(table, position)
-        hit = labels == text_of(value)
-        if not hit.any():
-            raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {shown(labels)}")
-        notes.append(Note(Code.LEFT_OUT, f"left out: {int((~hit).sum())} rows where {key} is not {value}"))
-        table = table.take(hit)
-        positions.append(position)
-    return table, positions
-
-
-def _without_comments(table: Table, choice: Choice, notes: list[Note]) -> Table:
-    """The table without rows that hold a comment, and in files with a [Data] section any rows, without a measurement."""
-    empty = np.isnan(table.columns[choice.input]) & np.isnan(table.columns[choice.output])
-    if not table.sectioned:
-        filled = [labels != "" for labels in table.labels.values()]
-        comments = [cells for cells in filled if cells.mean() < _RARE]  # not a column of states, which every row has
-        empty &= np.any(comments, axis=0) if comments else False
-    if not empty.any():
-        return table
-    text = f"left out: {int(empty.sum())} rows without input and output (comments, other measurements)"
-    notes.append(Note(Code.LEFT_OUT, text))
-    return table.take(~empty)
-
-
-def _records_of(
-    table: Table,
-    choice: Choice,
-    title: str,
-    notes: list[Note],
-    gaps: str,
-    sigma: int | None,
-    treatment: Treatment,
-) -> list[Record]:
-    """One record of the rows of a curve, or its pieces where the input is missing and `gaps` is "split"."""
-    columns = {"input": choice.input, "output": choice.output}
-    if choice.time is not None:
-        columns["time"] = choice.time
-    data = {role: np.array(table.columns[position]) for role, position in columns.items()}
-    notes = [*notes]
-    for role in ("input", "output"):
-        data[role], coded = without_codes(data[role], role)
-        notes += coded
-    missing = int(np.isnan(data["output"]).sum())
-    if missing:
-        notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))
-    good = np.isfinite(data["input"])
-    if "time" in data:
-        good &= np.isfinite(data["time"])
-    if gaps == "drop" and good.any() and not good.all():
-        text = (
-            f"left out: {int((~good).sum())} rows without input or time; the samples before and after them are joined"
-        )
-        notes.append(warn(Code.LEFT_OUT, text))
-        table, data, good = table.take(good), {role: values[good] for role, values in data.items()}, good[good]
-    spans = _spans(good, table, title, gaps, notes)
-    records = []
-    for number, (start, stop) in enumerate(spans):
-        part = {role: values[start:stop] for role, values in data.items()}
-        piece_notes = [*notes]
-        if "time" in part and not (treatment.interval and np.ptp(part["time"]) == 0):
-            _check_time(part["time"], table.line[start:stop], table, piece_notes)
-        name = title if len(spans) == 1 else f"{title} piece={number}"
-        record = _record(table, choice, part, name, piece_notes)
-        if table.calibration is not None:
-            record = record.replace(weight=np.where(table.calibration[start:stop], 0.0, record.weight))
-        if sigma is not None:
-            record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
-        records.append(treatment.of(record))
-    return records
-
-
-def _spans(good: np.ndarray, table: Table, title: str, gaps: str, notes: list[Note]) -> list[tuple[int, int]]:
-    where = f"{table.source}" + (f", {title}" if title else "")
-    if not good.any():
-        raise DataError(f"{where}: the input has no finite value; choose another column")
-    first, last = int(np.argmax(good)), good.size - int(np.argmax(good[::-1]))
-    if ends := first + good.size - last:
-        notes.append(Note(Code.LEFT_OUT, f"left out: {ends} rows at the ends without input or time"))
-    edge = np.flatnonzero(np.diff(np.concatenate([[0], good[first:last].astype(int), [0]]))) + first
-    spans = list(zip(edge[::2].tolist(), edge[1::2].tolist(), strict=True))
-    if len(spans) == 1:
-        return spans
-    gap_rows = np.flatnonzero(~good[first:last]) + first
-    if gaps == "error":
-        shown = ", ".join(str(line) for line in table.line[gap_rows][:6]) + (", ..." if gap_rows.size > 6 else "")
-        raise DataError(
-            f"{where}: input or time is missing in {gap_rows.size} rows within the record (line {shown}); a model "
-            "cannot be driven through a gap: gaps='split' makes a record of each piece, gaps='drop' joins them"
-        )
-    text = f"left out: {gap_rows.size} rows without input or time; the record is split there"
-    notes.append(Note(Code.LEFT_OUT, text))
-    short = sum(stop - start < 2 for start, stop in spans)
-    if short:
-        notes.append(Note(Code.LEFT_OUT, f"left out: {short} pieces of a single row"))
-    spans = [(start, stop) for start, stop in spans if stop - start > 1]
-    if not spans:
-        raise DataError(f"{where}: no two rows with input follow each other")
-    return spans
-
-
-def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[Note]) -> None:
-    step = np.diff(time)
-    if (step < 0).any():
-        k = int(np.argmax(step < 0))
-        raise DataError(
-            f"{table.source}, line {line[k + 1]}: time decreases from {time[k]:g} to {time[k + 1]:g} "
-            f"({int((step < 0).sum())} time(s)). If several curves follow each other give by= or put a blank line "
-            "between them; time=False reads without time"
-        )
-    if not (step > 0).any():
-        raise DataError(
-            f"{table.source}: time is constant ({time[0]:g}); choose another column, time=False to read without time, or rate="
-        )
-    if CoarseClock.of(time) is not None:
-        return
-    if repeated := int((step == 0).sum()):
-        text = f"repeated time stamps: {repeated}, first in line {line[1:][step == 0][0]}; kept"
-        notes.append(Note(Code.TIME_STEPS, text))
-    interval = median_interval(step)
-    if interval and (wide := int((step > 1.5 * interval).sum())):
-        text = f"uneven time steps: {wide} are longer than 1.5 times the median of {interval:g}"
-        notes.append(Note(Code.TIME_STEPS, text))
-
-
-def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
-    time_unit = "s" if choice.time is None else table.units[choice.time]
-    if not time_unit:
-        notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))
-    try:
-        return Record(
-            u=data["input"],
-            y=data["output"],
-            t=data.get("time"),
-            u_unit=table.units[choice.input],
-            y_unit=table.units[choice.output],
-            t_unit=time_unit or "s",
-            u_name=table.names[choice.input],
-            y_name=table.names[choice.output],
-            name=title,
-            source=table.source,
-            sha256=table.sha256,
-            metadata=table.metadata,
-            notes=tuple(notes),
-        )
-    except DataError as error:
-        raise DataError(f"{table.source}: {error}") from error

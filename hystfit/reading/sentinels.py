@@ -35,12 +35,7 @@ def without_infinite(table: Table) -> tuple[Table, dict[int, tuple[int, int, flo
 
 
 def replaced_notes(replaced: tuple[int, int, float], role: str) -> list[Note]:
-    """Notes on what `without_infinite` replaced in a column.
-
-    Args:
-        replaced: its number of infinite values, of too large ones, and the first of these.
-        role: "time", "input" or "output".
-    """
+    """Notes on what `without_infinite` replaced in a column."""
     infinite, large, first = replaced
     notes = []
     if infinite:
@@ -56,7 +51,6 @@ def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]
 
     Args:
         values: shape (rows,), none infinite.
-        role: "input" or "output".
     """
     coded = np.isin(values, _CODES)
     others = values[~coded & np.isfinite(values)]

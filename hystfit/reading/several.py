@@ -26,9 +26,6 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
     """The files (or pairs "u.csv+y.csv") that a path, a pattern such as "loops/*.csv", or a list of them stands for.
 
     Files that match a pattern are in the order of their names, with numbers by value.
-
-    Raises:
-        DataError: no file matches a pattern, a file occurs twice, or the list is empty.
     """
     if not isinstance(path, str | Path):
         files = [file for item in path for file in files_of(item)]
@@ -52,11 +49,7 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
 
 
 def pair_of(path: str | Path) -> tuple[str, str] | None:
-    """The file of the input and that of the output, from "u.csv+y.csv"; None for a single file.
-
-    Raises:
-        DataError: more than two files.
-    """
+    """The file of the input and that of the output, from "u.csv+y.csv"; None for a single file."""
     if PAIR not in str(path) or exists(path) or not exists(str(path).split(PAIR)[0]):
         return None
     parts = str(path).split(PAIR)
@@ -66,11 +59,7 @@ def pair_of(path: str | Path) -> tuple[str, str] | None:
 
 
 def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
-    """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them.
-
-    Args:
-        parts: path of each file, and what was read from it.
-    """
+    """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them."""
     if len(parts) == 1:
         return parts[0][1]
     labeled = [(path, record) for path, data in parts for record in Dataset.of(data)]
@@ -96,12 +85,7 @@ def pair_table(
     """The columns of two files side by side, and which of them are time, input and output.
 
     Args:
-        paths: file of the input, file of the output.
-        open_one: reads the columns of a file.
         columns: names or numbers of time, input and output, each in its own file (a number for time in the first); None guesses.
-
-    Raises:
-        DataError: different numbers of rows, clocks that differ, or a column that cannot be found.
     """
     tables = tuple(open_one(path) for path in paths)
     first, second = tables
@@ -160,8 +144,6 @@ def one_sided(table: Table, missing: str, **columns: Any) -> Choice:
     """The columns of a table that lacks the input or the output; the position of the missing one is past the end.
 
     Args:
-        table: the columns.
-        missing: "input" or "output".
         **columns: names or numbers of the others, None guesses.
     """
     position = len(table.names)

@@ -37,11 +37,7 @@ def read_table(
     """All columns of a text file.
 
     Args:
-        path: the file.
         delimiter, decimal, encoding: detected where None.
-
-    Raises:
-        DataError: it is missing, not text, has no rows of numbers, or could be read in two ways.
     """
     file, source = load(path), str(path)
     content, notes = decode(file.raw, source, encoding)
@@ -104,14 +100,7 @@ def _join_quoted(lines: list[str]) -> None:
 
 
 def table_of_block(text: Text, block: Block, sha256: str, notes: Sequence[Note]) -> Table:
-    """The table of a block of numbers and the lines around it.
-
-    Args:
-        text: the lines.
-        block: the rows of numbers.
-        sha256: checksum of the file.
-        notes: on how it was read so far.
-    """
+    """The table of a block of numbers and the lines around it."""
     lines, layout, index = text.lines, text.layout, block.index
     notes = [*notes, *block.notes]
     if not text.settled:
@@ -229,11 +218,7 @@ def _clocks(columns: Sequence[Sequence[str]], layout: Layout) -> dict[int, tuple
 
 
 def _check_thousands(text: Text, block: Block) -> list[Note]:
-    """Notes on marks that could separate thousands; none for clean rows, where the decimal mark showed itself.
-
-    Raises:
-        DataError: a mark is either a thousands separator or the decimal mark, and nothing in the file decides.
-    """
+    """Notes on marks that could separate thousands; none for clean rows, where the decimal mark showed itself."""
     layout, columns = text.layout, block.cells
     numbers = [k for k, kind in enumerate(layout.kinds) if kind == cells.NUMBER] if columns else []
     evidence = {k: cells.thousands(columns[k], layout.decimal) for k in numbers}

@@ -104,7 +104,6 @@ def weighted(record: Record, sigma: np.ndarray, unit: str) -> Record:
     """The record with weights from the standard deviations in another column.
 
     Args:
-        record: without weights of its own.
         sigma: standard deviation of the output of each sample, shape (T,) [unit].
         unit: of that column; "" for that of the output.
 

@@ -31,7 +31,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, baselines: Baselines) -> Limits:
-        """1 to 3 %: five times what plays leave; at least twice the noise."""
+        """1 to 3 %: five times the error of ten plays; at least twice the noise."""
         percent = lambda value: 100 * value / baselines.span if baselines.span > 0 else 0.0
         noise = percent(baselines.noise or 0.0)
         usable = _USABLE
@@ -67,9 +67,7 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
     """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
 
     Args:
-        metrics: of the errors.
         rows: errors of each record, on samples that count [y].
-        baselines: of the same samples.
     """
     if metrics.nrmse_percent is None or baselines.span <= 0:
         return []
@@ -97,26 +95,20 @@ def ratios(metrics: Metrics, baselines: Baselines) -> dict[str, float | None]:
 
 
 def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None:
-    """A warning where ten plays leave far less than the model; None where they do not, or the noise explains its error."""
+    """A warning where the error of ten plays is far smaller; None where it is not, or the noise explains that of the model."""
     if baselines.plays is None or is_noise(metrics.rmse, baselines) or metrics.rmse <= _BETTER * baselines.plays:
         return None
     if metrics.nrmse_percent is None or metrics.nrmse_percent < _NEGLIGIBLE:
         return None
     text = (
-        f"ten plays leave {100 * baselines.plays / baselines.span:.2g} % of the range, this model "
-        f"{metrics.rmse / baselines.plays:.2g} times as much: another family fits these data better (see hystfit compare)"
+        f"the error of ten plays is {100 * baselines.plays / baselines.span:.2g} % of the range, and that of this model "
+        f"{metrics.rmse / baselines.plays:.2g} times as large: another family fits these data better (see hystfit compare)"
     )
     return warn(Code.OTHER_FAMILY, text)
 
 
 def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
-    """The error beside its limits and beside plain descriptions, in numbers.
-
-    Args:
-        metrics: of the errors.
-        baselines: of the same samples.
-        what: "error", or "test error".
-    """
+    """The error beside its limits and beside plain descriptions, in numbers."""
     if metrics.nrmse_percent is None or metrics.max_error_percent is None:
         return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
     limits, over = Limits.of(baselines), ratios(metrics, baselines)

@@ -14,10 +14,7 @@ def differences(result: FitResult, errors: Mapping[str, float | None], source: s
     """A note where standard errors differ from those of a fit; none where they agree within `SIMILAR`.
 
     Args:
-        result: the fit.
         errors: standard errors by parameter; None where there is none.
-        source: what gave them.
-        reason: why they differ, a clause.
     """
     ratios = {}
     for name, error in errors.items():

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hystfit.params.space import ParameterSpace
+
+MANY = 12  # weights of one array above which they share one row
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +48,6 @@ def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[Parameter
     """Every parameter with its declaration, free ones first, without standard errors.
 
     Args:
-        space: of the parameters.
         x: the free ones, physical, shape (p,).
     """
     free = ((*row, False) for row in zip(space.names, x, space.infos, strict=True))
@@ -54,6 +57,22 @@ def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[Parameter
         unit = space.scales.label(info.unit)
         rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc))
     return tuple(rows)
+
+
+def grouped(parameters: Sequence[ParameterEstimate], many: int = MANY) -> list[tuple[str, list[ParameterEstimate]]]:
+    """Parameters by their name in a report; arrays (or per-record sets) of more than `many` share one name."""
+    base = lambda p: re.split(r"[\[@]", p.name)[0]
+    families: dict[tuple[str, bool], list[ParameterEstimate]] = {}
+    for p in parameters:
+        families.setdefault((base(p), p.fixed), []).append(p)
+    rows: list[tuple[str, list[ParameterEstimate]]] = []
+    for p in parameters:
+        family = families[base(p), p.fixed]
+        if len(family) <= many:
+            rows.append((p.name, [p]))
+        elif p is family[0]:
+            rows.append((base(p), family))
+    return rows
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,15 +24,7 @@ _PATIENCE = 5.0  # seconds to wait for another process that moves its files in p
 
 @contextlib.contextmanager
 def alone(folder: str | Path, patience: float = 0.0) -> Iterator[None]:
-    """Lock a folder while the body runs; the lock is released when the process ends, however it ends.
-
-    Args:
-        folder: made where it does not exist.
-        patience: seconds to wait for another process.
-
-    Raises:
-        HystfitError: another process uses the folder, or the body could not write into it.
-    """
+    """Lock a folder while the body runs; the lock is released when the process ends, however it ends."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -172,11 +164,7 @@ def check_writable(target: str | Path) -> None:
 
 
 def dump_json(path: Path, content: dict[str, Any]) -> None:
-    """Write strict JSON, without NaN and infinity.
-
-    Raises:
-        HystfitError: the content is not JSON-able.
-    """
+    """Write strict JSON, without NaN and infinity."""
     try:
         path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except (TypeError, ValueError) as error:

@@ -23,14 +23,7 @@ _LIKELY = re.compile(
 
 
 def column_label(ax: Axes, side: str, name: str, unit: str, role: str) -> None:
-    """Label an axis by the name and unit of a column, or by its role where no font has the characters of the name.
-
-    Args:
-        ax: the axes.
-        side: "x" or "y".
-        name, unit: of the column.
-        role: what the column is, "input" or "output".
-    """
+    """Label an axis by the name and unit of a column, or by its role where no font has the characters of the name."""
     generic = axis_label(role, unit)
     write(getattr(ax, f"{side}axis").label, axis_label(name, unit), generic if _families(generic) is not None else role)
 

@@ -39,7 +39,6 @@ def seal(folder: Path, names: Sequence[str]) -> None:
     """Write the manifest of a folder whose files are complete.
 
     Args:
-        folder: holds the files.
         names: files that opening reads; the manifest of a folder within stands for its files.
     """
     files = {name: digest((folder / name).read_bytes()) for name in names}
@@ -50,12 +49,7 @@ def read_files(folder: Path, names: Sequence[str], *, allow_edits: bool = False)
     """The files of a sealed folder, each compared with the manifest, as bytes.
 
     Args:
-        folder: of the result.
         names: files that must be there.
-        allow_edits: accept files that differ from the manifest, and a missing manifest.
-
-    Raises:
-        DataError: a file is missing or differs; the message names it.
     """
     for attempt in range(_ATTEMPTS):
         places = _places(folder)

@@ -1,25 +1,22 @@
-"""Quantities of the trade of a fit, with standard errors by the delta method: the gradient of each, and the covariance of the fit."""
+"""Quantities that follow from a fit, with standard errors by the delta method: the gradient of each, and the covariance of the fit."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.params.space import relative_size
-from hystfit.results.quantities import (
-    QUANTITIES,
-    Excitation,
-    QuantityEstimate,
-    Unknown,
-    applicable,
-    creeps,
-    measured_quantities,
-)
+from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.measured_quantities import measured_quantities
+from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
+from hystfit.results.steady_loops import Excitation, creeps
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
@@ -56,12 +53,8 @@ def _estimate(
     """A quantity from its value and its derivatives.
 
     Args:
-        result: the fit.
-        name: of the quantity.
-        value: at the estimate.
         change: derivative by each free parameter in units of its size, shape (p,).
         size: of the parameters, shape (p,).
-        natural: size of the quantity.
     """
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
@@ -84,8 +77,6 @@ def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
-        result: the fit.
-        excitation: its inputs.
         outputs: gives the outputs over a record, shape (count, T).
     """
     names, found = applicable(result.data, timed=not result.model.rate_independent), {}
@@ -121,8 +112,6 @@ def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.n
     A linear parameter takes one simulation, or none where the design matrix has its column.
 
     Args:
-        result: the fit.
-        record: provides the input.
         step: of each parameter, shape (p,).
         linear: parameters in which the output is linear, shape (p,), bool.
     """
@@ -155,3 +144,18 @@ def _columns(result: FitResult, record: Record) -> dict[int, np.ndarray]:
         for k, source in enumerate(space.sources)
         if of_first(source)
     }
+
+
+def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
+    """The derived quantities of the fitted model, of the first record; no standard error where a parameter has none."""
+    coordinates, units = result.problem.space.coordinates, result.problem.scales.label
+    rows = []
+    for name, unit, doc, value in result.model.derived():
+        of_parameters = lambda x, value=value: value(coordinates.assemble(x, 0))
+        number, slope = (np.asarray(v) for v in jax.value_and_grad(of_parameters)(jnp.asarray(result.x)))
+        behind = slope != 0
+        variance = float(slope[behind] @ result.covariance[np.ix_(behind, behind)] @ slope[behind])
+        known = bool(behind.any() and np.isfinite(variance))
+        error = float(np.sqrt(max(variance, 0.0))) if known else None
+        rows.append(ParameterEstimate(name, float(number), error, units(unit), None, None, False, None, known, doc))
+    return tuple(rows)

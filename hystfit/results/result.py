@@ -16,23 +16,19 @@ from hystfit.errors import DataError, ModelError, ParameterError, optional
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import model_name
-from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome import Code, Note, Severity, Status, WithStatus
+from hystfit.outcome.note import has, warn
 from hystfit.params.units import conversion
 from hystfit.quality.baselines import Baselines
 from hystfit.reading.in_memory import excitation_of, records_of
 from hystfit.registry import attribute, near
-from hystfit.results.accuracy import verdict_dict
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
 from hystfit.results.quantities import QuantityEstimate
 
-SCHEMA = "hystfit.fit/3"
-COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
-
 
 @dataclasses.dataclass(frozen=True)
-class FitResult:
+class FitResult(WithStatus):
     """A fitted model, its errors, and the problem that it solved.
 
     Attributes:
@@ -110,7 +106,7 @@ class FitResult:
     @functools.cached_property
     def derived(self) -> tuple[ParameterEstimate, ...]:
         """Quantities that follow from the parameters (stiffnesses of the oscillator), with standard errors to first order."""
-        return _view("derived_estimates:derived_estimates")(self)
+        return _view("quantity_estimates:derived_estimates")(self)
 
     @functools.cached_property
     def quantities(self) -> tuple[QuantityEstimate, ...]:
@@ -126,15 +122,9 @@ class FitResult:
         return _view("report.answer:numbers_of")(self)
 
     @property
-    def usable(self) -> bool:
-        """Whether the status is `Status.OK`."""
-        return self.status.usable
-
-    @property
-    def advice(self) -> str:
-        """What to do about the status, in one sentence."""
-        sequential = any(note.code is Code.SEQUENTIAL for note in self.notes)
-        return self.status.advice("identify" if sequential else "fit")
+    def verb(self) -> str:
+        """Whose advice on the status applies: that of sequential identification, or of a fit."""
+        return "identify" if has(self.notes, Code.SEQUENTIAL) else "fit"
 
     @property
     def name(self) -> str:
@@ -333,38 +323,7 @@ class FitResult:
 
         `save` keeps that in records.npz: as text it takes a hundred megabytes for two thousand parameters.
         """
-        return {
-            "schema": SCHEMA,
-            "model": self.name,
-            "status": str(self.status),
-            "advice": self.advice,
-            "notes": [note.to_dict() for note in self.notes],
-            "parameters": {p.name: p.to_dict() for p in self.parameters},
-            "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in self.derived},
-            "quantities": {q.name: q.to_dict() for q in self.quantities},
-            "free_names": list(self.free_names),
-            "covariance": _matrix(self.covariance) if len(self.covariance) <= COVARIANCE_AS_TEXT else None,
-            "metrics": {"train": self.train.to_dict(), "test": self.test.to_dict() if self.test else None},
-            "verdict": {
-                "train": verdict_dict(self.train, self.baselines),
-                "test": verdict_dict(self.test, self.test_baselines),
-                "left_out": self.left_out,
-            },
-            "residuals": {
-                "sigma": self.sigma,
-                "correlation_time_samples": self.correlation_time,
-                "error_ratio_to_iid": self.error_ratio,
-            },
-            "identifiability": {"rank": self.rank, "free": len(self.free_names), "condition": self.condition},
-            "method": {"name": self.method, "starts": self.starts, "in_best_basin": self.in_best_basin},
-            "problem": {
-                "loss": self.problem.objective.loss,
-                "fixed": [p.name for p in self.parameters if p.fixed],
-                "noise": {"name": self.noise.name, "parameters": self.noise.parameters},
-            },
-            "timing": {"compile_s": self.compile_s, "run_s": self.run_s},
-            "provenance": self.provenance,
-        }
+        return _view("stored_fit:content_of")(self)
 
     def save(self, folder: str | Path, *, report: bool = True) -> Path:
         """Write result.json, model.json, the records (records.npz), the report and its pictures into a folder; all or none.
@@ -411,11 +370,6 @@ class FitResult:
             refit_offset: as in `predict`.
         """
         return _view("plots:fit")(self, kind, ax=ax, data=data, refit_offset=refit_offset)
-
-
-def _matrix(values: np.ndarray) -> list[list[float | None]]:
-    """A matrix for JSON, which has no number that is not finite."""
-    return np.where(np.isfinite(values), values, np.array(None)).tolist()
 
 
 def _view(name: str) -> Any:

@@ -1,20 +1,14 @@
-"""Fits and records on disk."""
+"""Fits on disk: folders written, checked and opened."""
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
-import zipfile
-import zlib
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hystfit.config import require_x64
-from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, HystfitError
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code
@@ -22,9 +16,10 @@ from hystfit.outcome.note import warn
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
 from hystfit.results.report import Wording, write_into
-from hystfit.results.result import SCHEMA, FitResult
-from hystfit.results.stored_fit import result_of
-from hystfit.results.stored_values import Stored, parse
+from hystfit.results.result import FitResult
+from hystfit.results.stored_fit import SCHEMA, result_of
+from hystfit.results.stored_records import covariance_in, load_records, save_records
+from hystfit.results.stored_values import parse
 from hystfit.results.user_code import checksums
 
 _FILES = ("result.json", "model.json", "records.npz")
@@ -53,92 +48,11 @@ def write_fit(result: FitResult, folder: Path) -> None:
     seal(folder, _FILES)
 
 
-def save_records(path: Path, data: Dataset, extra: Mapping[str, np.ndarray] | None = None) -> None:
-    """Records with their labels in one .npz file.
-
-    Args:
-        path: of the file.
-        data: records.
-        extra: other arrays to keep beside them.
-    """
-    arrays: dict[str, np.ndarray] = dict(extra or {})
-    labels = []
-    for k, record in enumerate(data):
-        for field in ("u", "y", "t", "weight"):
-            if getattr(record, field) is not None:
-                arrays[f"{field}{k}"] = getattr(record, field)
-        labels.append(record.labels())
-    np.savez_compressed(path, labels=np.array(json.dumps({"name": data.name, "records": labels})), **arrays)  # type: ignore[arg-type]
-
-
-def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
-    """The records that `save_records` wrote.
-
-    Args:
-        file: path, or the content of the file.
-        place: of the file, for messages; default: the path.
-
-    Raises:
-        DataError: not such a file.
-    """
-    place = place or str(file)
-    with _damage_told(place), np.load(file, allow_pickle=False) as stored:
-        described = parse(str(stored["labels"]), f"{place}: labels")
-        records = []
-        for k, labels in enumerate(described.listed("records")):
-            arrays = {name: stored[f"{name}{k}"] for name in ("u", "y", "t", "weight") if f"{name}{k}" in stored}
-            if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
-                raise ValueError(f"{wrong[0]}{k} holds no real numbers")
-            records.append(Record(**arrays, **_labels_of(Stored(labels, f"{place}: record {k}"))))
-        return Dataset(tuple(records), name=described.text("name"))
-
-
-@contextlib.contextmanager
-def _damage_told(place: str) -> Iterator[None]:
-    """Errors of a damaged .npz file in words: it is a zip archive, and its reader meets one with errors of many kinds."""
-    try:
-        yield
-    except HystfitError:
-        raise
-    except (OSError, KeyError, ValueError, TypeError, EOFError, MemoryError, OverflowError, NotImplementedError,
-            RuntimeError, SyntaxError, AttributeError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
-        raise DataError(f"{place} does not hold records as hystfit saves them: {error}") from error
-
-
-def _covariance_in(content: bytes, place: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """The covariance that is kept beside the records, as its upper triangle, of the parameters that have errors and of all."""
-    with _damage_told(place), np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        if "joint" not in stored:
-            return None
-        upper, known = np.asarray(stored["joint"], dtype=float), np.asarray(stored["known"])
-    p = known.size
-    if known.shape != (p,) or known.dtype != bool or upper.shape != (p * (p + 1) // 2,):
-        raise DataError("records.npz: the covariance is not a triangle of numbers; restore the file, or fit again")
-    full = np.empty((p, p))
-    full[np.triu_indices(p)] = upper
-    full = np.where(np.tri(p, k=-1, dtype=bool), full.T, full)
-    return np.where(np.outer(known, known), full, np.nan), full
-
-
-def _labels_of(stored: Stored) -> dict[str, Any]:
-    """Arguments of a record from its stored labels."""
-    texts = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source")
-    labels: dict[str, Any] = {name: stored.text(name) for name in texts}
-    labels |= {"sha256": stored.optional_text("sha256"), "sigma": stored.optional_number("sigma")}
-    if "reading" in stored.content:  # fits of 0.1 and 0.2 have none
-        labels["reading"] = stored.words("reading")
-    return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes")}
-
-
 def check_target(folder: Path, own: str = "") -> None:
     """Refuse a folder whose result must not be replaced, before anything is computed.
 
     Args:
-        folder: to be written, or not there yet.
         own: schema of what is to be written, without its number, where it may replace an older one.
-
-    Raises:
-        HystfitError: the folder holds a fit or a posterior of another kind, or a result.json that hystfit did not write.
     """
     for name in ("result.json", MANIFEST):
         if (folder / name).is_dir():
@@ -188,7 +102,7 @@ def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
     described = parse(files.contents["model.json"], place("model.json"))
     try:
         data = load_records(io.BytesIO(files.contents["records.npz"]), place("records.npz"))
-        covariance = _covariance_in(files.contents["records.npz"], place("records.npz"))
+        covariance = covariance_in(files.contents["records.npz"], place("records.npz"))
         result = result_of(stored, described, data, covariance, trust=trust)
     except HystfitError as error:
         if str(folder) in str(error):
@@ -200,17 +114,7 @@ def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
 
 
 def refuse_other_schema(folder: Path, expected: str, nothing: str, remedy: str) -> None:
-    """Refuse a folder without a result, or with one of another schema.
-
-    Args:
-        folder: of the result.
-        expected: schema.
-        nothing: what is not there, for the message.
-        remedy: for a result of an earlier version.
-
-    Raises:
-        DataError: see above.
-    """
+    """Refuse a folder without a result, or with one of another schema."""
     file = folder / "result.json"
     if is_sealed(folder):
         return

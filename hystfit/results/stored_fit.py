@@ -1,4 +1,4 @@
-"""A fit from its stored files: every value is read with its type, and the files must belong together."""
+"""A fit as result.json, and a fit from its files: every value is read with its type, and the files must belong together."""
 
 from __future__ import annotations
 
@@ -15,13 +15,55 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
 from hystfit.quality.baselines import Baselines
+from hystfit.results.accuracy import verdict_dict
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.result import COVARIANCE_AS_TEXT, SCHEMA, FitResult
+from hystfit.results.result import FitResult
 from hystfit.results.stored_values import Stored, is_number
 from hystfit.results.user_code import allow, noise_file
 
+SCHEMA = "hystfit.fit/3"
+COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
 _CLOSE = 1e-9  # relative, of a parameter in result.json to that of the model
+
+
+def content_of(result: FitResult) -> dict[str, Any]:
+    """The contents of `result.json`, see `FitResult.to_dict`."""
+    covariance = None
+    if len(result.covariance) <= COVARIANCE_AS_TEXT:  # null for what is not finite, which JSON cannot represent
+        covariance = np.where(np.isfinite(result.covariance), result.covariance, np.array(None)).tolist()
+    return {
+        "schema": SCHEMA,
+        "model": result.name,
+        "status": str(result.status),
+        "advice": result.advice,
+        "notes": [note.to_dict() for note in result.notes],
+        "parameters": {p.name: p.to_dict() for p in result.parameters},
+        "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in result.derived},
+        "quantities": {q.name: q.to_dict() for q in result.quantities},
+        "free_names": list(result.free_names),
+        "covariance": covariance,
+        "metrics": {"train": result.train.to_dict(), "test": result.test.to_dict() if result.test else None},
+        "verdict": {
+            "train": verdict_dict(result.train, result.baselines),
+            "test": verdict_dict(result.test, result.test_baselines),
+            "left_out": result.left_out,
+        },
+        "residuals": {
+            "sigma": result.sigma,
+            "correlation_time_samples": result.correlation_time,
+            "error_ratio_to_iid": result.error_ratio,
+        },
+        "identifiability": {"rank": result.rank, "free": len(result.free_names), "condition": result.condition},
+        "method": {"name": result.method, "starts": result.starts, "in_best_basin": result.in_best_basin},
+        "problem": {
+            "loss": result.problem.objective.loss,
+            "fixed": [p.name for p in result.parameters if p.fixed],
+            "noise": {"name": result.noise.name, "parameters": result.noise.parameters},
+        },
+        "timing": {"compile_s": result.compile_s, "run_s": result.run_s},
+        "provenance": result.provenance,
+    }
 
 
 def result_of(
@@ -30,15 +72,8 @@ def result_of(
     """The result that its files describe, with every value of its type and all of them consistent.
 
     Args:
-        stored: result.json.
-        described: model.json.
-        data: the records.
         covariance: kept beside them, of the parameters that have errors and of all, each (p, p), the first read from result.json where that
             has it; None of sequential methods.
-        trust: run files of the user's.
-
-    Raises:
-        HystfitError: see `hystfit.results.saved.load_fit`.
     """
     if (schema := stored.text("schema")) != SCHEMA:
         raise DataError(f"{stored.place}: schema {schema!r}, expected {SCHEMA!r}")

@@ -19,12 +19,7 @@ def parse(content: bytes | str, place: str, *, finite: bool = True) -> Stored:
     """The object of a JSON file.
 
     Args:
-        content: of the file.
-        place: of the file, for messages.
         finite: refuse NaN and infinity.
-
-    Raises:
-        DataError: no JSON, a name that occurs twice, or something else than an object.
     """
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -15,12 +15,7 @@ from hystfit.registry import code_digest, file_digest, file_of, in_process
 
 
 def checksums(models: Iterable[AbstractHysteresis], noise: str) -> dict[str, str | None]:
-    """SHA-256 of every file of the user's behind models and a noise model, by path; null where the file cannot be read.
-
-    Args:
-        models: of a fit.
-        noise: as it was chosen.
-    """
+    """SHA-256 of every file of the user's behind models and a noise model, by path; null where the file cannot be read."""
     kinds = {kind for model in models for kind in user_classes(model)}
     found = {str(Path(file_of(kind)).resolve()): code_digest(kind) for kind in kinds if file_of(kind).endswith(".py")}
     if file := noise_file(noise):
@@ -43,12 +38,8 @@ def allow(files: Iterable[str], stored: Mapping[str, str | None], trust: bool) -
     A file that this process has run already needs no request.
 
     Args:
-        files: that the fit names.
         stored: their SHA-256 when the fit was saved.
         trust: whether the user allows to run them.
-
-    Raises:
-        ModelError: a file that may not be run; the message shows its path and checksums, and how to allow it.
     """
     notes = []
     for file in sorted(files):
@@ -69,6 +60,6 @@ def _refusal(file: str, present: str | None, before: str | None) -> str:
     else:
         state = f"which has CHANGED since the fit was saved: SHA-256 {present}, then {before}"
     return (
-        f"opening this fit runs the Python file {file!r} ({state}), and it may be anybody's: if you know it, open the fit with "
-        "trust=True"
+        f"opening this fit runs the Python file {file!r} ({state}), which may contain any code: if you trust it, open the fit "
+        "with trust=True"
     )

@@ -39,7 +39,6 @@ def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarr
 
     Args:
         folder: None keeps nothing.
-        name: of the file.
         make: computes the arrays; a damaged file is computed again.
     """
     kept = None if folder is None else load(folder / name)
@@ -55,14 +54,6 @@ def claim(folder: Path, label: str, described: dict[str, Any]) -> Path:
     """A folder for the parts of one run: a new one, or that of the same run, which is identified by the file `label`.
 
     Runs of other versions of hystfit or JAX are other runs: they need not continue from the same point.
-
-    Args:
-        folder: made where it does not exist.
-        label: name of the file.
-        described: identifies the run, JSON-able.
-
-    Raises:
-        DataError: the folder holds another run, a damaged label, or cannot be made.
     """
     versions = {name: importlib.metadata.version(name) for name in ("hystfit", "jax")}
     described = {**described, "versions": versions}
@@ -84,11 +75,7 @@ def claim(folder: Path, label: str, described: dict[str, Any]) -> Path:
 
 
 def _digest(file: Path) -> str:
-    """Of the run that a folder holds.
-
-    Raises:
-        DataError: the file is damaged.
-    """
+    """Of the run that a folder holds."""
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["digest"])
     except (ValueError, KeyError, TypeError) as error:

@@ -24,17 +24,14 @@ Outcome = tuple[int, Any]
 # Seconds to wait for a scheduler and for a running worker; a killed worker is restarted sooner.
 _PATIENCE = 30.0
 _PAUSE = 0.2  # seconds between two looks at tasks on their way
-_GO_ON = "the same call resumes from its folder, where it was given one"
+_RESUMES = "the same call resumes where it was given a folder"
 
 
 def computed(task: Task, items: Sequence[Any], workers: int = 1, scheduler: str | None = None) -> Iterator[Outcome]:
     """Number and outcome of each item as they end: what `task(item)` returned, or the exception that ended it.
 
     Args:
-        task: a function that other processes can load.
-        items: its arguments.
         workers: processes on this machine; 1 computes in this one.
-        scheduler: address of a Dask scheduler to use instead.
 
     Raises:
         MissingExtraError: dask.distributed is not installed.
@@ -97,7 +94,7 @@ def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Fu
         time.sleep(_PAUSE)
         running = client.status == "running" and _running(client)
         if any(task.cancelled() for task in waiting):  # a client's tasks go with its connection
-            raise DataError(f"the Dask scheduler at {address!r} was lost; {_GO_ON}")
+            raise DataError(f"the Dask scheduler at {address!r} was lost; {_RESUMES}")
         ended = {task for task in waiting if task.done()}
         yield from ended
         waiting = waiting - ended
@@ -105,7 +102,7 @@ def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Fu
             alone = time.monotonic()
         elif time.monotonic() - alone > _PATIENCE:
             raise DataError(
-                f"the Dask scheduler at {address!r} has no workers that run: start some (dask worker ADDRESS); {_GO_ON}"
+                f"the Dask scheduler at {address!r} has no workers that run: start some (dask worker ADDRESS); {_RESUMES}"
             )
 
 

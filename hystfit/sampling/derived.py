@@ -7,17 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import ParameterError
-from hystfit.results.quantities import CREEP, QUANTITIES, Excitation, applicable, creeps
+from hystfit.results.quantities import CREEP, QUANTITIES, applicable
+from hystfit.results.steady_loops import Excitation, creeps
 from hystfit.sampling.posterior import Posterior
 
 
 def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -> dict[str, np.ndarray]:
     """Draws of derived quantities, each shape (count,), as `hystfit.results.quantities` defines them.
 
-    Args:
-        posterior: the draws.
-        quantities: names in `QUANTITIES`; all that the records and the model have where None.
-        count: number of draws simulated.
+    By default all quantities that the records and the model have; `count` draws are simulated.
 
     Raises:
         ParameterError: an unknown quantity, one that these records do not have, or creep of a model without time.

@@ -142,11 +142,7 @@ def walk(target: Target, walkers: int) -> Any:
 def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
     """emcee's state with walkers about the mode, each where the density is finite.
 
-    Args:
-        target: the density in whitened coordinates.
-        walkers: how many.
-        seed: of their places and of emcee.
-        away: standard deviation of the places in these coordinates.
+    `away` is the standard deviation of their places in whitened coordinates.
     """
     import emcee
 
@@ -169,16 +165,12 @@ def _begin(target: Target, walkers: int, seed: int) -> tuple[Any, ...]:
     return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), start(target, walkers, seed)
 
 
-def _h5py() -> Any:
-    return optional("h5py", "bayes", "a resumable emcee run")
-
-
 def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, random_state: Any) -> None:
-    """The whole run in emcee's own HDF5 layout, beside the old file and then in its place: a kill leaves one or the other."""
+    """The whole run in emcee's own HDF5 layout, first beside the old file, then in its place: a kill leaves one or the other."""
     import emcee
 
     content = io.BytesIO()  # HDF5 itself may crash where a disk is full
-    with _h5py().File(content, "w") as handle:
+    with optional("h5py", "bayes", "a resumable emcee run").File(content, "w") as handle:
         group = handle.create_group("mcmc")
         group.attrs.update(version=emcee.__version__, nwalkers=chain.shape[1], ndim=chain.shape[2], has_blobs=False)
         group.attrs["iteration"] = len(chain)

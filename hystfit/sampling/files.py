@@ -127,15 +127,7 @@ def _group(content: bytes, name: str) -> tuple[dict[str, np.ndarray], dict[str, 
 def _posterior(
     header: Stored, values: dict[str, np.ndarray], stats: dict[str, np.ndarray], result: FitResult, notes: list[Note]
 ) -> Posterior:
-    """Draws with all that the header states, each of its type and shape.
-
-    Args:
-        header: of the file.
-        values: draws by variable.
-        stats: statistics of the draws by name, with "lp".
-        result: the fit.
-        notes: on the files.
-    """
+    """Draws with all that the header states, each of its type and shape."""
     names, units = header.texts("names"), header.texts("units")
     fitted = len(result.free_names)
     if len(set(names)) != len(names) or names[:fitted] != result.free_names or len(units) != len(names):

@@ -139,7 +139,7 @@ class Nuts(AbstractSampler):
         q, _, positions, _ = adapt(target, q, size, 2 * quarter)
         for _ in range(1 + _AGAIN):
             inner = _spread(positions[len(positions) // 10 :])
-            target = eqx.tree_at(lambda t: t.factor, target, target.factor @ inner)
+            target = target.whitened(target.center, target.factor @ inner)
             q, size, positions, diverges = adapt(target, jnp.asarray(np.linalg.solve(inner, q)), 0.7, quarter)
             if not diverges:
                 break
@@ -147,15 +147,8 @@ class Nuts(AbstractSampler):
         return {"q": np.asarray(q), "size": np.asarray(size), "factor": np.asarray(target.factor)}
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
-        """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,).
-
-        Args:
-            target: the posterior.
-            warm: what `warm` returned.
-            q: position, shape (d,).
-            key: of the random numbers.
-        """
-        adapted = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(warm["factor"]))
+        """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
+        adapted = target.whitened(target.center, jnp.asarray(warm["factor"]))
         fixed = (jnp.asarray(self.target_accept), self.max_depth)
         out, _ = _advance(adapted, q, Tuning.about(float(warm["size"])), key, False, *fixed)
         return {
@@ -188,11 +181,6 @@ def _start(target: Target, key: Array) -> Array:
 @eqx.filter_jit
 def _value(target: Target, q: Array) -> Array:
     return target(q)
-
-
-def _kernel() -> Any:
-    blackjax = optional("blackjax", "bayes", "sampling by NUTS")
-    return blackjax.nuts.build_kernel(), blackjax.nuts.init
 
 
 class Tuning(NamedTuple):
@@ -230,22 +218,14 @@ def _advance(
 def advance(
     target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
 ) -> tuple[tuple[Array, ...], Tuning]:
-    """`steps` transitions, for use inside traced code; `adapting` is one flag or one a transition.
+    """`steps` transitions, for use inside traced code; `adapting` is one flag or one per transition.
 
-    While it adapts the step size is the one that dual averaging tries, else its average.
+    During adaptation the step size is the trial value of dual averaging, otherwise its average.
 
-    Args:
-        target: the density in whitened coordinates.
-        q: position, shape (d,).
-        tuning: of the step size.
-        key: random key.
-        adapting: whether the step size adapts, one flag or shape (steps,).
-        goal: acceptance that it aims at.
-        depth: largest number of doublings of a trajectory.
-        steps: number of transitions.
+    The step size is tuned for the acceptance `goal`; trajectories double at most `depth` times.
     """
-    kernel, init = _kernel()
-    mass = jnp.ones_like(q)
+    nuts = optional("blackjax", "bayes", "sampling by NUTS").nuts
+    kernel, mass = nuts.build_kernel(), jnp.ones_like(q)
 
     def once(carry: tuple[Any, Tuning], at: tuple[Array, Array]) -> tuple[tuple[Any, Tuning], tuple[Array, ...]]:
         (state, tuning), (key, adapts) = carry, at
@@ -257,5 +237,5 @@ def advance(
         return (state, tuning), out
 
     ahead = (jax.random.split(key, steps), jnp.broadcast_to(adapting, (steps,)))
-    (_, tuning), out = jax.lax.scan(once, (init(q, target), tuning), ahead)
+    (_, tuning), out = jax.lax.scan(once, (nuts.init(q, target), tuning), ahead)
     return out, tuning

@@ -7,7 +7,7 @@ import functools
 import inspect
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Column, Note, Status, Table, fragment
+from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
 from hystfit.registry import attribute
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
@@ -25,13 +25,23 @@ from hystfit.sampling.diagnostics import Convergence
 SCHEMA = "hystfit.sample/3"
 
 
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _quantiles(values: np.ndarray) -> dict[str, Any]:
+    """Median and 95 % interval."""
+    levels = {"lower": 0.025, "median": 0.5, "upper": 0.975}
+    return dict(zip(levels, map(_finite, np.quantile(values, list(levels.values()))), strict=True))
+
+
 def _view(name: str) -> Any:
     """A function of a posterior that its methods call; bound late, because those modules import this one."""
     return attribute(f"hystfit.sampling.{name}")
 
 
 @dataclasses.dataclass(frozen=True)
-class Posterior:
+class Posterior(WithStatus):
     """Draws of the parameters of model and noise.
 
     Attributes:
@@ -68,11 +78,7 @@ class Posterior:
     seed: int
     provenance: dict[str, Any]
     evidence: Evidence | None = None
-
-    @property
-    def usable(self) -> bool:
-        """Whether the chains have converged, on a model that describes the data."""
-        return self.status.usable
+    verb: ClassVar[str] = "sample"
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Draws of one parameter, shape (chains, draws)."""
@@ -81,40 +87,27 @@ class Posterior:
         return self.draws[:, :, self.names.index(name)]
 
     def table(self) -> list[dict[str, Any]]:
-        """One row a parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
-        finite = lambda v: float(v) if np.isfinite(v) else None
+        """One row per parameter: mean, sd, 95 % interval, R-hat, effective sizes; unknown numbers are None."""
         rows = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             flat = self.draws[:, :, k].ravel()
-            low, median, high = np.quantile(flat, [0.025, 0.5, 0.975])
-            row = {"name": name, "unit": unit, "mean": finite(flat.mean()), "sd": finite(flat.std(ddof=1))}
-            row |= {"lower": finite(low), "median": finite(median), "upper": finite(high)}
-            row |= {k_: finite(getattr(self.convergence, k_)[k]) for k_ in ("rhat", "bulk", "tail")}
-            rows.append(row)
+            moments = {"mean": _finite(flat.mean()), "sd": _finite(flat.std(ddof=1))}
+            checks = {check: _finite(getattr(self.convergence, check)[k]) for check in ("rhat", "bulk", "tail")}
+            rows.append({"name": name, "unit": unit} | moments | _quantiles(flat) | checks)
         return rows
 
     def summary(self) -> Table:
         """`table` for people."""
-        heads = (
-            ("mean", ".5g"),
-            ("sd", ".5g"),
-            ("2.5 %", ".5g"),
-            ("97.5 %", ".5g"),
-            ("R-hat", ".3f"),
-            ("bulk", ".0f"),
-            ("tail", ".0f"),
-        )
-        columns = [Column(""), *(Column(head, form=form) for head, form in heads), Column("", key="unit", left=True)]
+        numbers = [Column(head, form=".5g") for head in ("mean", "sd", "2.5 %", "97.5 %")]
+        checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
+        columns = [Column(""), *numbers, *checks, Column("", key="unit", left=True)]
         keys = ("name", "mean", "sd", "lower", "upper", "rhat", "bulk", "tail", "unit")
         return Table(columns, [[row[key] for key in keys] for row in self.table()])
 
     def derived_table(self) -> Table:
         """Derived quantities for people."""
-        columns = [
-            Column(""),
-            *(Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")),
-            Column("", "unit", left=True),
-        ]
+        numbers = [Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")]
+        columns = [Column(""), *numbers, Column("", "unit", left=True)]
         keys = ("name", "median", "lower", "upper", "unit")
         return Table(columns, [[row[key] for key in keys] for row in self.derived_rows])
 
@@ -152,7 +145,7 @@ class Posterior:
             "schema": SCHEMA,
             "model": self.result.name,
             "status": str(self.status),
-            "advice": self.status.advice("sample"),
+            "advice": self.advice,
             "notes": [note.to_dict() for note in self.notes],
             "sampler": self.sampler,
             "noise": self.noise,
@@ -223,14 +216,12 @@ class Posterior:
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:
-        """One row a derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
-        finite = lambda v: float(v) if np.isfinite(v) else None
+        """One row per derived quantity, of 200 draws: median, 95 % interval, unit, and what it is; unknown numbers are None."""
         rows = []
         for name, values in self.derived().items():
-            low, median, high = np.quantile(values, [0.025, 0.5, 0.975])
-            one = QUANTITIES[name]
-            row = {"name": name, "unit": one.units(self.result.data), "median": finite(median), "lower": finite(low)}
-            rows.append(row | {"upper": finite(high), "about": one.doc})
+            quantity = QUANTITIES[name]
+            unit = quantity.units(self.result.data)
+            rows.append({"name": name, "unit": unit} | _quantiles(values) | {"about": quantity.doc})
         return rows
 
     def plot(self, kind: str = "corner", **options: Any) -> Any:

@@ -22,11 +22,6 @@ _KINDS = ("corner", "trace", "rank", "bands")
 def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
     """Draw a picture of one kind and return its figure.
 
-    Args:
-        posterior: the draws.
-        kind: "corner", "trace", "rank" or "bands".
-        **options: of that kind of picture.
-
     Raises:
         ParameterError: an unknown kind.
         MissingExtraError: corner is not installed.
@@ -60,7 +55,8 @@ def _corner(posterior: Posterior) -> Any:
     )
     panels = np.array(figure.axes).reshape(len(at), len(at))
     for ax, k in zip(np.diag(panels), at, strict=True):
-        ax.set_title(f"{posterior.names[k]}\n{_title(flat[:, k])}", fontsize=size)
+        value = " +- ".join(rounded(float(np.median(flat[:, k])), float(np.std(flat[:, k]))))
+        ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=size)
     for ax in panels.ravel():
         ax.tick_params(labelsize=0.8 * size)
     part = f"{len(at)} of {len(labels)} parameters; " if len(at) < len(labels) else ""
@@ -76,11 +72,6 @@ def _of_corner(posterior: Posterior, flat: np.ndarray) -> list[int]:
     weights[: own.size] = own
     moving = [k for k in np.argsort(weights, kind="stable").tolist() if np.ptp(flat[:, k]) > 0]
     return sorted(moving[: min(_LEGIBLE, len(flat) - 1)])
-
-
-def _title(draws: np.ndarray) -> str:
-    """Median and standard deviation, the latter with two digits."""
-    return " +- ".join(rounded(float(np.median(draws)), float(np.std(draws))))
 
 
 def _panels(posterior: Posterior) -> Any:

@@ -7,6 +7,8 @@ determine it. They do not include an error of the model at amplitudes, frequenci
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,8 +22,8 @@ from hystfit.errors import ModelError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
-from hystfit.models.base import run
 from hystfit.models.parallel.route import each
+from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
@@ -35,11 +37,8 @@ def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbe
 def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) -> Float[np.ndarray, "count T"]:
     """Outputs over a record's input for many parameter vectors.
 
-    Args:
-        result: of the fit.
-        record: provides the input.
-        x: free parameters of the model, physical, shape (count, p).
-        seed: of the fitted record whose own parameters (its offset) a draw takes where `record` is not a fitted one.
+    x has shape (count, p), physical. Where the record is not a fitted one, `seed` chooses the fitted record whose own parameters
+    (its offset) a draw takes.
 
     Raises:
         ModelError: no time for a model that needs it.
@@ -57,11 +56,7 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:
     """Outputs that might be measured over a record's input: parameters vary, and noise is added.
 
-    Args:
-        posterior: of the fit.
-        record: provides the input.
-        count: number of draws.
-        seed: of their choice, of the fitted record whose own parameters each takes, and of the noise.
+    `seed` is that of the choice of draws, of the fitted record whose own parameters each takes, and of the noise.
     """
     result = posterior.result
     given, record = record, result.in_fitted_units(record)
@@ -71,7 +66,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     problem = result.problem.with_loss("linear").with_noise(NOISES.make(posterior.noise)).trimmed()
     inputs = np.concatenate([fitted.u for fitted in result.data])
     new = Setting.of(Batch.of(record), (float(inputs.min()), float(inputs.max())))
-    new = eqx.tree_at(lambda s: s.weight, new, jnp.ones_like(new.weight))  # noise belongs to unmeasured samples too
+    new = dataclasses.replace(new, weight=jnp.ones_like(new.weight))  # unmeasured samples have noise too
     noise = _noise_of_draws(problem.density, new, jnp.asarray(rows), jax.random.key(seed))
     return result.to_unit_of(given, y + np.asarray(noise)[:, : len(record)])
 

@@ -34,7 +34,7 @@ from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.setup import Setup, prepare
 
-_SLOW = 0.15  # part of the record over which noise is correlated, above which it is an error of the model
+_SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
 
 
@@ -81,13 +81,8 @@ def sample(
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)
     problems = convergence.problems(setup.names)
     drift = drift_notes(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
-    status = Status.OK
-    if problems or not raw.complete or not np.isfinite(draws).all():
-        status = Status.NOT_CONVERGED
-    elif result.status in (Status.POOR, Status.NO_LOOP):
-        status = Status.POOR_FIT
-    elif has((*drift, *setup.notes), Code.INCOMPLETE) or result.status is Status.ROUGH:
-        status = Status.INCOMPLETE
+    converged = not problems and raw.complete and bool(np.isfinite(draws).all())
+    status = _status(result, converged, incomplete=has((*drift, *setup.notes), Code.INCOMPLETE))
     return Posterior(
         result=result,
         sampler=chosen.name,
@@ -100,20 +95,29 @@ def sample(
         convergence=convergence,
         status=status,
         notes=(
-            *_of_the_fit(result),
+            *_fit_status_notes(result),
             *drift,
             *setup.notes,
             *raw.notes,
             *problems,
             *prior_dominated_notes(setup, draws),
-            *_beside_fit(result, setup, draws),
+            *_agreement_notes(result, setup, draws),
         ),
-        priors=setup.describe_priors(),
+        priors={name: str(prior) for name, prior in zip(setup.names, setup.problem.priors, strict=True)},
         seconds=seconds,
         seed=seed,
         provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),
         evidence=raw.evidence,
     )
+
+
+def _status(result: FitResult, converged: bool, *, incomplete: bool) -> Status:
+    """The first obstacle to using the draws; `incomplete` where the residuals show what the model lacks."""
+    if not converged:
+        return Status.NOT_CONVERGED
+    if result.status in (Status.POOR, Status.NO_LOOP):
+        return Status.POOR_FIT
+    return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK
 
 
 def _make(sampler: str | type[AbstractSampler] | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
@@ -171,13 +175,7 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
 
 
 def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
-    """A note where slow noise takes a good part of the record: the model does not have the drift or creep of the data.
-
-    Args:
-        setup: names the parameters.
-        draws: physical.
-        longest: samples of the longest record.
-    """
+    """A note where slow noise is correlated over a large fraction of the record: the model does not have the drift or creep of the data."""
     middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
     time = middle.get("noise_time", 0.0)
     if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):
@@ -190,7 +188,7 @@ def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longes
     return [warn(Code.INCOMPLETE, text)]
 
 
-def _beside_fit(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+def _agreement_notes(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """A note where the draws are wider or narrower than the standard errors of the fit."""
     wide = draws.reshape(-1, draws.shape[-1]).std(axis=0)
     errors = {name: float(sd) for name, sd in zip(setup.names, wide, strict=True) if np.isfinite(sd)}
@@ -206,7 +204,7 @@ def _beside_fit(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chain
     return differences(result, errors, "the posterior", reason)
 
 
-def _of_the_fit(result: FitResult) -> list[Note]:
+def _fit_status_notes(result: FitResult) -> list[Note]:
     """A note where the fit itself is not usable."""
     if result.usable:
         return []

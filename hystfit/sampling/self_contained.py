@@ -13,10 +13,6 @@ _SLACK = 10_000_000  # bytes of data beyond the size of the file, for what netCD
 def refuse_outside(content: bytes, place: str) -> None:
     """Refuse an HDF5 file whose data lie outside it, or that declares more data than it holds.
 
-    Args:
-        content: of the file.
-        place: of the file, for messages.
-
     Raises:
         DataError: see above, or no HDF5 file.
     """

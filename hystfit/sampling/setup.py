@@ -59,17 +59,11 @@ class Setup:
         """Names of all parameters."""
         return self.problem.names
 
-    def describe_priors(self) -> dict[str, str]:
-        """Priors in words, by parameter."""
-        return {name: str(prior) for name, prior in zip(self.names, self.problem.priors, strict=True)}
-
 
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
     """The noise model to use, and notes on the choice.
 
-    Args:
-        residuals: of the fit.
-        choice: a noise model, or "auto" for slow noise unless the residuals need another.
+    "auto" takes slow noise unless the residuals need another.
     """
     diagnosis = diagnose(residuals)
     if choice != "auto":
@@ -134,25 +128,21 @@ def prepare(
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
-    """z with parameters that lie on a bound moved to where a mode can be found."""
-    c = space.coordinates
-    z = space.unconstrained(np.clip(x, np.asarray(c.lower), np.asarray(c.upper)))
-    kind = np.asarray(c.kinds)
-    one = (kind == LOWER) | (kind == UPPER)
-    return np.where(one, np.maximum(z, np.log(1e-4)), np.where(kind == BOTH, np.clip(z, -9, 9), z))
+    """z, with parameters that lie on a bound moved to where a mode can be found."""
+    z, kinds = space.unconstrained(space.clip(x)), space.kinds
+    one_sided = (kinds == LOWER) | (kinds == UPPER)
+    return np.where(one_sided, np.maximum(z, np.log(1e-4)), np.where(kinds == BOTH, np.clip(z, -9, 9), z))
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
     """Widths of the bends of weights with one bound: their standard deviations given the other parameters, in natural sizes.
 
-    Args:
-        problem: with its noise model.
-        root: square root of the information matrix of the model's parameters, shape (p, p).
+    `root` is a square root of the information matrix of the model's parameters, shape (p, p).
     """
-    scale, kind = (np.asarray(getattr(problem.space.coordinates, name)) for name in ("scale", "kinds"))
-    soft = np.array([info.linear for info in problem.space.infos], bool) & ((kind == LOWER) | (kind == UPPER))
-    precision = np.sum((root * scale) ** 2, axis=0) + _PRIOR_SCALES**-2
-    return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - scale.size))
+    space = problem.space
+    soft = space.linear & ((space.kinds == LOWER) | (space.kinds == UPPER))
+    precision = np.sum((root * space.scale) ** 2, axis=0) + _PRIOR_SCALES**-2
+    return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - soft.size))
 
 
 @eqx.filter_jit
@@ -170,9 +160,9 @@ def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def checked(target: Target) -> Target:
-    """The target with axes as long as the log posterior takes to fall by about 1/2.
+    """The target with axes as long as the distance over which the log posterior falls by about 1/2.
 
-    Curvature at a kink, or in a plateau that ends, says nothing about that: a mass matrix from it is wrong by many orders.
+    Curvature at a kink, or on a plateau that ends, does not give this distance: its mass matrix may be wrong by orders of magnitude.
     """
     for _ in range(_ROUNDS):
         fall = np.nan_to_num(np.asarray(_fall(target)), nan=np.inf)
@@ -182,7 +172,7 @@ def checked(target: Target) -> Target:
         times = np.minimum(times, np.maximum(_WIDEST / np.linalg.norm(factor, axis=0), 1.0))
         if np.all(times == 1.0):
             break
-        target = eqx.tree_at(lambda t: t.factor, target, jnp.asarray(factor * times))
+        target = target.whitened(target.center, jnp.asarray(factor * times))
     return target
 
 

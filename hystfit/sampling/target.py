@@ -29,24 +29,13 @@ class Target(eqx.Module):
 
     @classmethod
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
-        """Centered on z, not whitened.
-
-        Args:
-            density: over z.
-            z: shape (d,).
-            widths: see `Bend`, shape (d,); None for 0.
-        """
+        """Centered on z, not whitened."""
         kinds = (*density.objective.coordinates.kinds, *density.noise.kinds)
         bend = Bend(jnp.asarray([kind == BOTH for kind in kinds]), jnp.zeros(z.shape) if widths is None else widths)
         return cls(density, bend, bend.bent(jnp.asarray(z)), jnp.eye(z.shape[0]))
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
-        """The same density in other coordinates q.
-
-        Args:
-            center: v where q = 0, shape (d,).
-            factor: dv/dq, shape (d, d).
-        """
+        """The same density in other coordinates q."""
         return Target(self.density, self.bend, center, factor)
 
     def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
@@ -60,9 +49,7 @@ class Target(eqx.Module):
     def log_density(self, v: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
         """Log posterior over v.
 
-        Args:
-            v: shape (d,).
-            lean: see `Density.log_density`.
+        With `lean`, see `Density.log_density`.
         """
         return self.density.log_density(self.bend.unbent(v), lean) + self.bend.log_slope(v)
 

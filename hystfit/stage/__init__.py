@@ -3,6 +3,7 @@
 from hystfit.stage.actuator import Actuator as Actuator
 from hystfit.stage.actuator import Amplifier as Amplifier
 from hystfit.stage.actuator import Sensor as Sensor
+from hystfit.stage.actuator import perturbed as perturbed
 from hystfit.stage.actuator import piezo as piezo
 from hystfit.stage.adaptive import AdaptiveTracking as AdaptiveTracking
 from hystfit.stage.adaptive import track_adaptively as track_adaptively
@@ -10,12 +11,11 @@ from hystfit.stage.decoupled import Decoupled as Decoupled
 from hystfit.stage.decoupled import StageInverse as StageInverse
 from hystfit.stage.kinematics import JacobianEstimate as JacobianEstimate
 from hystfit.stage.kinematics import Kinematics as Kinematics
+from hystfit.stage.kinematics import drive_in_turn as drive_in_turn
 from hystfit.stage.kinematics import identify_jacobian as identify_jacobian
 from hystfit.stage.population import Population as Population
 from hystfit.stage.population import population as population
 from hystfit.stage.stage import Stage as Stage
 from hystfit.stage.stage import StageMeasurement as StageMeasurement
 from hystfit.stage.stage import axis_plant as axis_plant
-from hystfit.stage.stage import drive_in_turn as drive_in_turn
-from hystfit.stage.stage import perturbed as perturbed
 from hystfit.stage.stage import upsample as upsample

@@ -17,7 +17,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
-from hystfit.models.one_device import check_one_device
+from hystfit.models.simulation import check_one_device
 from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.population import Population, single_models
@@ -58,6 +58,30 @@ def piezo(
     model = Series(BoucWen(c=c, mu=mu, tau=tau, rho=delta / tau, scheme="exact"), creep)
     ParameterSpace.of(model)  # raises outside the bounds
     return model
+
+
+def perturbed(actuator: Series, **factors: float) -> Series:
+    """The actuator with its parameters c, mu, tau, delta and gamma multiplied by factors.
+
+    Raises:
+        ParameterError: an unknown name, or a value outside its bounds.
+    """
+    known = ("c", "mu", "tau", "delta", "gamma")
+    unknown = [name for name in factors if name not in known]
+    if unknown:
+        raise ParameterError(f"no parameter {unknown[0]!r} to perturb; there are {', '.join(known)}")
+    factor = lambda name: factors.get(name, 1.0)
+    hysteresis, creep, *rest = actuator.parts
+    hysteresis = dataclasses.replace(
+        hysteresis,
+        c=hysteresis.c * factor("c"),
+        mu=hysteresis.mu * factor("mu"),
+        tau=hysteresis.tau * factor("tau"),
+        rho=hysteresis.rho * factor("delta") / factor("tau"),
+    )
+    scaled = Series(hysteresis, dataclasses.replace(creep, gamma=creep.gamma * factor("gamma")), *rest)
+    ParameterSpace.of(scaled)  # raises outside the bounds
+    return scaled
 
 
 @dataclasses.dataclass(frozen=True)

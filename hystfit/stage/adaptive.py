@@ -17,7 +17,8 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.identify.base import Sample, run_stream
 from hystfit.identify.ukf import Ukf, UkfState
-from hystfit.models.base import AbstractHysteresis, Resume
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import Resume
 from hystfit.stage.actuator import Sensor
 from hystfit.stage.stage import upsample
 

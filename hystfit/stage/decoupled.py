@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from hystfit.control import AbstractController, AbstractRunningInverse, Controller, InverseStep
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
-from hystfit.models.base import AbstractHysteresis, Resume
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import Resume
 
 
 class StageInverse(AbstractRunningInverse):

@@ -1,4 +1,4 @@
-"""Constant-Jacobian kinematics of a 3-RRR stage with three-fold symmetry, and identification of the Jacobian from records."""
+"""Constant-Jacobian kinematics of a 3-RRR stage with three-fold symmetry, and identification of the Jacobian from a drive in turn."""
 
 from __future__ import annotations
 
@@ -91,3 +91,21 @@ def identify_jacobian(extensions: Any, poses: Any) -> JacobianEstimate:
         offset=solution[3],
         residual=np.sqrt(np.mean(residuals**2, axis=0)),
     )
+
+
+def drive_in_turn(t: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One signal for each actuator in turn, for `identify_jacobian`.
+
+    Args:
+        t: times of the signal [s], shape (T,).
+        u: the signal [V], shape (T,). Each actuator rests on its first value before its turn and on its last value after it.
+
+    Returns:
+        Times, shape (3 T,), and voltages, shape (3 T, 3).
+    """
+    length, step = t.size, float(np.median(np.diff(t)))
+    volts = np.concatenate([np.full((3 * length, 1), u[0])] * 3, axis=1)
+    for k in range(3):
+        volts[k * length : (k + 1) * length, k] = u
+        volts[(k + 1) * length :, k] = u[-1]
+    return np.concatenate([t + k * (t[-1] - t[0] + step) for k in range(3)]), volts

@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.config import require_x64
 from hystfit.data.record import Dataset
 from hystfit.errors import ParameterError
-from hystfit.models.one_device import check_one_device
+from hystfit.models.simulation import check_one_device
 from hystfit.params.space import ParameterSpace
 from hystfit.params.units import Scales
 

@@ -16,8 +16,8 @@ from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
-from hystfit.models.one_device import check_one_device
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import check_one_device
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo
@@ -323,45 +323,3 @@ def axis_plant(
     if mode is not None:
         parts.append(SecondOrder(omega=2 * np.pi * mode[0], zeta=mode[1]))
     return Series(*parts)
-
-
-def perturbed(actuator: Series, **factors: float) -> Series:
-    """The actuator with its parameters c, mu, tau, delta and gamma multiplied by factors.
-
-    Raises:
-        ParameterError: an unknown name, or a value outside its bounds.
-    """
-    known = ("c", "mu", "tau", "delta", "gamma")
-    unknown = [name for name in factors if name not in known]
-    if unknown:
-        raise ParameterError(f"no parameter {unknown[0]!r} to perturb; there are {', '.join(known)}")
-    factor = lambda name: factors.get(name, 1.0)
-    hysteresis, creep, *rest = actuator.parts
-    hysteresis = dataclasses.replace(
-        hysteresis,
-        c=hysteresis.c * factor("c"),
-        mu=hysteresis.mu * factor("mu"),
-        tau=hysteresis.tau * factor("tau"),
-        rho=hysteresis.rho * factor("delta") / factor("tau"),
-    )
-    scaled = Series(hysteresis, dataclasses.replace(creep, gamma=creep.gamma * factor("gamma")), *rest)
-    ParameterSpace.of(scaled)  # raises outside the bounds
-    return scaled
-
-
-def drive_in_turn(t: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One signal for each actuator in turn, for `identify_jacobian`.
-
-    Args:
-        t: times of the signal [s], shape (T,).
-        u: the signal [V], shape (T,). Each actuator rests on its first value before its turn and on its last value after it.
-
-    Returns:
-        Times, shape (3 T,), and voltages, shape (3 T, 3).
-    """
-    length, step = t.size, float(np.median(np.diff(t)))
-    volts = np.concatenate([np.full((3 * length, 1), u[0])] * 3, axis=1)
-    for k in range(3):
-        volts[k * length : (k + 1) * length, k] = u
-        volts[(k + 1) * length :, k] = u[-1]
-    return np.concatenate([t + k * (t[-1] - t[0] + step) for k in range(3)]), volts

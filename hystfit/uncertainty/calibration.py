@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.stats import binom
@@ -26,7 +26,7 @@ from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.results.folders import alone
 from hystfit.uncertainty.replicate_pool import collect
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, typical_noise
@@ -37,14 +37,14 @@ _IDEAL = 40_000  # simulated sets of uniform ranks, with which those of a study 
 
 
 @dataclasses.dataclass(frozen=True)
-class Calibration:
+class Calibration(WithStatus):
     """Ranks of the truth among posterior draws.
 
     Attributes:
         names: of the parameters ranked.
         ranks: shape (replicates, parameters), 0 to `of`; failed replicates left out.
         of: number of posterior draws.
-        errors: posterior mean less truth, in posterior standard deviations, same shape.
+        errors: posterior mean minus truth, in posterior standard deviations, same shape.
         failures: (replicate, reason) of failed replicates.
         method, truth, assumed: see `Study`.
         model: name.
@@ -61,6 +61,7 @@ class Calibration:
     assumed: str
     model: str
     broken: tuple[str, ...] = ()
+    verb: ClassVar[str] = "calibrate"
 
     def p_values(self) -> np.ndarray:
         """Uniformity of the ranks by the largest distance of their ECDF from the straight line; small means miscalibrated."""
@@ -94,16 +95,6 @@ class Calibration:
             return Status.MISCALIBRATED
         return Status.OK if len(self.ranks) >= _FEWEST else Status.TOO_FEW
 
-    @property
-    def usable(self) -> bool:
-        """Whether the status is `Status.OK`."""
-        return self.status.usable
-
-    @property
-    def advice(self) -> str:
-        """What to do about the status, in one sentence."""
-        return self.status.advice("calibrate")
-
     def table(self) -> Table:
         """p-value and coverage of the 95 % intervals of each parameter."""
         known = len(self.ranks) > 0
@@ -111,9 +102,6 @@ class Calibration:
         covered = self.coverage().tolist() if known else [None] * len(self.names)
         columns = [Column("", key="name"), Column("p", form=".4f"), Column("coverage", key="coverage95", form=".1%")]
         return Table(columns, list(zip(self.names, p, covered, strict=True)))
-
-    def __repr__(self) -> str:
-        return str(self)
 
     def __str__(self) -> str:
         lines = [
@@ -133,6 +121,8 @@ class Calibration:
         if not self.usable:
             lines.append(self.advice)
         return "\n".join(lines + list(self.broken))
+
+    __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""

@@ -25,7 +25,7 @@ class DriftExplained:
         measured: slope of the measured means against log10 of time [unit of y per decade], and `r2`, the variance that it explains.
         modeled: the same slope in the fit's free run.
         stderr: of `modeled`, from the fit's covariance; None where that is not known.
-        without_creep: the slope when the creep is taken out of the fitted model: what its hysteresis settles by.
+        without_creep: the slope in the fitted model without its creep: the settling of its hysteresis.
         left: slope of the residual means.
         cycles: number of cycles compared.
         unit: of y.
@@ -45,7 +45,7 @@ class DriftExplained:
         per = f"{self.unit}/decade".lstrip("/")
         return (
             f"the mean of {self.cycles} like cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep makes "
-            f"{self.modeled:.3g}{error}, its hysteresis alone {self.without_creep:.2g}, and {self.left:.2g} is left"
+            f"{self.modeled:.3g}{error}, its hysteresis alone {self.without_creep:.2g}, and {self.left:.2g} remains in the residuals"
         )
 
 

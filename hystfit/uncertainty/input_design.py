@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -18,12 +18,12 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
 from hystfit.inference.information import Moments
-from hystfit.models.base import simulate
-from hystfit.outcome import Code, Column, Note, Severity, Status, Table
+from hystfit.models.simulation import simulate
+from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
-from hystfit.results.plots import grouped
+from hystfit.results.estimates import grouped
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.predicted_errors import PRIOR, Plan, covariance_with
 
@@ -52,7 +52,7 @@ class Candidate:
 
 
 @dataclasses.dataclass(frozen=True)
-class Design:
+class Design(WithStatus):
     """Inputs ranked by their predicted standard errors.
 
     Attributes:
@@ -72,16 +72,12 @@ class Design:
     closes: tuple[str, ...]
     dt: float | None
     notes: tuple[Note, ...]
+    verb: ClassVar[str] = "design"
 
     @property
     def status(self) -> Status:
         """`Status.NO_LOOP` where the fit had no loop: its predictions are meaningless; else `Status.OK`."""
         return Status.NO_LOOP if self.result.status is Status.NO_LOOP else Status.OK
-
-    @property
-    def usable(self) -> bool:
-        """Whether the status is "ok"."""
-        return self.status.usable
 
     @property
     def best(self) -> Candidate:
@@ -201,46 +197,50 @@ def design(
     inputs = _families(low, high, samples, seed)
     if method == "gradient":
         inputs["optimized turning points"] = _optimize(plan, now, counted, low, high, samples, steps, seed)
-
-    def errors(covariance: np.ndarray) -> dict[str, float | None]:
-        relative = np.sqrt(np.diag(covariance))[: x.size]
-        known = np.where(relative < _UNKNOWN * PRIOR, relative * np.asarray(plan.size), np.nan)
-        return {name: float(e) if np.isfinite(e) else None for name, e in zip(names, known, strict=True)}
-
     covariances = {name: covariance_with(plan, now, jnp.asarray(u)) for name, u in inputs.items()}
     candidates = [
-        Candidate(name, np.asarray(u), errors(np.asarray(covariances[name])), float(_score(covariances[name], counted)))
+        Candidate(
+            name, np.asarray(u), _errors(plan, names, covariances[name]), float(_score(covariances[name], counted))
+        )
         for name, u in inputs.items()
     ]
     candidates.sort(key=lambda one: one.score)
     before = np.asarray(plan.covariance(now))
+    errors_before = _errors(plan, names, before)
+    present = {name: None if result[name].stderr is None else error for name, error in errors_before.items()}
     closes = _closed(before, np.asarray(covariances[candidates[0].name]), list(names))
-    present = {name: None if result[name].stderr is None else error for name, error in errors(before).items()}
+    notes = _notes(result, candidates[0].name, closes, present)
+    dt = None if all(record.t is None for record in result.data) else result.data.sampling_interval
+    return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, notes)
+
+
+def _errors(plan: Plan, names: Sequence[str], covariance: Array | np.ndarray) -> dict[str, float | None]:
+    """Standard errors in physical units from a covariance in relative size; None where the error is that of the prior."""
+    relative = np.sqrt(np.diag(np.asarray(covariance)))[: len(names)]
+    known = np.where(relative < _UNKNOWN * PRIOR, relative * np.asarray(plan.size), np.nan)
+    return {name: float(error) if np.isfinite(error) else None for name, error in zip(names, known, strict=True)}
+
+
+def _notes(
+    result: FitResult, best: str, closes: Sequence[str], present: Mapping[str, float | None]
+) -> tuple[Note, ...]:
+    """Notes on the fit, on what the best input determines, and on the limits of the design."""
     notes = []
     if not result.usable:
         text = f"the fit is not usable ({result.status}): {result.advice}"
         notes.append(Note(Code.FIT_STATUS, text, Severity.ERROR))
     for combination in closes:
-        text = f"the input {candidates[0].name!r} determines {combination}, which the present data do not"
+        text = f"the input {best!r} determines {combination}, which the present data do not"
         notes.append(Note(Code.CLOSES, text))
     if None in present.values():
         text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to that"
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is local: it holds near the fitted values"))
-    notes += [
-        dataclasses.replace(
-            note, text=f"{note.text}. The design takes the model as true and cannot ask for them to test it"
-        )
-        for note in coverage_notes(result.data)
-    ]
-    notes += differences(
-        result,
-        present,
-        "the present data alone",
-        "design weighs the data against a wide prior and no other regularization",
-    )
-    dt = None if all(record.t is None for record in result.data) else result.data.sampling_interval
-    return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, tuple(notes))
+    for note in coverage_notes(result.data):
+        text = f"{note.text}. The design takes the model as true and does not propose inputs that test it"
+        notes.append(dataclasses.replace(note, text=text))
+    source, reason = "the present data alone", "design weighs the data against a wide prior and no other regularization"
+    return (*notes, *differences(result, present, source, reason))
 
 
 def _score(covariance: Array, counted: Array) -> Array:
@@ -310,7 +310,6 @@ def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str
 
     Args:
         before, after: covariances in relative size with the present data alone, and with the input.
-        names: of the parameters that come first in both.
     """
     p = len(names)
     values, vectors = np.linalg.eigh(before[:p, :p])

@@ -19,7 +19,7 @@ from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import analyze
-from hystfit.models.base import run
+from hystfit.models.simulation import run
 from hystfit.params.coordinates import REAL, Coordinates
 from hystfit.results.result import FitResult
 

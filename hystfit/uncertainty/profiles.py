@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.stats import chi2
 
 from hystfit.config import require_x64
 from hystfit.errors import ParameterError
-from hystfit.fitting.covariance import error_ratios
+from hystfit.fitting.error_ratios import error_ratios
 from hystfit.fitting.noise_refinement import refine_moving
 from hystfit.inference.bounded_newton import BoundedNewton, Point
 from hystfit.inference.noise.base import AbstractNoise
@@ -22,7 +22,7 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
-from hystfit.outcome import Code, Note, Status
+from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
@@ -63,7 +63,7 @@ class Profile:
         return self.lower is not None and self.upper is not None
 
     def __str__(self) -> str:
-        if not self.closed and self.lower is None and self.upper is None:
+        if self.lower is None and self.upper is None:
             limits = "not bounded by the data on either side"
         else:
             side = lambda limit, bound: f"not bounded (open to {bound})" if limit is None else f"{limit:.5g}"
@@ -74,7 +74,7 @@ class Profile:
 
 
 @dataclasses.dataclass(frozen=True)
-class Profiles:
+class Profiles(WithStatus):
     """Profiles of a fit.
 
     Attributes:
@@ -90,16 +90,12 @@ class Profiles:
     level: float
     noise: str
     notes: tuple[Note, ...]
+    verb: ClassVar[str] = "profile"
 
     @property
     def status(self) -> Status:
         """`Status.OK` where every profile has both limits, else `Status.OPEN`."""
         return Status.OK if all(profile.closed for profile in self.profiles.values()) else Status.OPEN
-
-    @property
-    def usable(self) -> bool:
-        """Whether every profile has both limits."""
-        return self.status.usable
 
     def __getitem__(self, name: str) -> Profile:
         return self.profiles[name]
@@ -155,16 +151,11 @@ class Profiles:
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:
             row[0].set_ylabel("-2 delta log-likelihood", fontsize=8)
-        shown = dict(zip(*reversed(_handles(list(axes.ravel()))), strict=True))
-        figure.legend(shown.values(), shown.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
+        entries = [ax.get_legend_handles_labels() for ax in axes.ravel()]
+        lines = {label: line for pair in entries for line, label in zip(*pair, strict=True)}  # one of each label
+        figure.legend(lines.values(), lines.keys(), fontsize=8, frameon=False, ncols=4, loc="outside upper center")
         use_available_fonts(figure)
         return figure
-
-
-def _handles(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
-    """Lines with a label, and their labels, of all panels."""
-    pairs = [ax.get_legend_handles_labels() for ax in axes]
-    return [h for handles, _ in pairs for h in handles], [label for _, labels in pairs for label in labels]
 
 
 def profile(
@@ -230,11 +221,7 @@ def _reason(result: FitResult, noise: str | type[AbstractNoise]) -> str:
 
 
 def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], list[Note]]:
-    """Positions of the parameters to profile, and a note where weights are left out.
-
-    Raises:
-        ParameterError: no free parameter has that name.
-    """
+    """Positions of the parameters to profile, and a note where weights are left out."""
     space, weights = problem.space, problem.space.weights
     if not names:
         chosen = np.flatnonzero(~weights) if not weights.all() else np.arange(len(space))

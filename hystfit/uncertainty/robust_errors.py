@@ -69,7 +69,7 @@ class StandardErrors:
     Attributes:
         result: the fit.
         errors: of each free parameter by rule, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
-            where the data do not determine the parameter, whatever the rule.
+            where the data do not determine the parameter.
         factors: half a 95 % interval over the error, by rule but "fit", shape (p,).
         block: samples of a block; None where the records hold too few of them.
         notes: what is missing and why.
@@ -108,18 +108,12 @@ class StandardErrors:
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown is null."""
         number = lambda value: float(value) if np.isfinite(value) else None
+        by_rule = lambda table, k: {rule: number(values[k]) for rule, values in table.items()}
         rows = {}
         for k, name in enumerate(self.result.free_names):
-            errors_of = {rule: number(error[k]) for rule, error in self.errors.items()}
-            over = {rule: number(ratio[k]) for rule, ratio in self.ratios.items()}
-            factor = {rule: number(factors[k]) for rule, factors in self.factors.items()}
-            rows[name] = {
-                "value": self.result[name].value,
-                "unit": self.result[name].unit,
-                "stderr": errors_of,
-                "ratio": over,
-                "factor": factor,
-            }
+            rows[name] = {"value": self.result[name].value, "unit": self.result[name].unit}
+            rows[name] |= {"stderr": by_rule(self.errors, k), "ratio": by_rule(self.ratios, k)}
+            rows[name]["factor"] = by_rule(self.factors, k)
         return {
             "schema": SCHEMA,
             "model": self.result.name,

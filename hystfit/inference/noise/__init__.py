@@ -1,4 +1,4 @@
-"""Noise models: what a hysteresis model leaves of a measurement, as a random process with a likelihood."""
+"""Noise models: the residuals of a hysteresis model as a random process with a likelihood."""
 
 import lazy_loader
 

@@ -54,9 +54,7 @@ class ResidualScales:
     def of(cls, rows: list[np.ndarray], time: float) -> ResidualScales:
         """Scales of residuals.
 
-        Args:
-            rows: residuals of each record, samples that count only [y].
-            time: their integrated autocorrelation time, samples.
+        The rows are the residuals that count, one array per record [y]; `time` is their integrated autocorrelation time in samples.
         """
         together, differences = np.concatenate(rows), np.concatenate([np.diff(row) for row in rows])
         total = max(float(np.std(together)), _LEAST)

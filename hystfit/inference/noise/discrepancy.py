@@ -24,7 +24,7 @@ _CURVE = 0.7  # prior standard deviation of the log size of the curve about the 
 
 
 class LoopDiscrepancy(OrnsteinUhlenbeck):
-    """Model error that repeats every loop: a Gaussian process in (input, direction), beside slow and independent noise.
+    """Model error that repeats every loop: a Gaussian process in (input, direction), added to slow and independent noise.
 
     Squared-exponential covariance in the input with inducing points over its range, independent on rising and falling branches; its
     weights are integrated out. The error is the same in every cycle, so standard errors do not fall with the number of cycles.
@@ -101,8 +101,8 @@ def inducing_shapes(place: Any, length: Any, points: int, on: ModuleType = jnp) 
     """Columns F with F F' close to the squared-exponential covariance of variance one over 0 <= place <= 1.
 
     Args:
-        place: input in parts of its range, any shape.
-        length: length scale, in parts of the range of the input.
+        place: input as a fraction of its range, any shape.
+        length: length scale, as a fraction of the range of the input.
         points: number of columns.
         on: `jnp`, or `np` for arrays on the host.
     """

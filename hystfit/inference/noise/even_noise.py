@@ -40,10 +40,8 @@ class EvenRows:
     def of(cls, columns: Sequence[np.ndarray], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:
         """The transforms; None where several records, uneven steps or weights have no such form.
 
-        Args:
-            columns: arrays of shapes (n, k_i), side by side.
-            gap: time since the sample before, infinite at the first of a record, shape (n,).
-            weight: of each sample, shape (n,).
+        The columns have shapes (n, k_i), side by side; `gap` is the time since the sample before, infinite at the first one of a
+        record.
         """
         steps, n = gap[1:], gap.size
         if n < 3 or np.ptp(weight) > 0 or not steps.max() - steps.min() <= _EVEN * steps.min():

@@ -20,7 +20,7 @@ class Setting(eqx.Module):
     Attributes:
         gap: time since the sample before, in typical sampling intervals, shape (R, T), or () where sampling is even.
         weight: shape (R, T), 0 where a sample does not count; white noise has variance white^2 / weight.
-        place: input in parts of its range, 0 to 1, shape (R, T).
+        place: input as a fraction of its range, 0 to 1, shape (R, T).
         rising: whether the input last rose, shape (R, T), bool.
         count: of the samples that count.
         log_weight: sum of the logarithms of their weights.
@@ -35,7 +35,7 @@ class Setting(eqx.Module):
 
     @classmethod
     def of(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:
-        """The setting of a batch; records without time are taken as evenly sampled. `limits` of the input, by default the batch's own."""
+        """The setting of a batch; records without time count as evenly sampled. `limits` are those of the input, by default the batch's."""
         u, dt, weight = (np.asarray(v) for v in (batch.u, batch.dt, batch.weight))
         low, high = limits or (float(u.min()), float(u.max()))
         typical = median_interval(dt) or 1.0

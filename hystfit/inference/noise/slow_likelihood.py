@@ -35,7 +35,7 @@ class Samples:
         on: mask of these samples, shape (R, T), bool.
         gap: time since the one before, in typical sampling intervals; infinite at the first of a record. Shape (n,), like what follows.
         weight: of each.
-        place: input in parts of its range.
+        place: input as a fraction of its range.
         rising: whether the input last rose.
     """
 
@@ -47,12 +47,16 @@ class Samples:
 
     @classmethod
     def of(cls, setting: Setting) -> Samples:
-        """Those of a batch."""
+        """The samples of a batch that count."""
         weight, place, rising = (np.asarray(v) for v in (setting.weight, setting.place, setting.rising))
         on = weight > 0
         time = np.cumsum(np.broadcast_to(np.asarray(setting.gap), weight.shape), axis=1)
         gaps = [np.diff(row[used], prepend=-np.inf) for row, used in zip(time, on, strict=True)]
         return cls(on, np.maximum(np.concatenate(gaps), 1e-6), weight[on], place[on], rising[on])
+
+    def by_record(self, values: np.ndarray) -> list[np.ndarray]:
+        """Values of these samples, shape (n,), record by record."""
+        return np.split(values, np.cumsum(self.on.sum(axis=1))[:-1])
 
     def precision(self, time: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Inverse of the slow part's correlation matrix, which is tridiagonal: (diagonal, beside it, log determinant of the matrix)."""
@@ -163,7 +167,7 @@ class Contrasts:
 
     @functools.cached_property
     def expected(self) -> float:
-        """Variance of the shapes' weights that leaves `power` on average, after what the fit takes out."""
+        """Variance of the shapes' weights for which `power` remains on average, after the fit has absorbed its part."""
         along, n = self.basis.T @ self.shapes, self.residual.size
         squares = (
             np.sum((self.shapes[part] - self.basis[part] @ along) ** 2) for part in parts(n, self.shapes.shape[1])
@@ -251,10 +255,7 @@ def least_squares_root(
 
     From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
 
-    Args:
-        fit: the noise.
-        jacobian: J.
-        overwrite: whether J may be destroyed, to save its size in memory.
+    With `overwrite`, J may be destroyed to save its size in memory.
     """
     Q, T = qr(jacobian, overwrite=overwrite)
     size = np.linalg.norm(T, axis=0)

@@ -28,16 +28,7 @@ class StateMap(enum.Enum):
 
 
 def sweep_at_once(step: Step, kind: StateMap, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-    """State after the last sample and outputs, as those of a scan of the step.
-
-    Args:
-        step: of the model.
-        kind: what it does to the state.
-        state: before the first sample.
-        u0: input before the first sample.
-        u: input, shape (T,).
-        dt: time since the sample before, shape (T,) [s].
-    """
+    """State after the last sample and outputs, as those of a scan of the step."""
     rows = (jnp.concatenate([u0[None], u[:-1]]), u, dt)
     moved = lambda state, row: step(state, *row)[0]
     if kind is StateMap.CLAMP:
@@ -70,10 +61,7 @@ def _composed(join: Callable[[Any, Any], Any], maps: Any, identity: Any) -> Any:
 
     `jax.lax.associative_scan` does half the work, but its program grows with T: its compilation takes ten times as long.
 
-    Args:
-        join: the composition of a map and a later one.
-        maps: arrays of leading length T.
-        identity: the map that changes nothing: numbers, or arrays of one map.
+    `join` composes a map and a later one; the maps are arrays of leading length T, and `identity` changes nothing.
     """
     length = jax.tree_util.tree_leaves(maps)[0].shape[0]
     before = jax.tree_util.tree_map(lambda v, one: jnp.broadcast_to(jnp.asarray(one, v.dtype), v.shape), maps, identity)
@@ -88,13 +76,7 @@ def _composed(join: Callable[[Any, Any], Any], maps: Any, identity: Any) -> Any:
 def clamp_scan(
     shift: Float[Array, "T n"], low: Float[Array, "T n"], high: Float[Array, "T n"], start: Float[Array, " n"]
 ) -> Float[Array, "T n"]:
-    """x_k = min(max(x_(k-1) + shift_k, low_k), high_k) for all k.
-
-    Args:
-        shift: before the clamp.
-        low, high: ends of the intervals.
-        start: x before the first.
-    """
+    """x_k = min(max(x_(k-1) + shift_k, low_k), high_k) for all k."""
     clamp = lambda x, low, high: jnp.maximum(low, jnp.minimum(high, x))
 
     def join(first: Any, second: Any) -> Any:
@@ -108,13 +90,7 @@ def clamp_scan(
 def affine_scan(
     factor: Float[Array, "T n"] | Float[Array, "T n n"], push: Float[Array, "T n"], start: Float[Array, " n"]
 ) -> Float[Array, "T n"]:
-    """x_k = factor_k x_(k-1) + push_k for all k.
-
-    Args:
-        factor: numbers of shape (T, n), or matrices of shape (T, n, n).
-        push: what is added, shape (T, n).
-        start: x before the first, shape (n,).
-    """
+    """x_k = factor_k x_(k-1) + push_k for all k."""
     matrices = factor.ndim > push.ndim
     times = (lambda a, b: jnp.einsum("...ij,...j->...i", a, b)) if matrices else jnp.multiply
     both = jnp.matmul if matrices else jnp.multiply
@@ -130,9 +106,7 @@ def affine_scan(
 def ratio_scan(maps: Float[Array, "T 2 2"], start: Scalar) -> Signal:
     """x_k = (a_k x_(k-1) + b_k) / (c_k x_(k-1) + d_k) for all k: the variance of a Kalman filter with one state.
 
-    Args:
-        maps: [[a, b], [c, d]] >= 0 of each sample, shape (T, 2, 2).
-        start: x before the first, >= 0.
+    `maps` holds [[a, b], [c, d]] >= 0 of each sample, and x starts >= 0.
     """
 
     def join(first: Array, second: Array) -> Array:

@@ -15,7 +15,7 @@ from hystfit.models.parallel.lanes import Lanes, UnsupportedError, numbers
 from hystfit.models.parallel.route import Route, on_gpu, route
 
 _WIDEST = 1024  # numbers that one lane keeps
-_BLOCK = 32  # lanes of one program: a warp, one lane a thread, its state in registers
+_BLOCK = 32  # lanes of one program: a warp, one lane per thread, its state in registers
 
 
 def scan(body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any) -> tuple[Any, Any]:
@@ -124,13 +124,7 @@ def _over_lanes(task: _Task) -> Callable[..., tuple[list[Any], list[Any]]]:
 def _attempted(
     body: str, by_kernel: Callable[..., Any], by_scan: Callable[..., Any], arguments: tuple[Any, ...]
 ) -> Any:
-    """The result of the kernel; None where there is none.
-
-    Args:
-        body: of the scan, in words of JAX.
-        by_kernel, by_scan: of the arguments.
-        arguments: of traced values.
-    """
+    """The result of the kernel; None where there is none."""
     try:
         if interpreted():
             return by_kernel(*arguments)
@@ -151,10 +145,6 @@ _compiles: dict[str, bool] = {}  # whether the device's compiler accepted a kern
 
 def compiles(by_kernel: Callable[..., Any], shapes: tuple[Any, ...]) -> bool:
     """Whether the device's compiler accepts a kernel, with a warning where it does not: another device, or another version of JAX.
-
-    Args:
-        by_kernel: of arrays of these shapes.
-        shapes: of the arguments.
 
     Raises:
         UnsupportedError: there is no kernel for the body.
@@ -179,7 +169,7 @@ def interpreted() -> bool:
 
 
 class Packed(NamedTuple):
-    """How arrays of several shapes and types lie in one array of numbers, one row a number."""
+    """How arrays of several shapes and types lie in one array of numbers, one row per number."""
 
     shapes: tuple[tuple[int, ...], ...]
     types: tuple[Any, ...]
@@ -226,11 +216,7 @@ def in_kernel(
 ) -> tuple[list[Any], list[Any]]:
     """Carry at the end and outputs of all lanes, leading axis the lanes.
 
-    Args:
-        task: what to run.
-        consts, begin: of each lane, with a leading axis.
-        rows: with a leading axis for the lanes where `by_lane` says so, then T.
-        by_lane: of each of the rows.
+    Rows have a leading axis for the lanes where `by_lane` says so, then T.
 
     Raises:
         UnsupportedError: there is no kernel for the body.

@@ -72,11 +72,6 @@ class Lanes:
     def run(self, jaxpr: Any, consts: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Outputs of a jaxpr.
 
-        Args:
-            jaxpr: open, of JAX.
-            consts: of its constants.
-            values: of its arguments.
-
         Raises:
             UnsupportedError: an operation, or a number of them, for which a kernel is not the place.
         """
@@ -90,7 +85,7 @@ class Lanes:
     def _apply(self, eqn: Any, values: list[np.ndarray]) -> list[np.ndarray]:
         name, params, avals = eqn.primitive.name, eqn.params, [v.aval for v in eqn.outvars]
         if name in _ELEMENTWISE:
-            return [self._elementwise(eqn.primitive, params, values)]
+            return [self._elementwise(functools.partial(eqn.primitive.bind, **params), values)]
         if name in _INNER:
             return self._inner(params[_INNER[name]], values)
         if name in ("reshape", "squeeze", "expand_dims"):
@@ -120,11 +115,11 @@ class Lanes:
         consts = [numbers(c) for c in jaxpr.consts] if closed else []
         return self.run(jaxpr.jaxpr if closed else jaxpr, consts, values)
 
-    def _elementwise(self, primitive: Any, params: dict[str, Any], values: Sequence[np.ndarray]) -> np.ndarray:
+    def _elementwise(self, function: Callable[..., Any], values: Sequence[np.ndarray]) -> np.ndarray:
         rows = np.broadcast_arrays(*values)
         out = np.empty(rows[0].shape, object)
         for at in np.ndindex(out.shape):
-            out[at] = self._bind(functools.partial(primitive.bind, **params), [row[at] for row in rows])
+            out[at] = self._bind(function, [row[at] for row in rows])
         return out
 
     def _bind(self, function: Callable[..., Any], values: Sequence[Any]) -> Any:
@@ -151,24 +146,16 @@ class Lanes:
     def _dot(self, a: np.ndarray, b: np.ndarray, dimensions: Any) -> np.ndarray:
         (sum_a, sum_b), (batch_a, batch_b) = dimensions
 
-        def ordered(values: np.ndarray, summed: Sequence[int], batch: Sequence[int]) -> tuple[np.ndarray, Any]:
+        def blocked(values: np.ndarray, summed: Sequence[int], batch: Sequence[int]) -> tuple[np.ndarray, Any]:
             free = [k for k in range(values.ndim) if k not in (*summed, *batch)]
-            shape = values.transpose([*batch, *free, *summed]).shape
-            sizes = [
-                int(np.prod(shape[i:j])) for i, j in itertools.pairwise((0, len(batch), len(batch) + len(free), None))
-            ]
-            return values.transpose([*batch, *free, *summed]).reshape(sizes), shape[: len(batch) + len(free)]
+            ordered = values.transpose([*batch, *free, *summed])
+            kept = len(batch) + len(free)
+            edges = itertools.pairwise((0, len(batch), kept, None))
+            return ordered.reshape([int(np.prod(ordered.shape[i:j])) for i, j in edges]), ordered.shape[:kept]
 
-        (rows, shape), (columns, other) = ordered(a, sum_a, batch_a), ordered(b, sum_b, batch_b)
-        product = self._products(rows[:, :, None], columns[:, None])
+        (rows, shape), (columns, other) = blocked(a, sum_a, batch_a), blocked(b, sum_b, batch_b)
+        product = self._elementwise(operator.mul, (rows[:, :, None], columns[:, None]))
         return self._reduced(operator.add, product, (3,)).reshape((*shape, *other[len(batch_b) :]))
-
-    def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        a, b = np.broadcast_arrays(a, b)
-        out = np.empty(a.shape, object)
-        for at in np.ndindex(out.shape):
-            out[at] = self._bind(operator.mul, (a[at], b[at]))
-        return out
 
     def _moved(self, primitive: Any, params: dict[str, Any], values: list[np.ndarray], data: Any) -> list[np.ndarray]:
         """The operation on the places of the numbers, then the numbers at the places."""
@@ -187,11 +174,9 @@ class Lanes:
     def _known(self, values: np.ndarray) -> np.ndarray:
         if not all(isinstance(value, np.generic) for value in values.flat):
             raise UnsupportedError("a place that depends on the lane or the sample")
-        return (
-            np.array(values.tolist(), dtype=values.flat[0].dtype).reshape(values.shape)
-            if values.size
-            else np.zeros(values.shape, int)
-        )
+        if not values.size:
+            return np.zeros(values.shape, int)
+        return np.array(values.tolist(), dtype=values.flat[0].dtype).reshape(values.shape)
 
     def _cond(self, branches: Sequence[Any], values: list[np.ndarray]) -> list[np.ndarray]:
         """All branches, and a selection: lanes may differ."""

@@ -27,23 +27,12 @@ def platform() -> str:
 
 
 def on_gpu(where: str | None = None) -> bool:
-    """Whether programs run on a GPU.
-
-    Args:
-        where: a platform; by default the present one.
-    """
+    """Whether programs run on a GPU."""
     return (where or platform()) in ("gpu", "cuda", "rocm")
 
 
 def route(samples: int, lanes: int = 1, *, associative: bool = False, where: str | None = None) -> Route:
-    """How to run a simulation. On a CPU it is always the scan, which is several times faster there than either other form.
-
-    Args:
-        samples: of each record.
-        lanes: simulations that run together.
-        associative: whether the model has an associative form.
-        where: a platform; by default the present one.
-    """
+    """How to run a simulation. On a CPU it is always the scan, which is several times faster there than either other form."""
     if not on_gpu(where):
         return Route.SCAN
     if lanes >= _MANY:
@@ -52,10 +41,5 @@ def route(samples: int, lanes: int = 1, *, associative: bool = False, where: str
 
 
 def each(function: Callable[[Any], Any], rows: Any) -> Any:
-    """The function of every row: together on a GPU, one after another elsewhere, where a batch would be slower.
-
-    Args:
-        function: of one row.
-        rows: arrays of one leading length.
-    """
+    """The function of every row: together on a GPU, one after another elsewhere, where a batch would be slower."""
     return jax.vmap(function)(rows) if on_gpu() else jax.lax.map(function, rows)

@@ -58,12 +58,7 @@ class Compiled(eqx.Module):
 
 
 def compile_for(model: AbstractPlane, u: np.ndarray) -> Compiled:
-    """Compile an input for the levels, center and initial state of a model; its weights may change afterwards.
-
-    Args:
-        model: gives levels and initial state.
-        u: input, shape (T,).
-    """
+    """Compile an input for the levels, center and initial state of a model; its weights may change afterwards."""
     u = np.asarray(u, dtype=float)
     code, stairs = staircase_of(model, u)
     terms = _cell_terms if code is None else functools.partial(_relay_terms, code=code)

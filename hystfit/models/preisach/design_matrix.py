@@ -15,11 +15,9 @@ from hystfit.models.preisach.staircase import Staircase
 
 
 def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row a state.
+    """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row per state.
 
-    Args:
-        model: gives levels, center, initial state and which terms there are; its weights do not matter.
-        u: input, shape (T,).
+    The weights of the model do not matter.
 
     Returns:
         A of shape (S, p), and the row of each sample, shape (T,).
@@ -47,13 +45,7 @@ def _single_valued_columns(model: AbstractPlane, u: np.ndarray) -> list[np.ndarr
 
 
 def weight_columns(model: AbstractPlane, code: Code | None, stairs: Staircase) -> np.ndarray:
-    """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights).
-
-    Args:
-        model: gives the plane and its ties.
-        code: of the thresholds of relays; None for cells.
-        stairs: the distinct states of an input.
-    """
+    """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights)."""
     rest, first, pair = _host_tables(model, code)
     own = _own_columns(stairs.node_value, stairs.node_parent, stairs.node_value, first, pair)
     for layer in stairs.layers()[1:]:
@@ -105,10 +97,7 @@ def _host_tables(model: AbstractPlane, code: Code | None) -> tuple[np.ndarray, C
 def triangle_parts(levels: np.ndarray, high: np.ndarray, low: np.ndarray) -> np.ndarray:
     """Part of each cell's area in the triangle high >= alpha >= beta >= low, shape (K, n (n + 1) / 2).
 
-    Args:
-        levels: edges of the cells [u], shape (n + 1,).
-        high: upper corners of K triangles [u], shape (K,).
-        low: lower corners [u], shape (K,).
+    The triangles have upper and lower corners `high` and `low` [u], shapes (K,).
     """
     n = levels.size - 1
     i, j = cells(n)

@@ -140,12 +140,7 @@ class Everett(eqx.Module):
 def first_rise_masses(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyArray, xp: Any = jnp) -> AnyArray:
     """Parts of the cells of a row that lie in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
 
-    Args:
-        levels: shape (n + 1,).
-        center: of the demagnetized state.
-        row: row number i, any shape.
-        x: rise, same shape; it counts within the row only.
-        xp: jax.numpy, or numpy on the host.
+    `row` and `x` have one shape (...); a rise counts within its row only.
 
     Returns:
         Parts of each cell's area, shape (..., n); columns above the diagonal are 0.
@@ -182,13 +177,7 @@ class FirstRise(eqx.Module):
 
     @classmethod
     def of(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar) -> FirstRise:
-        """Tables of weights.
-
-        Args:
-            w: mass of every cell [y], shape (n (n + 1) / 2,).
-            levels: edges of the cells [u], shape (n + 1,).
-            center: input of the demagnetized state [u].
-        """
+        """Tables of weights."""
         n = levels.shape[0] - 1
         square = grid(w, n)
         rows = jnp.sum(square * first_rise_masses(levels, center, jnp.arange(n), levels[1:]), axis=1)
@@ -196,11 +185,7 @@ class FirstRise(eqx.Module):
 
     @classmethod
     def falling(cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar) -> FirstRise:
-        """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image.
-
-        Args:
-            w, levels, center: as in `of`.
-        """
+        """The same for first falls: a fall to u switches what a rise to 2 center - u does in the mirror image."""
         return cls.of(w[_images(levels.shape[0] - 1)], 2 * center - levels[::-1], center)
 
     def __call__(self, u: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -232,15 +217,7 @@ class CellMemory(eqx.Module):
     def of(
         cls, w: Float[Array, " cells"], levels: Float[Array, " m"], center: Scalar, initial: str, symmetric: bool
     ) -> CellMemory:
-        """Tables of the masses of cells.
-
-        Args:
-            w: mass of every cell, shape (n (n + 1) / 2,).
-            levels: edges of the cells, shape (n + 1,).
-            center: input of the demagnetized state.
-            initial: state before the record.
-            symmetric: masses and levels are symmetric about the center.
-        """
+        """Tables of the masses of cells."""
         everett = Everett.of(w, levels.shape[0] - 1)
         up = down = None
         if initial == "demagnetized" and not symmetric:

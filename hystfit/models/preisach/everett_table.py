@@ -62,7 +62,7 @@ class EverettTable:
 
     @classmethod
     def from_descending(cls, curves: Sequence[Record], levels: np.ndarray) -> EverettTable:
-        """From curves that rise from levels[0] to a peak and fall back: X = output at the peak less that on the way down.
+        """From curves that rise from levels[0] to a peak and fall back: X = output at the peak minus that on the way down.
 
         A record may hold several such curves, one after another. Between peaks, X is interpolated linearly in the peak. The memory is
         empty at both ends of a curve: X(peak, levels[0]) is its rise, and what it has not lost at its end is left out.
@@ -112,7 +112,7 @@ class EverettTable:
         return 0.5 * second[cells(n)]
 
     def turned(self) -> np.ndarray:
-        """By how much each step of the table goes the wrong way, in parts of its largest value; negative where it goes the right way.
+        """By how much each step of the table goes the wrong way, as a fraction of its largest value; negative where it goes the right way.
 
         Down a column X rises with alpha, along a row it falls with beta, from 0 on the diagonal.
         """

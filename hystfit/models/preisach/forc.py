@@ -28,7 +28,7 @@ def fit_forc(
     """Preisach masses from first-order reversal curves, on levels denser where the output is steep (see `levels_of_family`).
 
     Args:
-        data: one record a curve, the reversal point first.
+        data: one record per curve, the reversal point first.
         n: cells, or relay levels, along each axis.
         nonnegative: bound masses and slopes from below; signed masses follow the data closer, and have no inverse.
         elements: cells, or point relays.
@@ -91,7 +91,7 @@ class ForcNumbers:
         ridge: mean interaction, weighted by the mass within half the height of the coercivity distribution [u].
         ridge_width: standard deviation of the interaction there [u].
         total: integral of the density [y]: half the irreversible change of the output.
-        negative_percent: part of the absolute mass that is negative: noise, or interactions that a Preisach model does not have.
+        negative_percent: share of the absolute mass that is negative: noise, or interactions that a Preisach model does not have.
         coercivity, distribution: centers of bins [u] and integral of the density over the interaction [y/u], shape (B,).
     """
 

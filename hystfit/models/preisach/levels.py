@@ -165,11 +165,6 @@ def sharp_levels(
 def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> None:
     """Refuse levels that do not rise, or that are not symmetric where they should be.
 
-    Args:
-        levels: edges of the cells [u], shape (n + 1,).
-        center: about which they are symmetric [u]; None where it is not known.
-        symmetric: whether they must be.
-
     Raises:
         ModelError: levels that do not rise strictly, or are not symmetric.
     """

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, get_args
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jax.core import Tracer
@@ -16,7 +15,6 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import drive
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
@@ -27,6 +25,7 @@ from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
 from hystfit.models.shapes import Scalar
+from hystfit.models.simulation import drive
 from hystfit.models.starting import input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of, param
@@ -51,7 +50,7 @@ class Preisach(AbstractPlane):
     "relays" g_ij is the one relay with alpha = level i and beta = level j, the classical definition. n (n + 1) / 2 weights
     belong to n + 1 levels of cells and to n levels of relays.
 
-    r_k rises from 0 to 1 between levels k and k + 1 and goes on in a straight line beyond the outermost; `slopes` holds one s_k >= 0 for
+    r_k rises from 0 to 1 between levels k and k + 1 and continues in a straight line beyond the outermost; `slopes` holds one s_k >= 0 for
     each, or none. With `symmetric`, mirror images in alpha + beta = 2 center share a weight and the r_k are odd about center, with one
     weight for each interval above it: the levels must be symmetric about the center then.
 
@@ -120,9 +119,9 @@ class Preisach(AbstractPlane):
             raise ModelError(
                 f"slopes must have no value or {self.intervals}, one an interval, got shape {self.slopes.shape}"
             )
-        levels = self.levels
-        if eqx.is_array(levels) and not _traced(levels):
-            check_levels(np.asarray(levels), float(self.center) if not _traced(self.center) else None, self.symmetric)
+        if eqx.is_array(self.levels) and not isinstance(self.levels, Tracer):
+            center = None if isinstance(self.center, Tracer) else float(self.center)
+            check_levels(np.asarray(self.levels), center, self.symmetric)
 
     @classmethod
     def of(
@@ -202,14 +201,17 @@ class Preisach(AbstractPlane):
                 symmetric=self.symmetric,
                 margin=self.elements == "relays",
             )
-        w = jnp.full(self.w.shape, 0.5 * out.half / self.w.size)
-        slopes = jnp.full(self.slopes.shape, 0.5 * out.half / max(self.slopes.size, 1))
-        b = jnp.zeros_like(self.b).at[:1].set(0.5 * out.half)
-        half = max(abs(place.center + place.half - center), abs(place.center - place.half - center))
-        values = (w, levels, slopes, b, out.center, center, half)
-        arrays = tuple(jnp.asarray(value, dtype=self.w.dtype) for value in values)
-        model = dataclasses.replace(self, initial=initial)
-        return eqx.tree_at(lambda m: (m.w, m.levels, m.slopes, m.b, m.offset, m.center, m.half), model, arrays)
+        return dataclasses.replace(
+            self,
+            w=np.full(self.w.shape, 0.5 * out.half / self.w.size),
+            levels=levels,
+            slopes=np.full(self.slopes.shape, 0.5 * out.half / max(self.slopes.size, 1)),
+            b=np.where(np.arange(self.b.size) == 0, 0.5 * out.half, 0.0),
+            offset=out.center,
+            center=center,
+            half=max(abs(place.high - center), abs(place.low - center)),
+            initial=initial,
+        )
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the input leaves the levels, beyond which the model has no relays."""
@@ -345,16 +347,10 @@ def _start_at_an_end(records: Sequence[Record]) -> bool:
 def _smoothing(count: int, symmetric: bool | None = None) -> np.ndarray:
     """Penalty on second differences, with a small one on the weights themselves.
 
-    Args:
-        count: cells along each axis; number of slopes where `symmetric` is None.
-        symmetric: whether mirror images share a weight; None for slopes.
+    `count` is that of the cells along each axis, or where `symmetric` is None of the slopes.
     """
     rough = np.diff(np.eye(count), 2, axis=0) if symmetric is None else second_differences(count, symmetric)
     D = scipy.sparse.csr_array(rough)
     matrix = (D.T @ D).toarray() + _RIDGE * np.eye(rough.shape[1])
     matrix.flags.writeable = False
     return matrix
-
-
-def _traced(value: object) -> bool:
-    return isinstance(value, Tracer)

@@ -1,10 +1,11 @@
-"""Parametric Preisach densities: a handful of parameters instead of a weight a cell.
+"""Parametric Preisach densities: a handful of parameters instead of one weight per cell.
 
 The plane is described by coercivity h = (alpha - beta) / 2 and interaction m = (alpha + beta) / 2, as reversal curves draw it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, ClassVar, Literal, get_args
 
@@ -76,7 +77,7 @@ class ParametricPreisach(AbstractHysteresis):
         return jnp.exp(-0.5 * (a + b)) if self.density == "gaussian" else 1.0 / ((1.0 + a) * (1.0 + b))
 
     def preisach(self) -> Preisach:
-        """The model with one weight a cell."""
+        """The model with one weight per cell."""
         i, j = cells(self.levels.shape[0] - 1)
         width = self.levels[1:] - self.levels[:-1]
         middle = 0.5 * (self.levels[1:] + self.levels[:-1])
@@ -112,28 +113,18 @@ class ParametricPreisach(AbstractHysteresis):
         """Cells over the input range, the peak at a third of it."""
         place, out = input_range(records), output_range(records)
         old = np.asarray(self.levels)
-        levels = place.center + place.half * (2 * (old - old[0]) / (old[-1] - old[0]) - 1)
-        values = (
-            0.8 * out.half,
-            place.half / 3,
-            place.half / 4,
-            place.half / 4,
-            place.center,
-            0.2 * out.half / place.half,
+        return dataclasses.replace(
+            self,
+            saturation=0.8 * out.half,
+            coercivity=place.half / 3,
+            width=place.half / 4,
+            spread=place.half / 4,
+            shift=place.center,
+            slope=0.2 * out.half / place.half,
+            offset=out.center,
+            levels=place.center + place.half * (2 * (old - old[0]) / (old[-1] - old[0]) - 1),
+            center=place.center,
         )
-        fields = lambda m: (
-            m.saturation,
-            m.coercivity,
-            m.width,
-            m.spread,
-            m.shift,
-            m.slope,
-            m.offset,
-            m.levels,
-            m.center,
-        )
-        arrays = (*values, out.center, levels, place.center)
-        return eqx.tree_at(fields, self, tuple(jnp.asarray(value, dtype=self.levels.dtype) for value in arrays))
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """As `Preisach.free_run`."""

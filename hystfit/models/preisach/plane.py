@@ -24,15 +24,7 @@ def ramp_count(count: int, symmetric: bool) -> int:
 
 
 def ramps(levels: AnyArray, center: AnyArray, u: AnyArray, symmetric: bool, xp: Any) -> AnyArray:
-    """The functions r_k of the reversible part (see `Preisach`) at inputs of any shape, shape (..., intervals).
-
-    Args:
-        levels: edges of the cells [u], shape (n + 1,).
-        center: of a symmetric model [u].
-        u: inputs of any shape [u].
-        symmetric: the functions are odd about the center.
-        xp: module of the arrays, numpy or jax.numpy.
-    """
+    """The functions r_k of the reversible part (see `Preisach`) at inputs of any shape, shape (..., intervals)."""
     if symmetric:
         start = levels.shape[0] // 2
         levels = xp.concatenate([xp.reshape(xp.asarray(center), (1,)), levels[start + levels.shape[0] % 2 :]])

@@ -17,24 +17,24 @@ from hystfit.models.preisach.staircase import compile_input, turning_points
 WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
 CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
 HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
-NOISE = 0.02  # reversals smaller than this part of the input's range count as noise
+NOISE = 0.02  # reversals smaller than this fraction of the input's range count as noise
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
     """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,).
 
     Raises:
-        DataError: fewer than two extrema, or one sample a run.
+        DataError: fewer than two extrema, or one sample per run.
     """
     if len(extrema) < 2 or points < 1:
-        raise DataError(f"a signal needs two extrema and a sample a run, got {len(extrema)} and {points}")
+        raise DataError(f"a signal needs two extrema and one sample per run, got {len(extrema)} and {points}")
     runs = [np.linspace(a, b, points + 1)[1:] for a, b in itertools.pairwise(extrema)]
     return np.concatenate([[extrema[0]], *runs])
 
 
 @dataclasses.dataclass(frozen=True)
 class Closures:
-    """How well loops close: the output when the input comes back to an extremum, less the output then.
+    """How well loops close: the output when the input comes back to an extremum, minus the output at the extremum.
 
     Attributes:
         at: inputs at which loops closed, shape (K,).
@@ -56,7 +56,7 @@ def wiping_out(record: Record, noise: float = NOISE) -> Closures:
 
     Args:
         record: measured; the input need not be noise-free.
-        noise: reversals smaller than this part of the input's range do not count.
+        noise: reversals smaller than this fraction of the input's range do not count.
     """
     u, y = record.u, record.y
     corners = _corners(u, noise)
@@ -133,11 +133,11 @@ def congruency(record: Record, tolerance: float = 0.01, noise: float = NOISE) ->
 
     Args:
         record: measured.
-        tolerance: how far the ends may differ, in parts of the input's range.
+        tolerance: how far the ends may differ, as a fraction of the input's range.
         noise: see `wiping_out`.
 
     Returns:
-        One comparison a pair of inputs and direction that occurs more than once, widest first. Branches that follow
+        One comparison per pair of inputs and direction that occurs more than once, widest first. Branches that follow
         the same history twice agree for any memory: their differences are repeatability.
     """
     u, y = record.u, record.y
@@ -206,10 +206,7 @@ def _undisturbed(u: np.ndarray, corners: np.ndarray, slack: float) -> list[tuple
 def orders(model: Preisach, record: Record, noise: float = 0.0) -> np.ndarray:
     """How many reversals the state remembers at every sample, for the model's initial state, shape (T,).
 
-    Args:
-        model: gives center and initial state.
-        record: its input counts.
-        noise: inputs closer than this part of the input's range count as equal.
+    Inputs closer than the part `noise` of the input's range count as equal.
     """
     center, step = float(model.center), noise * float(np.ptp(record.u))
     stairs = compile_input(np.round((record.u - center) / step) if step > 0 else record.u - center, model.initial)

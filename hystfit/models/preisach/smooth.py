@@ -129,7 +129,8 @@ class SmoothSystem:
         layout = Layout.of(design := next(others), len(records), offsets)
         blocks, starts, p = layout.blocks, layout.starts, layout.starts[-1]
         folds = _folds(records, inner) if left_out == "records" else [r.blocks(_BLOCKS) for r in records]
-        sums = [_Gram(p + 1) for _ in folds[0]]
+        grams = np.zeros((len(folds[0]), p + 1, p + 1))
+        sums = [_Gram(gram) for gram in grams]
         counts = np.zeros(len(folds[0]))
         # One level for all records, as that of a record that is left out must not be its own mean; where zero is near, zero.
         level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
@@ -148,7 +149,8 @@ class SmoothSystem:
                     counts[fold] += record.weight[mask].sum()
             seen = A[np.unique(design.index[record.used])]
             low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
-        grams = np.stack([part.total() for part in sums])
+        for part in sums:
+            part.finish()
         roughness, bounded, reach = np.zeros((p, p)), np.zeros(p, dtype=bool), np.full(p, np.nan)
         for block, start, end in zip(blocks, starts, starts[1:], strict=False):
             at = slice(start, end)
@@ -178,28 +180,27 @@ class SmoothSystem:
 
 
 class _Gram:
-    """A'A of rows that come in parts, of which it keeps few.
+    """A'A of rows that come in parts, of which few are in memory.
 
     Args:
-        width: of the rows.
+        total: where it is summed, zeros, shape (width, width).
     """
 
-    def __init__(self, width: int):
-        self._total, self._waiting = np.zeros((width, width)), list[np.ndarray]()
+    def __init__(self, total: np.ndarray):
+        self._total, self._waiting = total, list[np.ndarray]()
 
     def add(self, rows: np.ndarray) -> None:
         """Add rows, shape (k, width)."""
         self._waiting.append(rows)
         if sum(map(len, self._waiting)) * len(self._total) > _NUMBERS:
-            self.total()
+            self.finish()
 
-    def total(self) -> np.ndarray:
-        """The product of all rows so far, shape (width, width)."""
+    def finish(self) -> None:
+        """Sum the rows that wait."""
         if self._waiting:
             rows = np.concatenate(self._waiting)
             self._waiting = []
             self._total += rows.T @ rows
-        return self._total
 
 
 def _inner(records: Sequence[Record]) -> np.ndarray:

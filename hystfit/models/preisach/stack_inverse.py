@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +34,7 @@ class PreisachStep(AbstractStepInverse):
     knots: Float[Array, " k"]
     straight: Float[Array, " k"]
     excursion: Float[Array, " dense"]
-    needs_limits: bool = eqx.field(static=True, default=True)
+    needs_limits: ClassVar[bool] = True
 
     @classmethod
     def of(cls, model: AbstractPlane) -> PreisachStep:
@@ -62,7 +64,7 @@ class PreisachStep(AbstractStepInverse):
         if not self.model.slopes.size:
             return bent
         at = jnp.clip(jnp.sum(self.knots <= u[..., None], axis=-1) - 1, 0, self.knots.shape[0] - 2)
-        part = (u - self.knots[at]) / (self.knots[at + 1] - self.knots[at])  # beyond the knots the line goes on
+        part = (u - self.knots[at]) / (self.knots[at + 1] - self.knots[at])  # beyond the knots the line continues
         return bent + self.straight[at] + part * (self.straight[at + 1] - self.straight[at])
 
     def _place(self, u: Array) -> Place:

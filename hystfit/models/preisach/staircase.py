@@ -195,13 +195,7 @@ def _stack(v: np.ndarray, rest: str, center: float, names: np.ndarray) -> tuple[
 
 
 def opposite(v: Any, rest: str, center: float) -> Any:
-    """The other end of the interval that a first extremum v spans; numbers or arrays.
-
-    Args:
-        v: first extrema [u].
-        rest: state before the record: "demagnetized", "negative" or "positive".
-        center: input of the demagnetized state [u].
-    """
+    """The other end of the interval that a first extremum v spans; numbers or arrays."""
     return 2 * center - v if rest == "demagnetized" else -np.inf if rest == "negative" else np.inf
 
 

@@ -26,8 +26,8 @@ from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
 Outcome = Literal["holds", "fails", "untested"]
 _LIMIT = 2.0  # percent of the output's range up to which a property holds
-_MAJOR = 0.95  # part of the input's range from which a loop is the major one
-_KNOWN = 0.9  # part of the higher orders' states from which the first-order ones determine them
+_MAJOR = 0.95  # fraction of the input's range from which a loop is the major one
+_KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
 _FIRST = 1  # reversals that the memory holds on a first-order curve
 _MOST_GROUPS, _MOST_NAMES = 8, 5  # of equal texts, and of records in a line, in the text of a data set
 
@@ -38,7 +38,7 @@ class HigherOrder:
 
     Attributes:
         held_out: it was identified on the initial and first-order curves alone; else on all samples.
-        known: part of the higher orders' states that those curves determine.
+        known: fraction of the higher orders' states that those curves determine.
         errors: for each order (samples, root mean square error, largest error), in percent of the output's range.
     """
 

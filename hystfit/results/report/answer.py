@@ -17,8 +17,9 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
-from hystfit.results.quantities import QUANTITIES, Trade
+from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
+from hystfit.results.trades import Trade
 from hystfit.results.user_code import checksums
 
 _NAMED = 4  # parameters named one by one
@@ -74,12 +75,7 @@ def new_loop(data: Dataset) -> str:
 
 
 def opened(result: FitResult, folder: str) -> str:
-    """The folder of a fit as an argument, with --trust where opening it runs a file of the user's or accepts an edited one.
-
-    Args:
-        result: the fit.
-        folder: quoted for a shell.
-    """
+    """The folder of a fit as an argument, with --trust where opening it runs a file of the user's or accepts an edited one."""
     own = checksums(result.models, result.noise.name) or has(result.notes, Code.CHANGED_FILES)
     return f"{folder} --trust" if own else folder
 

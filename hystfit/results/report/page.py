@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from hystfit.data.record import Dataset, Record
 from hystfit.outcome import fragment
+from hystfit.results.estimates import grouped
 from hystfit.results.plots import fit as draw
-from hystfit.results.plots import grouped, selects_cycles
+from hystfit.results.record_plots import selects_cycles
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
 _DPI = 150
 _CAPTIONS = {
     "loop": "Measured loop and model",
-    "cycle-errors": "Residuals (measured less model) of these cycles over the input",
+    "cycle-errors": "Residuals (measured minus model) of these cycles over the input",
     "series": "Measured and simulated output",
     "worst": "The stretch with the largest lasting error",
-    "residuals": "Residuals: measured less model",
+    "residuals": "Residuals: measured minus model",
     "residuals-input": "Residuals over the input",
     "autocorrelation": "Autocorrelation of the residuals",
     "parameters": "Relative standard errors",
@@ -38,7 +39,7 @@ _CAPTIONS = {
     "test": "Test data (not fitted): loop",
     "test-series": "Test data (not fitted): output",
 }
-_LONG = 600  # samples above which the worst stretch has a picture of its own
+_LONG = 600  # samples above which the stretch with the largest error has its own picture
 
 
 def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> dict[str, Figure]:
@@ -134,11 +135,7 @@ def write(
     """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
 
     Args:
-        result: the fit.
         folder: made if it does not exist.
-        test: records that were not fitted, for a picture of their own.
-        refit_offset: shift the prediction of each test record to its mean.
-        wording: of the commands and the advice.
 
     Raises:
         HystfitError: the folder cannot be made or written.

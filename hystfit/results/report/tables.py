@@ -6,20 +6,14 @@ import math
 
 from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number, rounded
-from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.estimates import ParameterEstimate, grouped
 from hystfit.results.metrics import Metrics
-from hystfit.results.plots import grouped
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.result import FitResult
 
 
 def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
-    """The free parameters with their standard errors, arrays of many weights in one row each, and what follows from them.
-
-    Args:
-        result: the fit.
-        meaning: with a column that describes the parameters.
-    """
+    """The free parameters with their standard errors, arrays of many weights in one row each, and what follows from them."""
     left = lambda head: Column(head, left=True)
     columns = [left("name"), Column("value"), Column("+- stderr"), left("unit"), left("bounds"), left("")]
     rows = [_row(name, family) for name, family in grouped([p for p in result.parameters if not p.fixed])]
@@ -28,12 +22,7 @@ def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
 
 
 def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
-    """Quantities of the trade with their standard errors, those of the measured loops, and the reason where one is unknown.
-
-    Args:
-        result: the fit.
-        meaning: with a column that defines them.
-    """
+    """Quantities of the trade with their standard errors, those of the measured loops, and the reason where one is unknown."""
     left = lambda head: Column(head, left=True)
     columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), Column("measured"), left("")]
     rows = [_quantity_row(q) for q in result.quantities]

@@ -1,0 +1,171 @@
+"""The linear model about an estimate with bounds nearby or a ridge, whose moments are the errors of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from hystfit.fitting.active_bounds import about_estimate
+from hystfit.inference.linearization import Linearization
+from hystfit.inference.problem import Problem
+from hystfit.inference.residuals import FEW
+
+_REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
+_ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
+
+
+class Information(NamedTuple):
+    """Information about the parameters: R'R / variance, and that of a regularization.
+
+    Attributes:
+        root: R, shape (n, p).
+        variance: of its rows.
+        ridge: added to R'R, diagonal, shape (p,).
+    """
+
+    root: np.ndarray
+    variance: float
+    ridge: np.ndarray
+
+
+class NearBounds(NamedTuple):
+    """A linear model with bounds and a ridge about an estimate, on centered columns of unit length.
+
+    A ridge that was chosen for its predictions can be far stronger than what is known about the weights: as prior information it
+    would then say that they are smaller than the estimate of their own size. The share of it that counts is the one of largest
+    evidence, one for each array of weights: number of determined weights over their power (MacKay 1992, Bayesian
+    interpolation, eq. 21), at most 1. The rest of the ridge is a known error of the estimate.
+
+    Attributes:
+        x: estimate, shape (k,).
+        normal: information of independent noise, which decides where the unconstrained optimum is, shape (k, k).
+        ridge: added to it, diagonal, shape (k,).
+        slope: of the cost without the ridge, shape (k,).
+        known: information about the parameters, shape (k, k).
+        prior: what the ridge adds to it, diagonal, shape (k,).
+        room: distances to the bounds, infinite without one, shape (k,).
+        sides: 1 for a lower bound, -1 for an upper bound, shape (k,).
+        back: takes these parameters to physical ones, shape (k, k).
+    """
+
+    x: np.ndarray
+    normal: np.ndarray
+    ridge: np.ndarray
+    slope: np.ndarray
+    known: np.ndarray
+    prior: np.ndarray
+    room: np.ndarray
+    sides: np.ndarray
+    back: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        x: np.ndarray,
+        rows: np.ndarray,
+        information: Information,
+        slope: Callable[[], np.ndarray],
+        ridge: np.ndarray,
+        acts: np.ndarray,
+    ) -> NearBounds | None:
+        """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
+
+        `rows` is the Jacobian of what was minimized, or its triangular factor; `slope` and `ridge` belong to its cost, `ridge` to
+        the normal matrix. `slope` is computed when it is needed.
+        """
+        space = problem.space
+        below, above = distances_to_bounds(problem, x)
+        room = np.where(space.linear, np.minimum(below, above), np.inf)
+        room = np.where(problem.on_bound(x), 0.0, room)[acts]
+        near = np.isfinite(room).sum()
+        if near > FEW or not (near or ridge.any()):
+            return None
+        columns, back = centered(rows[:, acts], space.offsets[acts])
+        size = np.linalg.norm(columns, axis=0)
+        back, unit = back / size, columns / size
+        root = information.root[:, acts] @ back
+        return cls(
+            x[acts] * size,
+            unit.T @ unit,
+            ridge[acts] / size**2,
+            slope()[acts] / size,
+            root.T @ root / information.variance,
+            information.ridge[acts] / size**2 / information.variance,
+            room * size,
+            np.where(below < above, 1.0, -1.0)[acts],
+            back,
+        )
+
+    def deviation(self, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and second moments of the deviation from the estimate (`active_bounds`), with some share of the ridge known."""
+        # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
+        normal, slope = self.normal + np.diag(share * self.ridge), self.slope + share * self.ridge * self.x
+        known = self.known + np.diag(share * self.prior)
+        away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ slope
+        return about_estimate(known, known @ away, self.room, self.sides)
+
+    def share(self, array: np.ndarray) -> np.ndarray:
+        """Share of the ridge of largest evidence, shape (k,); `array` has the number of the array of each parameter."""
+        share, held = np.ones(self.x.size), self.prior > 0
+        for _ in range(_ROUNDS if held.any() else 0):
+            mean, moments = self.deviation(share)
+            power = self.prior * (self.x + mean) ** 2
+            determined = held - share * self.prior * (np.diag(moments) - mean**2)
+            number, size = (np.bincount(array, part) for part in (determined, power))
+            before, share = share, np.clip(number / np.maximum(size, 1e-300), 0.0, 1.0)[array]
+            if np.all(np.abs(share - before) <= _SETTLED * share):
+                break
+        return share
+
+    def moments(self, share: np.ndarray, acts: np.ndarray) -> np.ndarray:
+        """Second moments about the estimate in physical units, shape (p, p); zero for parameters without influence."""
+        moments = self.back @ self.deviation(share[acts])[1] @ self.back.T
+        inside = np.zeros((acts.size, acts.size))
+        inside[np.ix_(acts, acts)] = 0.5 * (moments + moments.T)  # a saved fit keeps one half
+        return inside
+
+
+def centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns without what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
+
+    Columns of offsets stay, as do columns that the offsets explain altogether.
+    """
+    back = np.eye(J.shape[1])
+    if not offsets.any():
+        return J, back
+    explained = np.linalg.lstsq(J[:, offsets], J[:, ~offsets], rcond=None)[0]
+    rest = J[:, ~offsets] - J[:, offsets] @ explained
+    explained[:, np.linalg.norm(rest, axis=0) <= _REST * np.linalg.norm(J[:, ~offsets], axis=0)] = 0.0
+    centered = J.copy()
+    centered[:, ~offsets] -= J[:, offsets] @ explained
+    back[np.ix_(offsets, ~offsets)] = -explained
+    return centered, back
+
+
+def centered_lengths(linear: Linearization, offsets: np.ndarray) -> np.ndarray:
+    """Length of every column of `centered` derivatives, shape (p,), in two passes over their blocks."""
+    at = np.flatnonzero(offsets)
+    products, squares = np.zeros((at.size, linear.size)), np.zeros(linear.size)
+    for rows in linear.blocks():
+        acting = rows[:, at].any(axis=0)
+        products[acting] += rows[:, at[acting]].T @ rows
+        squares += np.einsum("np,np->p", rows, rows)
+    whole = np.sqrt(squares)
+    if not at.size:
+        return whole
+    explained, squares = np.linalg.lstsq(products[:, at], products, rcond=None)[0], np.zeros(linear.size)
+    explained[:, at] = 0.0
+    for rows in linear.blocks():
+        acting = rows[:, at].any(axis=0)
+        rest = rows - rows[:, at[acting]] @ explained[acting]
+        squares += np.einsum("np,np->p", rest, rest)
+    rest = np.sqrt(squares)
+    return np.where(rest <= _REST * whole, whole, rest)
+
+
+def distances_to_bounds(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of each parameter to its lower and its upper bound."""
+    return x - problem.space.lower, problem.space.upper - x

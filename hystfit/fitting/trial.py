@@ -1,0 +1,105 @@
+"""A fit judged on data that it did not use: further records, and samples left out of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.errors import HystfitError
+from hystfit.fitting.verdict import POOR
+from hystfit.outcome import Code, Note, Severity, Status
+from hystfit.outcome.note import has, warn
+from hystfit.quality.baselines import Baselines
+from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise
+from hystfit.results.metrics import Metrics
+from hystfit.results.result import FitResult
+
+_OFFSET = 0.5  # fraction of the test error that remains, below which a constant offset explains it
+_LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A fit on records that were not fitted.
+
+    Attributes:
+        metrics: error of the prediction.
+        baselines: error of plain descriptions fitted to the same records as the model.
+        status: `OK`, `ROUGH` or `POOR`.
+        notes: reasons, numbers, assumptions, and a warning where the records leave the fitted range.
+    """
+
+    metrics: Metrics
+    baselines: Baselines
+    status: Status
+    notes: tuple[Note, ...]
+
+
+def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
+    """Judge a fit on records that were not fitted.
+
+    With `refit_offset`, each prediction is shifted to the mean of its record.
+
+    Raises:
+        HystfitError: the model cannot predict the records.
+    """
+    try:
+        records = [result.in_fitted_units(result.problem.prepared(record)) for record in records]
+        runs = [result.predict(record, refit_offset=refit_offset) for record in records]
+    except HystfitError as error:
+        raise type(error)(f"test data: {error}") from error
+    rows = [(run - record.y)[record.used] for run, record in zip(runs, records, strict=True)]
+    metrics = Metrics.of([r.y[r.used] for r in records], [run[r.used] for run, r in zip(runs, records, strict=True)])
+    baselines = Baselines.of(result.data, records, refit_offset=refit_offset)
+    units = dict.fromkeys(note for record in records for note in record.notes if note.code is Code.UNITS)
+    notes, status = [dataclasses.replace(note, text=f"test data: {note.text}") for note in units], Status.OK
+    percent = metrics.nrmse_percent
+    if percent is not None and percent > POOR and not is_noise(metrics.rmse, baselines):
+        status = Status.POOR
+        text = f"test data: the error is {percent:.3g} % of the range: the model does not describe these records"
+        notes.append(Note(Code.TEST_ERROR, text, Severity.ERROR))
+    elif reasons := exceeded_limits(metrics, rows, baselines):
+        status = Status.ROUGH
+        notes += [warn(Code.TEST_ERROR, f"test data: {text}") for text in reasons]
+    notes.append(accuracy_note(metrics, baselines, "test error"))
+    notes += [note for record in records if (note := result.extrapolation(record))]
+    notes += [note for record in records if (note := result.assumption(record, refit_offset=refit_offset))]
+    if status is not Status.OK and not refit_offset and _offset_explains(rows, metrics.rmse):
+        text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
+        notes.append(warn(Code.RECORD_PARAMETERS, text))
+    return Trial(metrics, baselines, status, tuple(notes))
+
+
+def _offset_explains(rows: Sequence[np.ndarray], rmse: float) -> bool:
+    remaining = np.concatenate([row - row.mean() for row in rows])
+    return float(np.sqrt(np.mean(remaining**2))) < _OFFSET * rmse
+
+
+def worse(first: Status, second: Status) -> Status:
+    """The status of a fit that has one on its records and another on further data."""
+    if first is Status.OK or (first is Status.ROUGH and second is Status.POOR):
+        return second
+    return first
+
+
+def with_left_out(result: FitResult, rmse: float) -> FitResult:
+    """The result with its cross-validation error [y], which decides the status where it is far larger than that of the fit.
+
+    Where there are at least as many parameters as samples, a warning states that only this error tests the fit.
+    """
+    result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
+    limit = max(_LEFT_OUT / 100 * span, _WORSE * result.train.rmse)
+    if len(result.free_names) >= result.train.n:
+        text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
+        if not has(result.notes, Code.MANY_WEIGHTS):
+            result = result.with_notes(warn(Code.MANY_WEIGHTS, text))
+    if not result.usable or not rmse > limit:
+        return result
+    text = (
+        f"the cross-validation error is {100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %: the fit "
+        "does not predict samples that were left out of it"
+    )
+    return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)

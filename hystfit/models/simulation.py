@@ -1,0 +1,232 @@
+"""Simulation: the dynamics of a model, and the scan that drives it with an input."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from hystfit.config import require_x64
+from hystfit.errors import ModelError, ParameterError
+from hystfit.models.parallel.associative import StateMap, sweep_at_once
+from hystfit.models.parallel.kernel import scan
+from hystfit.models.parallel.route import Route, route
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.params.host_arrays import compiled
+
+
+class AbstractDynamics(eqx.Module):
+    """What a simulation needs of a model: the state at rest and one step; the rest has defaults.
+
+    The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
+    """
+
+    @property
+    @abc.abstractmethod
+    def rate_independent(self) -> bool:
+        """Whether the output depends only on the order of the inputs, so that no time is needed."""
+
+    @abc.abstractmethod
+    def init(self, u0: Scalar) -> State:
+        """State of the model at rest on the input u0, with no history."""
+
+    @abc.abstractmethod
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """Advance the state by one sample, from input u0 to u1 in the time dt: (new state, output at u1).
+
+        Args:
+            state: before the sample, shape (states,).
+            u0: input of the previous sample [u].
+            u1: input of this sample [u].
+            dt: time between the two [s]; 0 where there is no time.
+        """
+
+    # -- optional ----------------------------------------------------------------------------------------------------------
+
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
+        """Advance the state over all samples u: (state after the last, output at each). By default one scan of `step`.
+
+        Override it to move work that does not depend on the state out of the scan.
+
+        Args:
+            state: before the first sample.
+            u0: input before the first sample.
+            u: input, shape (T,).
+            dt: time since the sample before, shape (T,) [s].
+        """
+        single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
+
+        def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+            state, y = self.step(state[None] if single else state, *sample)
+            return (state[0] if single else state), y
+
+        before = jnp.concatenate([u0[None], u[:-1]])
+        state, y = scan(body, state[0] if single else state, (before, u, dt))
+        return (state[None] if single else state), y
+
+    # The kind of map that `step` applies to the state, where it is one that composes.
+    state_map: ClassVar[StateMap | None] = None
+
+    @property
+    def associative(self) -> bool:
+        """Whether `sweep_at_once` needs no scan over the samples."""
+        return self.state_map is not None
+
+    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
+        """`sweep`, with the same arguments, by an associative scan where `state_map` is set: for long records on a GPU."""
+        if self.state_map is None:
+            return self.sweep(state, u0, u, dt)
+        return sweep_at_once(self.step, self.state_map, state, u0, u, dt)
+
+    @property
+    def one_scan(self) -> bool:
+        """Whether a scan of `step` is as fast as `sweep`, so that sums over the samples can share it."""
+        return True
+
+    @property
+    def has_fast_run(self) -> bool:
+        """Whether `free_run` is faster than a scan over the samples."""
+        return False
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """The output of `simulate` on the host, shape (T,), by the fastest method that the model has.
+
+        Args:
+            u: input, shape (T,).
+            dt: as in `simulate`.
+
+        Raises:
+            ModelError: as `simulate`.
+        """
+        return np.asarray(simulate(self, u, dt)[0])
+
+    @property
+    def causal(self) -> bool:
+        """Whether the output depends on no later sample, so that `step` works and a simulation can be resumed."""
+        return True
+
+
+class Resume(NamedTuple):
+    """The end of a simulation, from which it can be resumed: state of the model and the last input."""
+
+    state: State
+    u: Scalar
+
+
+def simulate(
+    model: AbstractDynamics,
+    u: ArrayLike | Sequence[float],
+    dt: ArrayLike | Sequence[float] | None = None,
+    *,
+    resume: Resume | None = None,
+) -> tuple[Signal, Resume]:
+    """Free run of a model over an input.
+
+    Args:
+        model: any model.
+        u: input, shape (T,).
+        dt: time over which each input acted before its sample was read, shape (T,), or one number for all: the time
+            since the sample before. A rate-independent model needs none.
+        resume: what an earlier run returned, to continue it; None starts from `model.init(u[0])`.
+
+    Returns:
+        Output, shape (T,), and where the run stopped. Running two halves in turn equals one run.
+
+    Raises:
+        ModelError: no time for a model that needs it, shapes that do not fit, or a run of a model that is not causal to resume.
+        ParameterError: the model holds several devices.
+        PrecisionError: double precision is off.
+    """
+    if resume is not None and not model.causal:
+        raise ModelError(
+            f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
+        )
+    u, dt = _checked_drive(model, u, dt)
+    # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
+    try:
+        y, *end = _run(model, u, dt, resume)
+        return y, Resume(*end)
+    except (TypeError, ValueError):
+        check_one_device(model)
+        raise
+
+
+def drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Array, Array]:
+    """Input and time steps as arrays of shape (T,).
+
+    Raises:
+        ModelError: no time for a model that needs it, or shapes that do not fit.
+        PrecisionError: double precision is off.
+    """
+    u, dt = _checked_drive(model, u, dt)
+    return jnp.asarray(u), jnp.asarray(dt)
+
+
+def _checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
+    """`drive` without conversion to JAX arrays: compiled code accepts NumPy arrays faster than they convert here."""
+    require_x64()
+    u = _floating(u)
+    if u.ndim != 1 or u.size == 0:
+        raise ModelError(f"the input must have shape (T,) with T > 0, got {u.shape}")
+    if dt is None:
+        if not model.rate_independent:
+            raise ModelError(f"{type(model).__name__} depends on time: give dt, the time between samples")
+        return u, np.zeros(u.shape)
+    dt = _floating(dt)
+    if dt.ndim == 0:
+        dt = jnp.broadcast_to(dt, u.shape) if isinstance(dt, jax.Array) else np.full(u.shape, dt)
+    if dt.shape != u.shape:
+        raise ModelError(f"dt must have the shape of the input {u.shape}, got {dt.shape}")
+    return u, dt
+
+
+def _floating(values: Any) -> Any:
+    """Values in double precision: as an array of JAX where they are one, else in NumPy."""
+    if isinstance(values, jax.Array):
+        return values if values.dtype == np.float64 else values.astype(np.float64)
+    return np.asarray(values, dtype=np.float64)
+
+
+def run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = None) -> tuple[Array, Resume]:
+    """`simulate` without checks or jit, for use inside other traced code."""
+    if resume is None:
+        resume = Resume(model.init(u[0]), u[0])
+    if route(u.shape[0], associative=model.associative) is Route.ASSOCIATIVE:
+        state, y = model.sweep_at_once(resume.state, resume.u, u, dt)
+    else:
+        state, y = model.sweep(resume.state, resume.u, u, dt)
+    return y, Resume(state, u[-1])
+
+
+@compiled
+def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) -> tuple[Array, ...]:
+    """`run`, compiled."""
+    y, end = run(model, u, dt, resume)
+    return y, *end
+
+
+def check_one_device(model: Any) -> None:
+    """Refuse a model whose parameters have a leading axis, one element per device.
+
+    Raises:
+        ParameterError: it is not one device.
+    """
+    if any(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(model)):
+        return
+    zero = jnp.zeros(())
+    try:
+        shape = jax.eval_shape(lambda m: m.step(m.init(zero), zero, zero, zero)[1], model).shape
+    except (TypeError, ValueError):
+        shape = None
+    if shape != ():
+        raise ParameterError(
+            f"{type(model).__name__} holds several devices: take one by jax.tree.map(lambda leaf: leaf[0], model), or make them "
+            "by Actuator.population or Stage.population"
+        )

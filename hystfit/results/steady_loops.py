@@ -1,0 +1,179 @@
+"""Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
+
+The steady loop is the last of three cycles over the input range of the fit. Where the record has a time, the cycles last as long as
+its own and have their waveform, sine or triangle; else they are triangular. The creep is that after a step over the same range, of a
+device that has rested at the lower end.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from hystfit.data.record import Dataset, Record
+from hystfit.quality.loops import cycles
+from hystfit.results.trades import Trade
+
+_CYCLES, _POINTS = 3, 400
+_SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
+_NO_CREEP = 1e-6  # % a decade
+_LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record
+_RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
+_STEP = 0.05  # seconds between the samples of the step
+_AT_1S, _AT_10S = 21, 201
+
+
+@dataclasses.dataclass(frozen=True)
+class SteadyLoops:
+    """Steady loops over one input range.
+
+    Attributes:
+        inputs: rising, shape (P,).
+        rising, falling: outputs of each loop at these inputs, shape (count, P).
+        force_driven: whether the input is the force.
+    """
+
+    inputs: np.ndarray
+    rising: np.ndarray
+    falling: np.ndarray
+    force_driven: bool = False
+
+    @property
+    def gap(self) -> Float[np.ndarray, "count P"]:
+        """Height of the loop at each input."""
+        return np.abs(self.falling - self.rising)
+
+    @property
+    def stroke(self) -> Float[np.ndarray, " count"]:
+        """Range of the output."""
+        return np.maximum(self.rising.max(1), self.falling.max(1)) - np.minimum(self.rising.min(1), self.falling.min(1))
+
+    @property
+    def width(self) -> float:
+        """Range of the input."""
+        return float(self.inputs[-1] - self.inputs[0])
+
+    @property
+    def area(self) -> Float[np.ndarray, " count"]:
+        """Enclosed area."""
+        return np.abs(np.trapezoid(self.falling - self.rising, self.inputs, axis=1))
+
+    @property
+    def travel(self) -> Float[np.ndarray, " count"]:
+        """Change of the output from the lowest to the highest input."""
+        ends = 0.5 * (self.rising + self.falling)
+        return np.abs(ends[:, -1] - ends[:, 0])
+
+    @property
+    def coercive_input(self) -> Float[np.ndarray, " count"]:
+        """Half the distance of the branches at the middle of the output."""
+        middle = 0.5 * (
+            np.maximum(self.rising.max(1), self.falling.max(1)) + np.minimum(self.rising.min(1), self.falling.min(1))
+        )
+        crossing = lambda branch: np.array([_crossing(y - m, self.inputs) for y, m in zip(branch, middle, strict=True)])
+        return 0.5 * np.abs(crossing(self.rising) - crossing(self.falling))
+
+    @property
+    def remanence(self) -> Float[np.ndarray, " count"]:
+        """Half the height of the loop at the middle of the input."""
+        middle = 0.5 * (self.inputs[0] + self.inputs[-1])
+        return 0.5 * np.array([np.interp(middle, self.inputs, row) for row in self.gap])
+
+    @property
+    def secant_stiffness(self) -> Float[np.ndarray, " count"]:
+        """Force over displacement between the ends of the loop."""
+        return self.width / self.travel if self.force_driven else self.travel / self.width
+
+
+def _crossing(branch: np.ndarray, inputs: np.ndarray) -> float:
+    """The first input at which a branch, rising or falling with the input, passes zero; NaN where it does not (a butterfly)."""
+    passed = np.flatnonzero(np.signbit(branch[:-1]) != np.signbit(branch[1:]))
+    if not passed.size:
+        return float("nan")
+    k = int(passed[0])
+    return float(inputs[k] - branch[k] * (inputs[k + 1] - inputs[k]) / (branch[k + 1] - branch[k]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Excitation:
+    """The inputs on which the quantities of a fit are computed.
+
+    Attributes:
+        low, high: range of the input.
+        interval: between the samples of the cycles [s].
+        force_driven: whether the input is the force.
+        sine: whether the cycles of the records are nearer to a sine than to a triangle.
+    """
+
+    low: float
+    high: float
+    interval: float
+    force_driven: bool = False
+    sine: bool = False
+
+    @classmethod
+    def of(cls, data: Dataset) -> Excitation:
+        """The excitation over the range of the samples that count."""
+        low = min(float(r.u[r.used].min()) for r in data)
+        high = max(float(r.u[r.used].max()) for r in data)
+        interval, sine = _waveform(data)
+        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """Inputs of one branch, rising, shape (201,), evenly spaced in time."""
+        phase = np.linspace(0.0, 1.0, _POINTS // 2 + 1)
+        share = 0.5 * (1 - np.cos(np.pi * phase)) if self.sine else phase
+        return self.low + (self.high - self.low) * share
+
+    @property
+    def loop(self) -> Record:
+        """Three cycles of 400 samples, of which the last shows the steady loop."""
+        inputs = self.inputs
+        u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), _CYCLES)
+        return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
+
+    @property
+    def step(self) -> Record:
+        """A step over the range, of a device that has rested on its lower end; as long as `loop`, so that one program serves both."""
+        size = _CYCLES * _POINTS
+        u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
+        t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
+        return Record(u=u, y=np.zeros(size), t=t, name="step")
+
+    def loops(self, y: np.ndarray) -> SteadyLoops:
+        """The steady loops in outputs over `loop`, shape (count, T)."""
+        half, y = _POINTS // 2, y[:, -_POINTS:]
+        falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
+        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven)
+
+    @staticmethod
+    def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
+        """Creep a decade in percent of the step, from outputs over `step`, shape (count, T)."""
+        return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, 2] - y[:, 1])
+
+
+def creeps(percent: np.ndarray) -> bool:
+    """Whether a model has creep: it is not 0 at all parameter values, shape (count,), as that of a lag or a viscous term is."""
+    return not bool((np.abs(percent) < _NO_CREEP).all())
+
+
+def _waveform(data: Dataset) -> tuple[float, bool]:
+    """Sampling interval [s] of cycles as long as the large ones of the records, and whether these are nearer to a sine than a triangle.
+
+    The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
+    """
+    for record in data:
+        found = () if record.t is None else cycles(record.u, _LARGE * float(np.ptp(record.u)))
+        if record.t is None or not len(found):
+            continue
+        shares = []
+        for first, _, last in found:
+            t, u = record.t[first : last + 1], record.u[first : last + 1]
+            about = (u - 0.5 * (u.min() + u.max())) / (0.5 * np.ptp(u))
+            shares.append(np.sqrt(np.trapezoid(about**2, t) / (t[-1] - t[0])))
+        interval = float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / _POINTS
+        return interval, bool(np.median(shares) > _SINE)
+    return data[0].sampling_interval or 1.0, False
