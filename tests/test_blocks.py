@@ -10,7 +10,12 @@ import pytest
 
 import hystfit as hf
 from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.covariance import uncertainty
+from hystfit.fitting.fit_setup import solve
+from hystfit.fitting.near_bounds import centered, centered_lengths
 from hystfit.inference import blocks, objective
+from hystfit.inference.linearization import Linearization
+from hystfit.models.preisach import smooth
 
 T = np.arange(3000) / 500
 U = 20 * (1 - np.cos(2 * np.pi * T)) * (0.4 + 0.1 * T)
@@ -101,3 +106,50 @@ def test_the_weights_need_their_columns_and_a_block(monkeypatch: pytest.MonkeyPa
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1.3 * problem.objective.batch.u.size * len(problem.space) * 8
+
+
+@pytest.mark.parametrize("rows", [1, 7, 200])
+def test_the_factor_of_blocks_is_that_of_all_rows(rows: int) -> None:
+    whole = matrix(100, 9)
+    parts = (whole[start : start + rows] for start in range(0, 100, rows))
+    factor = blocks.triangle_of_blocks(parts, 9)
+    np.testing.assert_array_equal(factor, np.triu(factor))
+    size = np.linalg.norm(whole, axis=0) + (np.linalg.norm(whole, axis=0) == 0)
+    np.testing.assert_allclose((factor / size).T @ (factor / size), (whole / size).T @ (whole / size), atol=1e-12)
+
+
+def test_lengths_of_centered_columns_need_no_whole_matrix(small: int) -> None:
+    """Offsets of three records, a column that they explain and others far from zero."""
+    record = np.repeat(np.eye(3), [200, 300, 500], axis=0) * np.linspace(1, 2, 1000)[:, None]
+    columns = np.column_stack([record, record @ [1.0, 2.0, 3.0], matrix(1000, 6) + 1e3])
+    offsets = np.arange(columns.shape[1]) < 3
+    linear = Linearization.of(np.ones(1000), columns, np.ones(1000, bool))
+    expected = np.linalg.norm(centered(columns, offsets)[0], axis=0)
+    np.testing.assert_allclose(centered_lengths(linear, offsets), expected, rtol=1e-9)
+
+
+def test_errors_of_many_weights_never_hold_the_whole_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reversal curves: the design matrices of all curves, their rows, and copies of the Jacobian were ten times as much."""
+    for module, name in ((blocks, "NUMBERS"), (smooth, "_NUMBERS")):
+        monkeypatch.setattr(module, name, 20_000)
+    truth, curves = hf.Preisach.of(8, initial="positive", spacing="uniform"), []
+    truth = truth.start([hf.Record(u=np.array([-1.0, 1.0]), y=np.array([-1.0, 1.0]))])
+    for reversal in np.linspace(0.9, -0.95, 40):
+        u = np.linspace(reversal, 1.0, 250)
+        curves.append(
+            hf.Record(u=u, y=truth.free_run(np.append(1.0, u))[1:] + 1e-3 * np.cos(40 * u), name=f"{reversal:.3f}")
+        )
+    data = hf.Dataset(tuple(curves))
+    problem = hf.Problem(hf.SignedPreisach.of(10, spacing="reversal-curves").start(curves), data)
+    whole = 8 * sum(map(len, curves)) * len(problem.space)
+
+    def errors() -> None:
+        uncertainty(problem, solve(problem, "preisach", 1, 0))
+
+    errors()
+    tracemalloc.start()
+    errors()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(problem.space) > 100
+    assert peak < whole

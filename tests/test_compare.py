@@ -15,11 +15,12 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.errors import ModelError
+from hystfit.fitting import sizes
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _Judge, _ranked, _Shown
 from hystfit.fitting.comparison import Row
 from hystfit.fitting.convex import LinearSystem
-from hystfit.fitting.sizes import choose_size
+from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, Terms, build, max_plays, search_structure
 from hystfit.fitting.thinning import thinned
@@ -320,6 +321,20 @@ def test_no_more_cells_than_levels_and_the_choice_is_the_best_of_its_neighbors()
 
     assert error(chosen) <= min(error(other) for other in chosen.sizes(records).values()) / 0.98
     assert error(chosen) <= error(model)
+
+
+def test_a_known_first_error_is_not_computed_again(monkeypatch):
+    data, tried, solve = stepped_loops(samples=11), [], sizes._left_out
+
+    def watched(model, data):
+        tried.append(model_name(model))
+        return solve(model, data)
+
+    monkeypatch.setattr(sizes, "_left_out", watched)
+    model = make_model("preisach")
+    chosen = choose_size(model, data, first=first_error(model, data))
+    assert len(tried) == len(set(tried)) > 1
+    assert eqx.tree_equal(chosen.model, choose_size(model, data).model)
 
 
 def test_other_levels_are_tried_where_they_predict_better():

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import equinox as eqx
 import h5py
 import numpy as np
 import pytest
@@ -260,6 +261,18 @@ def test_a_header_with_a_number_that_no_float_holds_is_refused(sampled):
 def test_a_fit_opens_as_it_was_saved(result, saved):
     assert hf.load_fit(saved).to_dict() == result.to_dict()
     assert {path.name for path in saved.iterdir()} == {"result.json", "model.json", "records.npz", "manifest.json"}
+
+
+@pytest.mark.parametrize(("fix", "models"), [(["offset"], 1), ([], 2)])
+def test_records_that_share_all_values_share_a_saved_model(fix, models, tmp_path):
+    u = np.cumsum(np.sin(np.linspace(0, 25, 200)))
+    records = [hf.Record(u=u, y=0.1 * k + np.tanh(u / 9) + 0.01 * np.cos(7 * u), name=f"r{k}") for k in range(2)]
+    fit = hf.fit("bouc-wen", records, fix=fix, starts=1)
+    folder = fit.save(tmp_path / "fit", report=False)
+    assert len(json.loads((folder / "model.json").read_text())["models"]) == models
+    again = hf.load_fit(folder)
+    np.testing.assert_array_equal(again.x, fit.x)
+    assert all(eqx.tree_equal(*pair) for pair in zip(again.models, fit.models, strict=True))
 
 
 def test_a_fit_with_weights_near_their_bounds_opens_as_it_was_saved(tmp_path):

@@ -295,7 +295,8 @@ class _Judge:
             model = make_model(given)
             # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
             sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
-            if not sized and (choice := choose_size(model, self.data, progress)).notes:
+            first = one.first.error if one.first else None
+            if not sized and (choice := choose_size(model, self.data, progress, first)).notes:
                 result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
             else:
                 result = fit(given, self.data, seed=self.seed)

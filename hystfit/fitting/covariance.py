@@ -9,8 +9,8 @@ import numpy as np
 
 from hystfit.fitting.error_ratios import RANK, mean_error_ratio
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.near_bounds import Information, NearBounds, centered, distances_to_bounds
-from hystfit.inference.blocks import chosen, triangle
+from hystfit.fitting.near_bounds import Information, NearBounds, centered, centered_lengths, distances_to_bounds
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.slow_likelihood import least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis
@@ -76,18 +76,18 @@ def uncertainty(
     """
     x, y = estimate.x, problem.scales.y
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
-    residual, jacobian = estimate.linearized or problem.linearize_misfit(x)
-    used = problem.used.reshape(-1)
-    # The triangular factor is all that errors under independent noise need; of hundreds of weights few are live.
-    rows = triangle(jacobian) if x.size <= FEW else jacobian[used]
-    at_bound, acts = problem.on_bound(x), _acting(problem, x, rows)
-    live, relative = acts & ~at_bound, relative_size(problem.space, x)
-    live_columns = lambda: chosen(jacobian, used)[:, live] * relative[live]
+    known, used = estimate.linearized, problem.used.reshape(-1)
+    linear = problem.linearization(x) if known is None else Linearization.of(*known, used)
+    at_bound = problem.on_bound(x)
+    residual, relative = linear.misfit, relative_size(problem.space, x)
+    rows, acts = _factor(problem, x, linear, at_bound)
+    live = acts & ~at_bound
+    live_columns = lambda: linear.columns(live) * relative[live]
     analysis = ResidualAnalysis.of(problem.host_setting, residual * y, live_columns if live.sum() <= FEW else None)
     plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
-        acting = chosen(jacobian, used)[:, acts]
+        acting = linear.columns(acts)
         acting *= y
         root_of_acting = least_squares_root(analysis.of_errors, acting, overwrite=True)
         root = np.zeros((len(root_of_acting), x.size))
@@ -96,12 +96,13 @@ def uncertainty(
     if root is None:
         ratio, information = float(np.sqrt(time)), Information(rows, plain * time, ridge)
     else:
-        ratio = mean_error_ratio(root[:, live] * relative[live], live_columns(), plain)
+        ratio = mean_error_ratio(root[:, live] * relative[live], rows[:, live] * relative[live], plain)
         information = Information(root, 1.0, ridge / plain)
     inside = None
     if live.any() and plain > 0:
         # At the most probable point under a noise model the slope is not known.
-        slope = np.where(at_bound & (not refined), residual @ jacobian, -ridge * x)
+        on_bound = at_bound & (not refined)
+        slope = lambda: np.where(on_bound, linear.gradient() if on_bound.any() else 0.0, -ridge * x)
         near = NearBounds.of(problem, x, rows, information, slope, ridge, acts)
         if near is not None:
             share = np.ones(x.size)
@@ -122,10 +123,27 @@ def uncertainty(
     )
 
 
-def _acting(problem: Problem, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Parameters with an influence on the data, shape (p,), bool."""
-    natural = np.minimum(relative_size(problem.space, x), problem.space.scale)
-    gain = np.linalg.norm(centered(rows, problem.space.offsets)[0] * natural, axis=0)
+def _factor(
+    problem: Problem, x: np.ndarray, linear: Linearization, at_bound: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The triangular factor of the derivatives, and which parameters have an influence on the data, shape (p,), bool.
+
+    Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
+    """
+    offsets = problem.space.offsets
+    if x.size <= FEW:
+        factor = linear.triangle()
+        return factor, _acting(problem, x, np.linalg.norm(centered(factor, offsets)[0], axis=0))
+    acts = _acting(problem, x, centered_lengths(linear, offsets))
+    needed = acts if np.count_nonzero(acts & at_bound) <= FEW else acts & ~at_bound
+    factor = np.zeros((int(np.count_nonzero(needed)), x.size))
+    factor[:, needed] = linear.triangle(needed)
+    return factor, acts
+
+
+def _acting(problem: Problem, x: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Parameters with an influence on the data, by the length of their centered derivatives, shape (p,), bool."""
+    gain = length * np.minimum(relative_size(problem.space, x), problem.space.scale)
     return gain > 1e-9 * max(gain.max(initial=0.0), 1e-300)
 
 

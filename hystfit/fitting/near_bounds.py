@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW
 
@@ -65,14 +67,14 @@ class NearBounds(NamedTuple):
         x: np.ndarray,
         rows: np.ndarray,
         information: Information,
-        slope: np.ndarray,
+        slope: Callable[[], np.ndarray],
         ridge: np.ndarray,
         acts: np.ndarray,
     ) -> NearBounds | None:
         """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
 
         `rows` is the Jacobian of what was minimized, or its triangular factor; `slope` and `ridge` belong to its cost, `ridge` to
-        the normal matrix.
+        the normal matrix. `slope` is computed when it is needed.
         """
         space = problem.space
         below, above = distances_to_bounds(problem, x)
@@ -83,13 +85,13 @@ class NearBounds(NamedTuple):
             return None
         columns, back = centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(columns, axis=0)
-        back = back / size
+        back, unit = back / size, columns / size
         root = information.root[:, acts] @ back
         return cls(
             x[acts] * size,
-            (columns / size).T @ (columns / size),
+            unit.T @ unit,
             ridge[acts] / size**2,
-            slope[acts] / size,
+            slope()[acts] / size,
             root.T @ root / information.variance,
             information.ridge[acts] / size**2 / information.variance,
             room * size,
@@ -141,6 +143,27 @@ def centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray
     centered[:, ~offsets] -= J[:, offsets] @ explained
     back[np.ix_(offsets, ~offsets)] = -explained
     return centered, back
+
+
+def centered_lengths(linear: Linearization, offsets: np.ndarray) -> np.ndarray:
+    """Length of every column of `centered` derivatives, shape (p,), in two passes over their blocks."""
+    at = np.flatnonzero(offsets)
+    products, squares = np.zeros((at.size, linear.size)), np.zeros(linear.size)
+    for rows in linear.blocks():
+        acting = rows[:, at].any(axis=0)
+        products[acting] += rows[:, at[acting]].T @ rows
+        squares += np.einsum("np,np->p", rows, rows)
+    whole = np.sqrt(squares)
+    if not at.size:
+        return whole
+    explained, squares = np.linalg.lstsq(products[:, at], products, rcond=None)[0], np.zeros(linear.size)
+    explained[:, at] = 0.0
+    for rows in linear.blocks():
+        acting = rows[:, at].any(axis=0)
+        rest = rows - rows[:, at[acting]] @ explained[acting]
+        squares += np.einsum("np,np->p", rest, rest)
+    rest = np.sqrt(squares)
+    return np.where(rest <= _REST * whole, whole, rest)
 
 
 def distances_to_bounds(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -34,10 +34,15 @@ class Sized:
     notes: tuple[Note, ...] = ()
 
 
-def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[str], object] = lambda _: None) -> Sized:
+def choose_size(
+    model: AbstractHysteresis,
+    data: Dataset,
+    progress: Callable[[str], object] = lambda _: None,
+    first: float | None = None,
+) -> Sized:
     """Greedy search: repeat the single change of size that lowers the cross-validation error most.
 
-    The weights are solved for at the starting values of the other parameters.
+    The weights are solved for at the starting values of the other parameters. `first` is the `first_error` where it is known.
     """
     found = model.sizes(list(data))
     if not found:
@@ -52,6 +57,8 @@ def choose_size(model: AbstractHysteresis, data: Dataset, progress: Callable[[st
         return scores[name]
 
     best = next(iter(found.values()))
+    if first is not None:
+        scores[model_name(best)] = first
     while True:
         words, other = min(best.sizes(list(data)).items(), key=lambda item: score(item[1]))
         if not score(other) < _GAIN * score(best):

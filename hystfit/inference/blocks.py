@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.lapack import dtpqrt
 
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
 # Entries of a block of `triangle`, and rows for each of its columns at least. A larger block would be copied into memory that the
 # system hands out page by page, which takes several times as long as its factor.
 ENTRIES, TALL = 2**13, 8
+_PANEL = 64  # columns that `triangle_of_blocks` eliminates together
 
 
 def parts(size: int, other: int) -> Iterator[slice]:
@@ -73,6 +75,18 @@ def triangle(
             block = np.column_stack([block, last[start : start + size]])
         factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
     assert factor is not None
+    return factor
+
+
+def triangle_of_blocks(blocks: Iterable[Float[np.ndarray, "n p"]], size: int) -> Float[np.ndarray, "p p"]:
+    """R of a matrix Q R of which blocks of rows come one after another, each eliminated below the factor of those before it.
+
+    The cost is that of one factorization of the whole, however small the blocks are. `size` is p.
+    """
+    factor = np.zeros((size, size), order="F")
+    for rows in blocks:
+        if len(rows) and size:
+            factor = dtpqrt(0, min(_PANEL, size), factor, rows, overwrite_a=True)[0]
     return factor
 
 

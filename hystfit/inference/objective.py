@@ -196,15 +196,28 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
 
     The residuals have shape (R, T), their derivatives (R, T, p); the derivatives are overwritten where they may be.
     """
-    root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
-    misfit, slope = (root * residual).reshape(-1), None
-    if objective.loss != "linear":
-        misfit, slope = (np.asarray(v) for v in bend_slope(to_device(misfit), objective.bend, objective.loss))
+    misfit, slope = misfit_slope(objective, residual)
     if jacobian is None:
         return misfit
     own = jacobian if jacobian.flags.writeable else jacobian.copy()
-    rows = np.multiply(own, root[..., None], out=own).reshape(-1, jacobian.shape[-1])
-    return misfit, rows if slope is None else slope[:, None] * rows
+    return misfit, np.multiply(own, slope.reshape(residual.shape)[..., None], out=own).reshape(-1, jacobian.shape[-1])
+
+
+def misfit_slope(
+    objective: Objective, residual: Float[np.ndarray, "R T"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """`Objective.misfit` on the host, and its derivative with respect to each residual.
+
+    Args:
+        objective: gives weights, size and loss.
+        residual: output units.
+    """
+    root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
+    misfit, slope = (root * residual).reshape(-1), root.reshape(-1)
+    if objective.loss == "linear":
+        return misfit, slope
+    bent, bending = (np.asarray(v) for v in bend_slope(to_device(misfit), objective.bend, objective.loss))
+    return bent, bending * slope
 
 
 @compiled

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import jax
@@ -17,10 +17,12 @@ from hystfit.config import require_x64
 from hystfit.data.batch import Batch
 from hystfit.data.record import Dataset, Record
 from hystfit.errors import DataError, ModelError
+from hystfit.inference.blocks import chosen
 from hystfit.inference.density import Density
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.objective import BROKEN, Loss, Objective, linearized, misfit_of
+from hystfit.inference.objective import BROKEN, Loss, Objective, linearized, misfit_of, misfit_slope
 from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
@@ -222,11 +224,18 @@ class Problem:
 
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
-        if self.model.has_fast_run and self.model.estimator is not None:
-            length = self.objective.batch.u.shape[1]
-            jacobian = responses(self.space, list(self.data), self.predict, np.asarray(x), length)
-            return self.residuals(x), jacobian * self.used[..., None]
-        return linearized(self.objective, x)
+        if not self._has_design:
+            return linearized(self.objective, x)
+        jacobian = np.zeros((*self.used.shape, len(self.space)))
+        for number, part, rows in responses(self.space, list(self.data), self.predict, np.asarray(x)):
+            jacobian[number, part] = rows
+        jacobian *= self.used[..., None]
+        return self.residuals(x), jacobian
+
+    @property
+    def _has_design(self) -> bool:
+        """Whether derivatives come from design matrices."""
+        return self.model.has_fast_run and self.model.estimator is not None
 
     def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
         """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""
@@ -235,6 +244,21 @@ class Problem:
     def linearize_misfit(self, x: Any) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n p"]]:
         """`misfit` and its derivatives with respect to physical x."""
         return misfit_of(self.objective, *self.linearize(x))
+
+    def linearization(self, x: Any) -> Linearization:
+        """`misfit` and its derivatives with respect to physical x; those by design matrices are never in memory all at once."""
+        if not self._has_design:
+            misfit, jacobian = self.linearize_misfit(x)
+            return Linearization.of(misfit, jacobian, self.used.reshape(-1))
+        misfit, slope = misfit_slope(self.objective, self.residuals(x))
+        used, slope = self.used, slope.reshape(self.used.shape)
+
+        def blocks() -> Iterator[np.ndarray]:
+            for number, part, rows in responses(self.space, list(self.data), self.predict, np.asarray(x)):
+                on = used[number, part]
+                yield chosen(rows, on) * slope[number, part][on, None]
+
+        return Linearization(misfit, used.reshape(-1), len(self.space), blocks)
 
     # -- likelihoods ---------------------------------------------------------------------------------------------------
 

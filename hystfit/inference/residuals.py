@@ -142,11 +142,11 @@ class ResidualAnalysis:
 
 def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
     """Analysis of the residuals at physical x, shape (p,)."""
-    residual, jacobian = problem.with_loss("linear").linearize_misfit(x)
+    linear = problem.with_loss("linear").linearization(x)
     live = ~problem.on_bound(x)
     few = live.any() and int(live.sum()) <= FEW
-    columns = lambda: jacobian[problem.used.reshape(-1)][:, live] * relative_size(problem.space, x)[live]
-    return ResidualAnalysis.of(problem.host_setting, residual * problem.scales.y, columns if few else None)
+    columns = lambda: linear.columns(live) * relative_size(problem.space, x)[live]
+    return ResidualAnalysis.of(problem.host_setting, linear.misfit * problem.scales.y, columns if few else None)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,7 +40,10 @@ def write_fit(result: FitResult, folder: Path) -> None:
     """Write result.json, model.json, records.npz and their manifest into an existing folder."""
     code = checksums(result.models, result.noise.name)
     dump_json(folder / "result.json", result.to_dict())
-    dump_json(folder / "model.json", {"models": [to_json(model) for model in result.models], "code": code})
+    models = [to_json(model) for model in result.models]
+    # Curves that share all values, a hundred of them with thousands of weights each, need one model.
+    alike = all(model == models[0] for model in models)
+    dump_json(folder / "model.json", {"models": models[:1] if alike else models, "code": code})
     p, extra = len(result.covariance), {}
     if result.joint is not None:
         extra = {"joint": result.joint[np.triu_indices(p)], "known": np.isfinite(np.diag(result.covariance))}

@@ -13,6 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its subpackages when they are first used
 from jaxtyping import Array, Bool, Float, Int
 
 from hystfit.models.shapes import Scalar
@@ -50,7 +51,7 @@ def fold(columns: np.ndarray, n: int) -> np.ndarray:
     return columns[..., first] + np.where(first == image, 0.0, columns[..., image])
 
 
-def second_differences(n: int, symmetric: bool) -> np.ndarray:
+def second_differences(n: int, symmetric: bool) -> scipy.sparse.csr_array:
     """Matrix of the second differences of n (n + 1) / 2 weights along rows and columns, on the independent weights.
 
     A symmetric model has more of them, along lines of one interaction field (alpha + beta): loops about one center leave the density
@@ -60,15 +61,18 @@ def second_differences(n: int, symmetric: bool) -> np.ndarray:
     at = -np.ones((n + 2, n + 2), dtype=int)
     at[i + 1, j + 1] = np.arange(i.size)
     density = np.where(symmetric & (i == j), 2.0, 1.0)  # a cell on the diagonal has half the area of the others
-    rows = []
+    blocks = []
     for di, dj, stiffness in ((1, 0, 1.0), (0, 1, 1.0), (1, -1, _ALONG_COERCIVITY if symmetric else 0.0)):
-        parts = np.stack([at[i + 1 + k * di, j + 1 + k * dj] for k in (-1, 0, 1)])
-        inside = parts[:, (parts >= 0).all(axis=0) & (stiffness > 0)]
-        block = np.zeros((inside.shape[1], i.size))
-        for part, factor in zip(inside, (1.0, -2.0, 1.0), strict=True):
-            block[np.arange(part.size), part] += factor * np.sqrt(stiffness) * density[part]
-        rows.append(block)
-    return fold(np.concatenate(rows), n) if symmetric else np.concatenate(rows)
+        parts = np.stack([at[i + 1 + k * di, j + 1 + k * dj] for k in (-1, 0, 1)], axis=1)
+        inside = parts[(parts >= 0).all(axis=1) & (stiffness > 0)]
+        values = np.array([1.0, -2.0, 1.0]) * np.sqrt(stiffness) * density[inside]
+        ends = 3 * np.arange(len(inside) + 1)
+        blocks.append(scipy.sparse.csr_array((values.ravel(), inside.ravel(), ends), shape=(len(inside), i.size)))
+    rough = scipy.sparse.vstack(blocks, format="csr")
+    if not symmetric:
+        return rough
+    weight = mirror(n)[0]
+    return rough @ scipy.sparse.csr_array((np.ones(i.size), weight, np.arange(i.size + 1)))
 
 
 def grid(w: Float[Array, " cells"], n: int) -> Float[Array, "n n"]:

@@ -349,8 +349,9 @@ def _smoothing(count: int, symmetric: bool | None = None) -> np.ndarray:
 
     `count` is that of the cells along each axis, or where `symmetric` is None of the slopes.
     """
-    rough = np.diff(np.eye(count), 2, axis=0) if symmetric is None else second_differences(count, symmetric)
-    D = scipy.sparse.csr_array(rough)
-    matrix = (D.T @ D).toarray() + _RIDGE * np.eye(rough.shape[1])
+    along_axis = lambda: scipy.sparse.csr_array(np.diff(np.eye(count), 2, axis=0))
+    D = along_axis() if symmetric is None else second_differences(count, symmetric)
+    matrix = (D.T @ D).toarray()
+    matrix[np.diag_indices_from(matrix)] += _RIDGE
     matrix.flags.writeable = False
     return matrix

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,54 @@ SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
 LeftOut = Literal["auto", "blocks", "records"]
 Offsets = Literal["each", "shared", "none"]
 _BLOCKS = 5
+_NUMBERS = (
+    2**21
+)  # of rows that wait to be multiplied (16 MiB): products of few rows each would only move the sums through memory
 _MANY = 1200  # parameters from which the choice of smoothness ignores bounds and leaves out two folds only: seconds, not minutes
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Where the columns of design matrices stand in one matrix for all records, block after block.
+
+    Attributes:
+        blocks: of the design matrix of the first record, those that are used.
+        kept: their numbers among all its blocks.
+        own: whether each record has weights of its own for a block; those of all records then stand in turn.
+        starts: position of each block's first weight, and the number of all weights.
+    """
+
+    blocks: tuple[Block, ...]
+    kept: tuple[int, ...]
+    own: tuple[bool, ...]
+    starts: tuple[int, ...]
+
+    @classmethod
+    def of(cls, design: DesignMatrix, records: int, offsets: Offsets = "each") -> Layout:
+        """The layout for records whose design matrices have the same blocks.
+
+        Args:
+            design: of one of them.
+            records: how many there are.
+            offsets: see `SmoothSystem.of`.
+        """
+        kept = tuple(k for k, block in enumerate(design.blocks) if offsets != "none" or not block.info.per_record)
+        blocks = tuple(design.blocks[k] for k in kept)
+        own = tuple(block.info.per_record and offsets == "each" and not block.shared for block in blocks)
+        widths = [block.columns.shape[1] * (records if each else 1) for block, each in zip(blocks, own, strict=True)]
+        return cls(blocks, kept, own, tuple(np.cumsum([0, *widths]).tolist()))
+
+    def first(self, position: int, record: int) -> int:
+        """Position of the first weight of a block that acts on a record."""
+        return self.starts[position] + record * self.blocks[position].columns.shape[1] * self.own[position]
+
+    def columns(self, design: DesignMatrix, record: int) -> np.ndarray:
+        """Columns of all weights on the distinct states of a record, shape (S, p)."""
+        joint = np.zeros((design.rest.size, self.starts[-1]))
+        for position, number in enumerate(self.kept):
+            columns, first = design.blocks[number].columns, self.first(position, record)
+            joint[:, first : first + columns.shape[1]] = columns
+        return joint
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,8 +73,7 @@ class SmoothSystem:
     """Normal equations of all linear weights of a model, block after block, the outputs in units of `size`.
 
     Attributes:
-        blocks: of the design matrix of the first record; blocks that each record has for itself hold values for all records in turn.
-        starts: position of each block's first weight among all p.
+        layout: of all p weights.
         origin: offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size
             of an output far from zero.
         grams: one matrix a block of samples, shape (blocks, p + 1, p + 1); the output, less the response to `origin`, comes last.
@@ -39,8 +86,7 @@ class SmoothSystem:
         size: of the output, by which it was divided.
     """
 
-    blocks: tuple[Block, ...]
-    starts: tuple[int, ...]
+    layout: Layout
     origin: np.ndarray
     grams: np.ndarray
     counts: np.ndarray
@@ -53,7 +99,7 @@ class SmoothSystem:
     @classmethod
     def of(
         cls,
-        designs: Sequence[DesignMatrix],
+        designs: Iterable[DesignMatrix],
         records: Sequence[Record],
         *,
         left_out: LeftOut = "auto",
@@ -63,7 +109,7 @@ class SmoothSystem:
         """Collect the equations of records.
 
         Args:
-            designs: one for each record, with the same blocks.
+            designs: one for each record, with the same blocks; each is needed once, in turn, so that they may be made on the way.
             records: measured; a sample counts with its weight.
             left_out: what is left out in turn: "blocks", a contiguous fifth of each record; "records", in up to five
                 groups, the records that lie inside the range of the others, which tests how well loops between those measured
@@ -79,52 +125,47 @@ class SmoothSystem:
         if left_out == "records" and not inner.any():
             raise ModelError('left_out="records" needs a record inside the range of the others; use "blocks"')
         size = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or 1.0
-        kept = [k for k, block in enumerate(designs[0].blocks) if offsets != "none" or not block.info.per_record]
-        blocks = tuple(designs[0].blocks[k] for k in kept)
-        each = [block.info.per_record and offsets == "each" and not block.shared for block in blocks]
-        widths = [b.columns.shape[1] * (len(records) if own else 1) for b, own in zip(blocks, each, strict=True)]
-        starts = tuple(np.cumsum([0, *widths]).tolist())
-        p = starts[-1]
+        others = iter(designs)
+        layout = Layout.of(design := next(others), len(records), offsets)
+        blocks, starts, p = layout.blocks, layout.starts, layout.starts[-1]
         folds = _folds(records, inner) if left_out == "records" else [r.blocks(_BLOCKS) for r in records]
-        rows: list[list[np.ndarray]] = [[] for _ in folds[0]]
+        grams = np.zeros((len(folds[0]), p + 1, p + 1))
+        sums = [_Gram(gram) for gram in grams]
         counts = np.zeros(len(folds[0]))
         # One level for all records, as that of a record that is left out must not be its own mean; where zero is near, zero.
         level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
         level = level if abs(level) > FAR else 0.0
-        for block, own, start in zip(blocks, each, starts, strict=False):
+        for block, own, start in zip(blocks, layout.own, starts, strict=False):
             if block.info.per_record and np.isneginf(block.info.bounds[0]) and np.all(block.columns == 1.0):
                 origin[start : start + (len(records) if own else 1)] = level
         low, high = np.full(p, np.inf), np.full(p, -np.inf)
-        for number, (record, design, masks) in enumerate(zip(records, designs, folds, strict=True)):
-            A = np.zeros((design.rest.size, p))
-            for k, own, start in zip(kept, each, starts, strict=False):
-                columns = design.blocks[k].columns
-                first = start + number * columns.shape[1] * own
-                A[:, first : first + columns.shape[1]] = columns
+        every = itertools.chain([design], others)
+        for number, (record, design, masks) in enumerate(zip(records, every, folds, strict=True)):
+            A = layout.columns(design, number)
             for fold, mask in enumerate(masks):
                 if mask.any():
                     y = (record.y[mask] - design.rest[design.index[mask]]) / size - (A @ origin)[design.index[mask]]
-                    rows[fold].append(_rows(A, design.index[mask], y, record.weight[mask]))
+                    sums[fold].add(_rows(A, design.index[mask], y, record.weight[mask]))
                     counts[fold] += record.weight[mask].sum()
             seen = A[np.unique(design.index[record.used])]
             low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
-        joint = (np.concatenate(part) if part else np.zeros((0, p + 1)) for part in rows)
-        grams = np.stack([part.T @ part for part in joint])
+        for part in sums:
+            part.finish()
         roughness, bounded, reach = np.zeros((p, p)), np.zeros(p, dtype=bool), np.full(p, np.nan)
-        for block, start, width in zip(blocks, starts, widths, strict=False):
-            at = slice(start, start + width)
+        for block, start, end in zip(blocks, starts, starts[1:], strict=False):
+            at = slice(start, end)
             bounded[at] = nonnegative and block.info.bounds[0] == 0.0
             if block.penalty is not None:
                 roughness[at, at] = block.penalty.matrix
                 if block.penalty.cells is not None:
                     reach[at] = np.clip((high - low)[at] / (2 * block.penalty.cells), 0.0, 1.0)
         judged = np.arange(counts.size) < (counts.size if left_out == "blocks" else counts.size - 1)
-        return cls(blocks, starts, origin, grams, counts, judged, roughness, bounded, reach, size)
+        return cls(layout, origin, grams, counts, judged, roughness, bounded, reach, size)
 
     def notes(self) -> tuple[str, ...]:
         """Cells that the data never switched, one sentence for each array of their weights."""
         lines = []
-        for block, start in zip(self.blocks, self.starts, strict=False):
+        for block, start in zip(self.layout.blocks, self.layout.starts, strict=False):
             penalty = block.penalty
             if penalty is None or penalty.cells is None:
                 continue
@@ -136,6 +177,30 @@ class SmoothSystem:
                     "follow from smoothness alone, and a prediction that reaches them is extrapolation"
                 )
         return tuple(lines)
+
+
+class _Gram:
+    """A'A of rows that come in parts, of which few are in memory.
+
+    Args:
+        total: where it is summed, zeros, shape (width, width).
+    """
+
+    def __init__(self, total: np.ndarray):
+        self._total, self._waiting = total, list[np.ndarray]()
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add rows, shape (k, width)."""
+        self._waiting.append(rows)
+        if sum(map(len, self._waiting)) * len(self._total) > _NUMBERS:
+            self.finish()
+
+    def finish(self) -> None:
+        """Sum the rows that wait."""
+        if self._waiting:
+            rows = np.concatenate(self._waiting)
+            self._waiting = []
+            self._total += rows.T @ rows
 
 
 def _inner(records: Sequence[Record]) -> np.ndarray:
