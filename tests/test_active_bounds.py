@@ -78,3 +78,19 @@ def test_without_a_bound_the_moments_are_the_covariance() -> None:
     mean, far = about_estimate(P, np.zeros(3), np.array([np.inf, 1e3, np.inf]), np.ones(3))
     np.testing.assert_allclose(far, np.linalg.inv(P), rtol=1e-6)
     np.testing.assert_allclose(mean, 0, atol=1e-5)
+
+
+def test_the_error_of_a_quantity_is_the_spread_of_repeated_fits_where_weights_replace_each_other() -> None:
+    """Of 20 plays about half end on zero, in the place of others; the stroke hardly depends on which."""
+    plays = hf.PrandtlIshlinskii.of(20).start([hf.Record(u=U, y=U)])
+    rng = np.random.default_rng(0)
+    truth = eqx.tree_at(lambda m: m.w, plays, jnp.asarray(rng.exponential(1.0, plays.w.shape)))
+    clean = np.asarray(hf.simulate(truth, jnp.asarray(U))[0])
+    strokes, errors = [], []
+    for _ in range(24):
+        record = hf.Record(u=U, y=clean + 0.3 * rng.normal(size=U.size), t=T)
+        fit = hf.fit(plays, record, start="model", method="convex", noise="iid")
+        stroke = next(one for one in fit.quantities if one.name == "stroke")
+        strokes.append(stroke.value)
+        errors.append(stroke.stderr)
+    assert np.median(errors) == pytest.approx(np.std(strokes), rel=0.5)

@@ -30,7 +30,8 @@ class Uncertainty:
 
     Attributes:
         covariance: of the free parameters in physical units, shape (p, p); NaN where it means nothing.
-        joint: the same with the parameters that the data do not determine, whose variances are large; 0 on a bound, NaN where inactive.
+        joint: the same with the parameters that the data do not determine, whose variances are large; 0 at a
+            bound where parameters there are held, NaN where inactive.
         determined: whether the data determine each parameter, shape (p,), bool.
         inactive: parameters without any influence on these data, shape (p,), bool.
         directions: parameters that the data cannot separate, a text for each such direction.
@@ -112,7 +113,11 @@ def uncertainty(
             inside = near.moments(share, acts)
             information = information._replace(ridge=share * information.ridge)
     determined = _determined(problem, x, information, live, inside)
-    determined["joint"][at_bound], determined["joint"][:, at_bound] = 0.0, 0.0
+    if inside is not None and determined["condition"] is not None:
+        # Weights at a bound vary with the others, which they replace: both together leave the output as it is.
+        determined["joint"] = np.where(acts & acts[:, None], inside, np.nan)
+    else:
+        determined["joint"][at_bound], determined["joint"][:, at_bound] = 0.0, 0.0
     return Uncertainty(
         **determined,
         inactive=~acts & ~at_bound,

@@ -38,7 +38,7 @@ class FitResult(WithStatus):
         notes: what is not determined, which bounds were reached, what was chosen.
         parameters: free and fixed ones.
         covariance: of the free parameters, shape (p, p), NaN where it means nothing; `free_names` is their order.
-        joint: the same with the parameters that the data do not determine, for quantities that combine them; 0 on a bound, NaN
+        joint: the same with the parameters that the data do not determine, for quantities that combine them; NaN
             without influence. None of sequential methods.
         train: metrics on the fitted samples; `test` on others, None where none were given.
         sigma: standard deviation of the residuals [y].

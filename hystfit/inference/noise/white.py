@@ -55,7 +55,7 @@ class White(AbstractNoise):
     def of_squares(self, setting: Setting, total: Scalar) -> Scalar:
         """Log density of residuals from the sum of their squares, each times its weight."""
         each = jnp.log(self.noise_white) + 0.5 * LOG_2PI
-        return 0.5 * setting.log_weight - setting.count * each - 0.5 * total / self.noise_white**2
+        return jnp.asarray(0.5 * setting.log_weight) - setting.count * each - 0.5 * total / self.noise_white**2
 
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
         """See `AbstractNoise.draw`."""
