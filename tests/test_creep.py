@@ -101,9 +101,9 @@ def test_times_out_of_order_are_refused(times: tuple[float, float]) -> None:
 
 @pytest.mark.usefixtures("as_users_run")
 def test_weights_that_do_not_fit_the_time_constants_are_refused() -> None:
-    with pytest.raises(ModelError, match="one weight a time constant"):
+    with pytest.raises(ModelError, match="one weight per time constant"):
         LogCreep(tau=(1.0, 10.0))
-    with pytest.raises(ModelError, match="one weight for all or one a time constant"):
+    with pytest.raises(ModelError, match="one weight for all or one per time constant"):
         LinearCreep(a=(0.1, 0.2), tau=(1.0, 10.0, 100.0))
     with pytest.raises(ModelError, match="level or first, got 'last'"):
         LinearCreep(rest="last")  # type: ignore[arg-type]

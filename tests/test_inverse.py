@@ -134,7 +134,7 @@ def test_saturated_samples_keep_the_memory_of_what_was_given() -> None:
     assert np.isin(found.u[found.codes == Status.SATURATED], [0.0, 90.0]).all()
     given = np.asarray(hf.simulate(PIEZO, found.u, resume=found.start)[0])
     np.testing.assert_allclose(given, found.y, atol=1e-12)
-    assert "held there" in found.notes()[0]
+    assert "stays at its limit" in found.notes()[0]
 
 
 def test_output_that_does_not_rise_gets_a_status_and_never_nan() -> None:

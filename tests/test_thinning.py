@@ -152,3 +152,12 @@ def test_the_best_companion_is_that_of_separate_least_squares():
 def _normal(made: Problem, z: np.ndarray) -> np.ndarray:
     jacobian = made.linearize_misfit(made.space.physical(z))[1] * made.space.slope(z)
     return jacobian.T @ jacobian
+
+
+def test_a_model_without_an_offset_is_polished() -> None:
+    """Rounding errors are judged by the output alone where no parameter is an offset."""
+    t = np.linspace(0.0, 3.0, 300)
+    u = np.sin(2 * np.pi * t)
+    y = np.asarray(hf.simulate(hf.Lag(tau=0.05, rest="first"), u, float(t[1]))[0])
+    found = hf.fit(hf.Lag(tau=0.02, rest="first"), hf.Record(u=u, y=y, t=t), start="model", starts=1, noise="iid")
+    assert found.values["tau"] == pytest.approx(0.05, rel=1e-6)

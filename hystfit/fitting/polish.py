@@ -98,7 +98,7 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
 
     Infinite where an offset has run away, as in a refit whose samples do not determine it.
     """
-    largest = max(largest, *np.abs(x)[problem.space.offsets])
+    largest = float(np.abs(x)[problem.space.offsets].max(initial=largest))
     with np.errstate(over="ignore"):
         return float(samples * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
 

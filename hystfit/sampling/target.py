@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -36,7 +38,7 @@ class Target(eqx.Module):
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
         """The same density in other coordinates q."""
-        return Target(self.density, self.bend, center, factor)
+        return dataclasses.replace(self, center=center, factor=factor)
 
     def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
         """z from q."""
