@@ -337,11 +337,12 @@ def test_the_bounded_solver_survives_derivatives_without_finite_squares(model):
 
 def test_a_start_from_which_no_step_is_finite_ends_in_silence():
     """The steps shrink until powers of their inverse overflow; warnings are errors here."""
-    coordinates = SimpleNamespace(scale=np.ones(2), lower=np.zeros(2), upper=np.full(2, np.inf))
-    start = np.array([1.0, 2.0])
+    start, low, high = np.array([1.0, 2.0]), np.zeros(2), np.full(2, np.inf)
     problem = Mock(
         spec=Problem,
-        space=SimpleNamespace(coordinates=coordinates, physical=lambda z: z),
+        space=SimpleNamespace(
+            scale=np.ones(2), lower=low, upper=high, physical=lambda z: z, clip=lambda x: np.clip(x, low, high)
+        ),
         misfit=Mock(side_effect=itertools.chain([np.ones(3)], itertools.repeat(np.full(3, np.nan)))),
         linearize_misfit=lambda x: (None, np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])),
     )

@@ -7,7 +7,7 @@ from jax import export
 
 import hystfit as hf
 from hystfit.config import PROGRAM_FOLDER
-from hystfit.models import base
+from hystfit.models import simulation
 from hystfit.params import kept_programs
 from hystfit.params.kept_programs import kept
 
@@ -24,7 +24,7 @@ def never(*_):
 
 def afresh(otherwise=never):
     """The program of `simulate` as a new process finds it."""
-    run = kept(base._run.__wrapped__, otherwise)
+    run = kept(simulation._run.__wrapped__, otherwise)
     return lambda model, u=U: np.asarray(run(model, u, DT[: u.size], None)[0])
 
 
@@ -43,7 +43,7 @@ def only(folder):
 
 
 def by_scan(model):
-    return np.asarray(base.run(model, jnp.asarray(U), jnp.asarray(DT))[0])
+    return np.asarray(simulation.run(model, jnp.asarray(U), jnp.asarray(DT))[0])
 
 
 def test_another_process_traces_nothing(only, monkeypatch):

@@ -93,7 +93,7 @@ def responses(
     layout = Layout.of(first := next(designs), len(records))
     place, owner = _placed(space, layout, len(records))
     others = np.flatnonzero(place < 0)
-    slopes = [_difference(space, predict, x, k) for k in others]
+    slopes = [_difference(space, predict, x, int(k)) for k in others]
     for number, design in enumerate(itertools.chain([first], designs)):
         mine = np.flatnonzero((place >= 0) & np.isin(owner, (-1, number)))
         columns = layout.columns(design, number)
