@@ -87,6 +87,8 @@ def set_up_fit(
 def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
     """Records in which the samples of a saturated sensor, and isolated outliers of the output, have no weight.
 
+    Where weights differ, as those of stated standard deviations do, no sample is an outlier: the weights describe the noise.
+
     Args:
         data: the records.
         keep_outliers: whether outliers keep their weights.
@@ -94,7 +96,8 @@ def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
 
     def free(record: Record) -> Record:
         found = saturated_samples(record.u, record.y)
-        found[[] if keep_outliers else outliers_of(record)] = True
+        stated = np.ptp(record.weight[record.used]) > 0 if record.used.any() else False
+        found[[] if keep_outliers or stated else outliers_of(record)] = True
         found &= record.used
         return record.replace(weight=np.where(found, 0.0, record.weight)) if found.any() else record
 

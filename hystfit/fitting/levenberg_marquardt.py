@@ -19,6 +19,7 @@ from hystfit.params.host_arrays import compiled
 # A step is accepted where the cost falls by more than _LEAST of what the linear model predicts, and the next one is longer where it
 # falls by more than _GOOD of it: "Sensitivity of trust-region algorithms to their parameters" (Gould et al. 2005).
 _LEAST, _GOOD = 0.01, 0.99
+_ROUNDING = 1e-15  # of the cost: a smaller decrease cannot be seen, and every step towards it would be rejected
 _SHORTER, _LONGER, _LONGEST, _SHORTEST = 0.25, 3.5, 1e30, 1e-200
 _CLOSE = 0.5  # excess of the cost over that of a converged start, within which the linear model shows whether a start can do better
 _BETTER = 1e-4  # a lower cost, relative to that of the converged start, that is worth further steps
@@ -99,7 +100,7 @@ def _together(
         rows = np.concatenate([jacobian[going], new[going, None]], axis=1).swapaxes(1, 2)
         at = taken[going]
         triangle[at] = _factor(rows)
-        converged[at] |= cost[at] - _attainable_cost(triangle[at]) <= gain * cost[at]
+        converged[at] |= cost[at] - _attainable_cost(triangle[at]) <= max(gain, _ROUNDING) * cost[at]
         active[at[converged[at]]] = False
         behind = active & _cannot_win(triangle, cost, converged)
         given_up |= behind
