@@ -298,15 +298,12 @@ def delay(u, dt, lag, longest):
 def lag(u, dt, tau, level):
     y = np.empty(u.size)
     first = second = level
-    before = u[0]
     for k in range(u.size):
         if k == 0 or dt[k] != dt[k - 1]:
             passed = 2 * dt[k] / tau
             decay = np.exp(-passed)
-            mean = -np.expm1(-passed) / passed if passed > 0 else 1.0
-        new = u[k] + decay * (first - before) - mean * (u[k] - before)
-        second = new + decay * (second - first) - mean * (new - first)
-        first, before = new, u[k]
+        a, b = first - u[k], second - u[k]
+        first, second = u[k] + decay * a, u[k] + decay * (b + passed * a)
         y[k] = second
     return y
 

@@ -45,56 +45,25 @@ def test_a_delay_stops_at_its_longest() -> None:
 # -- lags ------------------------------------------------------------------------------------------------------------------
 
 
-def test_the_lag_of_a_jump_is_that_of_two_lags_in_a_row() -> None:
-    """Two lags of tau / 2, sampled finely: 1 - (1 + t / T) exp(-t / T) with T = tau / 2 after a jump between equal time stamps."""
-    tau, t = 0.04, np.arange(1501) * 2e-4
-    u, dt = np.concatenate([[1.0], np.full(1501, 5.0)]), np.concatenate([[0.0, 0.0], np.diff(t)])
-    y = np.asarray(simulate(Lag(tau=tau, level=1.0), u, dt)[0])[1:]
+def test_the_lag_is_exact_for_steps_whatever_the_sampling() -> None:
+    """Two lags of tau / 2: 1 - (1 + t / T) exp(-t / T) with T = tau / 2 after a step."""
+    tau = 0.04
+    t = np.sort(np.random.default_rng(2).uniform(0.0, 0.3, 30))
+    u = np.full(31, 5.0)
+    u[0] = 1.0
+    y = simulate(Lag(tau=tau, level=1.0), u, np.concatenate([[0.0], np.diff(t, prepend=0.0)]))[0]
     x = t / (tau / 2)
-    np.testing.assert_allclose(y, 5.0 - 4.0 * (1 + x) * np.exp(-x), atol=4e-5)
-
-
-def test_one_lag_after_another_is_exact_for_inputs_linear_between_samples() -> None:
-    """The first lag beside an ODE solver on the line through the samples, the second on the line through those of the first."""
-    u, dt = path(6)
-    tau = 0.03
-
-    def through(x: np.ndarray) -> np.ndarray:
-        y = [x[0]]
-        for a, b, h in zip(x[:-1], x[1:], dt[1:], strict=True):
-            law = lambda t, s, a=a, b=b, h=h: (a + (b - a) * t / h - s) / (tau / 2)
-            y.append(solve_ivp(law, (0.0, h), [y[-1]], method="DOP853", rtol=1e-11, atol=1e-13).y[0, -1])
-        return np.array(y)
-
-    np.testing.assert_allclose(simulate(Lag(tau=tau, rest="first"), u, dt)[0], through(through(u)), atol=1e-9)
-
-
-@pytest.mark.parametrize("interval", [0.0005, 0.005, 0.02, 0.08])
-def test_the_lag_of_a_ramp_is_tau_at_every_sampling_rate(interval: float) -> None:
-    tau, t = 0.02, np.arange(0.0, 2.0, interval)
-    y = np.asarray(simulate(Lag(tau=tau, rest="first"), 3.0 * t, interval)[0])
-    np.testing.assert_allclose(y[t > 1.0], 3.0 * (t[t > 1.0] - tau), rtol=1e-12)
-
-
-@pytest.mark.parametrize("samples", [100, 200, 400])
-def test_the_loop_of_a_lag_has_the_area_of_its_transfer_function(samples: int) -> None:
-    """The loss a cycle of 1 / (1 + i w tau / 2)^2 under a sine of unit amplitude is pi |Im H|."""
-    tau, t = 0.0166, np.arange(3 * samples + 1) / samples
-    u = np.sin(2 * np.pi * t)
-    y = np.asarray(simulate(Lag(tau=tau, rest="first"), u, 1 / samples)[0])[-samples - 1 :]
-    area = abs(np.trapezoid(y, u[-samples - 1 :]))
-    expected = np.pi * abs((1 / (1 + 1j * np.pi * tau) ** 2).imag)
-    assert area == pytest.approx(expected, rel=2e-3)
+    np.testing.assert_allclose(y[1:], 5.0 - 4.0 * (1 + x) * np.exp(-x), atol=1e-13)
 
 
 @pytest.mark.usefixtures("as_users_run")
 def test_the_lag_smooths_a_jump_at_the_first_sample_or_rests_on_it() -> None:
-    u, dt = np.full(21, 2.0), np.array([0.0, *[0.1] * 20])
+    u, dt = np.full(4, 2.0), np.array([0.0, 0.1, 0.1, 5.0])
     y = np.asarray(simulate(Lag(tau=0.1), u, dt)[0])
     assert y[0] == 0.0
-    assert (np.diff(y[:6]) > 0).all()
+    assert (np.diff(y) > 0).all()
     assert y[-1] == pytest.approx(2.0, rel=1e-12)
-    assert np.asarray(simulate(Lag(tau=0.1, rest="first"), u, dt)[0]).tolist() == [2.0] * 21
+    assert np.asarray(simulate(Lag(tau=0.1, rest="first"), u, dt)[0]).tolist() == [2.0] * 4
     with pytest.raises(ModelError, match="level or first"):
         Lag(rest="never")  # type: ignore[arg-type]
 

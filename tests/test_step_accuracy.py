@@ -236,7 +236,7 @@ CASES = {
         hf.SecondOrder(omega=6.0, zeta=0.2), resonance(zigzag), None, rounding=1e-11
     ),
     "`second-order`, smooth input": Case(hf.SecondOrder(omega=6.0, zeta=0.2), resonance(sine), 2, sine),
-    "`lag`, smooth input": Case(hf.Lag(tau=0.2, rest="first"), lag(), 2, sine),
+    "`lag`, smooth input": Case(hf.Lag(tau=0.2, rest="first"), lag(), 1, sine),
     "`relaxation`, smooth input": Case(
         hf.Relaxation(a=PARTS, tau=TAUS),
         in_time(FOLLOW, REST, lambda u, s: u - (PARTS * (u[:, None] - s)).sum(axis=1)),

@@ -89,12 +89,7 @@ class Delay(AbstractHysteresis):
 
 
 class Lag(AbstractHysteresis):
-    """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters.
-
-    Each lag takes its input as linear between samples. So tau is the same at every sampling rate: the output of a ramp comes tau
-    later to rounding, that of a smooth input to second order in the sampling interval. Samples much further apart than tau settle
-    only to tau / (2 dt) of a jump, until the sample after. The exact response of both lags together would not have this error, but
-    its inverse is unstable: a zero of the sampled transfer function lies outside the unit circle.
+    """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
 
     `level` is the input at which the device rested before the record, so that a jump at the first sample is smoothed too.
     """
@@ -117,20 +112,19 @@ class Lag(AbstractHysteresis):
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample through both lags."""
-        first, second = _lagged((state[0], state[1]), u0, u1, self._factors(dt))
+        first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
         return jnp.stack([first, second]), second
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
-        before = jnp.concatenate([u0[None], u[:-1]])
-        body = lambda state, row, factors: (new := _lagged(state, *row, factors), new[1])
-        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt)
+        body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
+        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, Array]:
-        """Deviation of one lag after the time dt, per deviation before it; and its mean over that time."""
+        """How much of a deviation is left after the time dt, in each lag and from the first in the second."""
         passed = 2.0 * dt / self.tau
-        return jnp.exp(-passed), jnp.where(passed > 0, -jnp.expm1(-passed) / jnp.where(passed > 0, passed, 1.0), 1.0)
+        return jnp.exp(-passed), passed
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
@@ -149,11 +143,11 @@ class Lag(AbstractHysteresis):
         return CPart(template("lag.c"), 2, {"TAU": self.tau, "LEVEL": self.level, "FIRST": int(self.rest == "first")})
 
 
-def _lagged(state: tuple[Array, Array], u0: Array, u1: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Outputs of two lags in a row after an input that moves from u0 to u1 at a constant rate."""
-    decay, mean = factors
-    first = u1 + decay * (state[0] - u0) - mean * (u1 - u0)
-    return first, first + decay * (state[1] - state[0]) - mean * (first - state[0])
+def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Outputs of two lags in a row after a step to u."""
+    decay, passed = factors
+    first, second = state[0] - u, state[1] - u
+    return u + decay * first, u + decay * (second + passed * first)
 
 
 class SecondOrder(AbstractHysteresis):

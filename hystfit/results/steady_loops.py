@@ -1,7 +1,8 @@
 """Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
 
 The steady loop is the last of three cycles over the input range of the fit. Where the record has a time, the cycles last as long as
-its own and have their waveform, sine or triangle; else they are triangular. The creep is that after a step over the same range, of a
+its own, with their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes half a sampling
+interval. Else they are triangular. The creep is that after a step over the same range, of a
 device that has rested at the lower end.
 """
 
@@ -17,6 +18,7 @@ from hystfit.quality.loops import cycles
 from hystfit.results.trades import Trade
 
 _CYCLES, _POINTS = 3, 400
+_FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
 _NO_CREEP = 1e-6  # % a decade
 _LARGE = 0.5  # of the input's range: stroke of the cycles that count as those of the record
@@ -105,6 +107,7 @@ class Excitation:
         interval: between the samples of the cycles [s].
         force_driven: whether the input is the force.
         sine: whether the cycles of the records are nearer to a sine than to a triangle.
+        points: samples of a cycle, an even number.
     """
 
     low: float
@@ -112,25 +115,26 @@ class Excitation:
     interval: float
     force_driven: bool = False
     sine: bool = False
+    points: int = _POINTS
 
     @classmethod
     def of(cls, data: Dataset) -> Excitation:
         """The excitation over the range of the samples that count."""
         low = min(float(r.u[r.used].min()) for r in data)
         high = max(float(r.u[r.used].max()) for r in data)
-        interval, sine = _waveform(data)
-        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine)
+        interval, sine, points = _waveform(data)
+        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine, points)
 
     @property
     def inputs(self) -> np.ndarray:
-        """Inputs of one branch, rising, shape (201,), evenly spaced in time."""
-        phase = np.linspace(0.0, 1.0, _POINTS // 2 + 1)
+        """Inputs of one branch, rising, shape (points / 2 + 1,), evenly spaced in time."""
+        phase = np.linspace(0.0, 1.0, self.points // 2 + 1)
         share = 0.5 * (1 - np.cos(np.pi * phase)) if self.sine else phase
         return self.low + (self.high - self.low) * share
 
     @property
     def loop(self) -> Record:
-        """Three cycles of 400 samples, of which the last shows the steady loop."""
+        """Three cycles, of which the last shows the steady loop."""
         inputs = self.inputs
         u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), _CYCLES)
         return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
@@ -138,14 +142,14 @@ class Excitation:
     @property
     def step(self) -> Record:
         """A step over the range, of a device that has rested on its lower end; as long as `loop`, so that one program serves both."""
-        size = _CYCLES * _POINTS
+        size = max(_CYCLES * self.points, _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
         t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
         return Record(u=u, y=np.zeros(size), t=t, name="step")
 
     def loops(self, y: np.ndarray) -> SteadyLoops:
         """The steady loops in outputs over `loop`, shape (count, T)."""
-        half, y = _POINTS // 2, y[:, -_POINTS:]
+        half, y = self.points // 2, y[:, -self.points :]
         falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
         return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven)
 
@@ -160,8 +164,8 @@ def creeps(percent: np.ndarray) -> bool:
     return not bool((np.abs(percent) < _NO_CREEP).all())
 
 
-def _waveform(data: Dataset) -> tuple[float, bool]:
-    """Sampling interval [s] of cycles as long as the large ones of the records, and whether these are nearer to a sine than a triangle.
+def _waveform(data: Dataset) -> tuple[float, bool, int]:
+    """Sampling interval [s] of cycles like the large ones of the records, whether these are nearer to a sine than a triangle, and samples.
 
     The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
     """
@@ -174,6 +178,7 @@ def _waveform(data: Dataset) -> tuple[float, bool]:
             t, u = record.t[first : last + 1], record.u[first : last + 1]
             about = (u - 0.5 * (u.min() + u.max())) / (0.5 * np.ptp(u))
             shares.append(np.sqrt(np.trapezoid(about**2, t) / (t[-1] - t[0])))
-        interval = float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / _POINTS
-        return interval, bool(np.median(shares) > _SINE)
-    return data[0].sampling_interval or 1.0, False
+        points = int(np.clip(2 * round(np.median(found[:, 2] - found[:, 0]) / 2), _FEWEST, _MOST))
+        interval = float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / points
+        return interval, bool(np.median(shares) > _SINE), points
+    return data[0].sampling_interval or 1.0, False, _POINTS
