@@ -170,7 +170,19 @@ def test_creep_a_decade_has_the_value_and_error_of_the_closed_form():
 def test_the_cycle_of_a_model_with_time_lasts_as_long_as_that_of_the_record():
     t = np.arange(1000) / 50.0
     data = hf.Record(u=np.sin(2 * np.pi * t / 4), y=np.zeros(t.size), t=t)
-    assert Excitation.of(hf.Dataset.of(data)).interval * 400 == pytest.approx(4.0)
+    excitation = Excitation.of(hf.Dataset.of(data))
+    assert excitation.interval * excitation.points == pytest.approx(4.0)
+
+
+def test_the_steady_loop_behind_a_lag_is_that_of_the_fit_on_its_record():
+    """A lag of three samples acts at the sampling rate of the record: at four times that rate the loop would be wider."""
+    t = np.arange(501) / 100
+    u = np.sin(2 * np.pi * t)
+    device = hf.Series(hf.Lag(tau=0.03, rest="first"), TRUTH)
+    y = np.asarray(hf.simulate(device, u, 0.01)[0])
+    fit = hf.fit(device, hf.Record(u=u, y=y, t=t), start="model", starts=1, noise="iid")
+    cycle = fit.predict(fit.data[0])[-101:]
+    assert quantity_values(fit)["loop_area"] == pytest.approx(loop_area(u[-101:], cycle), rel=2e-3)
 
 
 @pytest.mark.parametrize(("wave", "loss"), [(hf.signals.sine, np.pi**2 * 2), (hf.signals.triangle, 16.0)])
