@@ -8,7 +8,7 @@ from .control.bands import inverse_bands as inverse_bands
 from .control.inverse import Inverse as Inverse
 from .control.inverse import invert as invert
 from .control.online_inverse import InverseStep as InverseStep
-from .data.record import Dataset as Dataset
+from .data.dataset import Dataset as Dataset
 from .data.record import Record as Record
 from .errors import HystfitError as HystfitError
 from .explorer.widget import Explorer as Explorer

@@ -7,7 +7,8 @@ import pathlib
 import numpy as np
 import pytest
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code
 from hystfit.outcome.note import has

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystfit import BoucWen, check, datasets, signals, simulate
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.models.data_check import data_kinds
 from hystfit.models.registry import judged_as, make_model
 from hystfit.outcome.note import Code, Severity, has

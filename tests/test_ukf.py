@@ -23,7 +23,8 @@ from hystfit import (
     datasets,
     simulate,
 )
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify import (
     BlockVerdict,

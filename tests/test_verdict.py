@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit import with_test
 from hystfit.fitting.trial import with_left_out
 from hystfit.outcome import Code, Severity, Status

@@ -16,7 +16,7 @@ import numpy as np
 from common import Results, table
 
 import hystfit as hf
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.predictive import predictive_draws

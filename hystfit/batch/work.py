@@ -12,7 +12,8 @@ from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
 from hystfit.config import enable_x64, require_seed
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.fitting.entry import fit
 from hystfit.fitting.estimate import Estimate

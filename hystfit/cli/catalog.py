@@ -94,7 +94,7 @@ def datasets(name: str | None = None, /, *, output: TableOutput = NO_TABLE) -> i
     content |= {"name": name, "about": text}
     if output.out is None:
         return finish(text, content, output)
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
 
     table = record_columns(Dataset.of(known.load(name)))
     return finish_table(text, content, output, name.replace("/", "_"), table)

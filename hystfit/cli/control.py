@@ -41,7 +41,7 @@ def invert(
         reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
     """
     from hystfit.control.inverse import invert as solve
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.results.provenance import provenance
 
     sampled = (fitdir / "posterior.nc").is_file()

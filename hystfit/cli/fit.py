@@ -33,7 +33,7 @@ from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.results.report import Wording
     from hystfit.results.result import FitResult
     from hystfit.results.webpage import Page

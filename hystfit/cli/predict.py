@@ -16,7 +16,7 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 
 if TYPE_CHECKING:
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.results.result import FitResult
 
 

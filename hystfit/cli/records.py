@@ -12,7 +12,8 @@ from hystfit.errors import DataError
 from hystfit.registry import near
 
 if TYPE_CHECKING:
-    from hystfit.data.record import Dataset, Record
+    from hystfit.data.dataset import Dataset
+    from hystfit.data.record import Record
     from hystfit.results.result import FitResult
 
 
@@ -39,7 +40,7 @@ _TREATMENT = ("rate", "dt", "units", "integrate", "smooth")
 
 def load(loops: Sequence[str], reading: Reading) -> Dataset:
     """The records of LOOP arguments, in the units of the first."""
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.several import combined, files_of
 
@@ -55,7 +56,7 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
 
 
 def _load_one(loop: str, reading: Reading) -> Dataset:
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.read import read
     from hystfit.reading.several import pair_of
@@ -71,7 +72,7 @@ def _load_one(loop: str, reading: Reading) -> Dataset:
 
 
 def _load_data_set(name: str, reading: Reading) -> Dataset:
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.curves import select_curves
     from hystfit.reading.treatment import Treatment
@@ -99,7 +100,7 @@ def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["inp
     Args:
         reading: how they are read; names no column for what is missing.
     """
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.reading.several import combined, files_of
 
     unused = ("integrate", "sigma", *(["smooth"] if missing == "input" else []))
@@ -112,7 +113,7 @@ def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["inp
 def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"]) -> Dataset:
     import numpy as np
 
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.reading.assemble import assemble
     from hystfit.reading.read import table_of
     from hystfit.reading.several import with_column

@@ -123,7 +123,7 @@ def _check_options(what: str, axes: int, drive: str | None, population: int | No
 
 
 def _one(record: Record) -> _Measured:
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
 
     return [record], record_columns(Dataset.of(record))
 

@@ -17,7 +17,7 @@ from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
 
 if TYPE_CHECKING:
-    from hystfit.data.record import Dataset
+    from hystfit.data.dataset import Dataset
     from hystfit.results.webpage import Page
 
 

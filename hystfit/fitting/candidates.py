@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.models.data_check import data_kinds
 from hystfit.models.registry import SEARCH, DataKind, compared, make_model
 from hystfit.quality.determination import delayed, falling

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row

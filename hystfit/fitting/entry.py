@@ -7,7 +7,7 @@ from inspect import signature
 from typing import Any
 
 from hystfit.config import require_x64
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Purpose

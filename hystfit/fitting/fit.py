@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.covariance import Uncertainty, uncertainty

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import equinox as eqx
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.estimate import AbstractEstimator, Estimate

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.inference.problem import Problem

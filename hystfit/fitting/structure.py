@@ -14,7 +14,8 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from hystfit.data.batch import bucket
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.fitting.convex import LinearSystem, block_of, fit_ridge
 from hystfit.inference.problem import check_fittable
 from hystfit.models.base import AbstractHysteresis

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from hystfit.data.batch import Batch, bucket
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device

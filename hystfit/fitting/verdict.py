@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.inference.problem import Problem

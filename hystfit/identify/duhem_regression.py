@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample
 from hystfit.models.base import AbstractHysteresis

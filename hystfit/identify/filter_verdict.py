@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
 from hystfit.quality.loops import reversals

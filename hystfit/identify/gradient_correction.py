@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify.base import Run
 from hystfit.identify.bias import noise_bias

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import ModelError
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.inference.problem import Problem

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.config import require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify.base import Sample, run_stream
 from hystfit.identify.filter_verdict import FOLLOWS, NIS_BAND, excess, loop_count, relative_change

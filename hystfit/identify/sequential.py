@@ -6,7 +6,8 @@ import inspect
 from collections.abc import Sequence
 from typing import Any
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify.identification import Identification
 from hystfit.identify.registry import IDENTIFIERS

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.identify.base import free_only
 from hystfit.identify.identification import free_runs, run_metrics

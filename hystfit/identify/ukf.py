@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify import filter_verdict, tuning
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, run_stream

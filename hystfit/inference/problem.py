@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_x64
 from hystfit.data.batch import Batch
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.inference.blocks import chosen
 from hystfit.inference.density import Density

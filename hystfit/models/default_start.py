@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.models.starting import scales_of, thinned
 from hystfit.params.hypercube import spread_points
 from hystfit.params.space import ParameterSpace

@@ -14,7 +14,8 @@ import scipy  # loads its subpackages when they are first used
 from jaxtyping import Array
 
 from hystfit.data.batch import Batch
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.simulation import run
 from hystfit.models.starting import output_range

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record, median_interval
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record, median_interval
 from hystfit.params.units import Scales
 from hystfit.quality.loops import reversals
 

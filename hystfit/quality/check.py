@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 
 _LEAST = 5  # number of curves from which records are recognized as a family

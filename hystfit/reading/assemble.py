@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.preparation import CoarseClock
-from hystfit.data.record import Dataset, Record, median_interval
+from hystfit.data.record import Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn

@@ -7,7 +7,8 @@ import json
 import os
 from pathlib import Path
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.reading.published import ENTRIES, Bundled, DataFile, Measured, Source
 from hystfit.reading.read import read_csv

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.preparation import real_numbers
-from hystfit.data.record import Dataset, Record
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.reading.assemble import assemble
 from hystfit.reading.frames import columns_of, frame_table, is_clock, is_frame, seconds_of, unit_of

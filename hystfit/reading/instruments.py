@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 

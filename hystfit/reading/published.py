@@ -11,7 +11,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code
 from hystfit.reading.instruments import magnetic_loops, pulse_train, shaking_table

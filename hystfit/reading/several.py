@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion

@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.data.steady_cycle import from_turning_point
 from hystfit.quality.loops import reversals
 from hystfit.results.quantities import QUANTITIES

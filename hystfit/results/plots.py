@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hystfit.config import require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.results.labels import use_available_fonts
 from hystfit.results.parameter_plots import draw_density, draw_parameters, draw_weights

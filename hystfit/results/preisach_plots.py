@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.forc import ForcDiagram
 from hystfit.models.preisach.model import Preisach

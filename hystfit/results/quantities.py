@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.results.steady_loops import SteadyLoops
 from hystfit.results.trades import REMANENT, STRUCTURAL, Trade
 

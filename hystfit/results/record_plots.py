@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.inference.autocorrelation import autocorrelation
 from hystfit.params.units import axis_label
 from hystfit.quality.loops import cycles

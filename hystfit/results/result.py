@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError, optional
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis

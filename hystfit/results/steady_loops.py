@@ -13,7 +13,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.quality.loops import cycles
 from hystfit.results.trades import Trade
 

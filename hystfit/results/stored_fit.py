@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.problem import LOSSES, Problem

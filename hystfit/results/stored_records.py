@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError
 from hystfit.results.stored_values import Stored, parse
 

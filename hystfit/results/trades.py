@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.params.units import quantity
 
 

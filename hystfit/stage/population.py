@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.config import require_x64
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.models.simulation import check_one_device
 from hystfit.params.space import ParameterSpace

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.stats import binom
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES

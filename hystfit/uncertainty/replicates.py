@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import enable_x64
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from hystfit.config import require_seed, require_x64
-from hystfit.data.record import Dataset
+from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.outcome import Code, Column, Note, Table

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.model import Elements, Preisach

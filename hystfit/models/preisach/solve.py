@@ -10,7 +10,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOut, Offsets, SmoothSystem, fit_smooth
 

@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.properties import (

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hystfit.data.record import Dataset, Record
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.outcome.table import number, rounded
