@@ -140,7 +140,7 @@ def test_errors_of_many_weights_never_hold_the_whole_jacobian(monkeypatch: pytes
             hf.Record(u=u, y=truth.free_run(np.append(1.0, u))[1:] + 1e-3 * np.cos(40 * u), name=f"{reversal:.3f}")
         )
     data = hf.Dataset(tuple(curves))
-    problem = hf.Problem(hf.SignedPreisach.of(10, spacing="reversal-curves").start(curves), data)
+    problem = hf.Problem(hf.SignedPreisach.of(13, spacing="reversal-curves").start(curves), data)
     whole = 8 * sum(map(len, curves)) * len(problem.space)
 
     def errors() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
+from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
 from hystfit.models.preisach.design_matrix import features
@@ -20,6 +21,7 @@ from hystfit.models.preisach.levels import sharp_levels, steep_levels
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
+from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothSystem, fit_smooth
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.quality.reversal_curves import recognize_family
@@ -259,12 +261,25 @@ class TestReversalCurves:
         assert "14 first-order reversal curves" in " ".join(map(str, result.notes))
         direct = fit_forc(curves, 8, smoothness=SMOOTHNESS)
         np.testing.assert_allclose(result.model.w, direct.model.w, atol=1e-9)
-        offsets = [p.value for p in result.parameters if p.name.startswith("offset")]
-        assert len(offsets) == 14
-        assert np.ptp(offsets) == 0
+        assert [p.name for p in result.parameters if p.name.startswith("offset")] == ["offset"]
         blind = hf.fit(Preisach.of(8), curves)
         assert blind.status == "no-loop"
         assert "preisach-forc" in str(blind.notes[0])
+
+    def test_standard_errors_are_those_of_a_regression_with_one_constant(self):
+        """Reversal curves come from one state: a constant for each would absorb their differences, and errors would be too large."""
+        rng = np.random.default_rng(4)
+        curves = [r.replace(y=r.y + 1e-3 * rng.normal(size=len(r))) for r in family(truth("positive"), 14)]
+        unpenalized = SmoothWeights(smoothness=(1e-14,))
+        result = hf.fit(SignedPreisach.of(5, spacing="reversal-curves"), curves, method=unpenalized, noise="iid")
+        rows = []
+        for record in result.data:
+            A, index = features(result.model, record.u)
+            rows.append(np.column_stack([A, np.ones(len(A))])[index][record.used])
+        expected = result.sigma * np.sqrt(np.diag(np.linalg.inv(np.concatenate(rows).T @ np.concatenate(rows))))
+        known = [(p.stderr, e) for p, e in zip(result.parameters, expected, strict=False) if p.stderr is not None]
+        assert len(known) > 10
+        np.testing.assert_allclose(*np.transpose(known), rtol=1e-4)
 
     def test_bad_families_are_told(self):
         curves = family(truth("positive"), 6)

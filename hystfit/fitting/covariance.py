@@ -136,7 +136,7 @@ def _factor(
     Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
     """
     offsets = problem.space.offsets
-    if x.size <= FEW:
+    if x.size <= FEW or not at_bound.any():
         factor = linear.triangle()
         return factor, _acting(problem, x, np.linalg.norm(centered(factor, offsets)[0], axis=0))
     acts = _acting(problem, x, centered_lengths(linear, offsets))

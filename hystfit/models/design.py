@@ -35,14 +35,12 @@ class Block:
         info: its declaration.
         columns: shape (S, p), for the elements of the array in order.
         penalty: of weights that are many and smooth.
-        shared: one value serves all records, although it is declared for each record.
     """
 
     leaf: int
     info: ParamInfo
     columns: np.ndarray
     penalty: Penalty | None = None
-    shared: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -31,6 +31,7 @@ class ParamInfo:
         fixed: kept at its value unless freed by name.
         per_record: each record of a fit has its own value.
         linear: the output of the model is linear in it.
+        common: one value serves all records of this model, although each record of others has its own.
     """
 
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -40,6 +41,7 @@ class ParamInfo:
     fixed: bool = False
     per_record: bool = False
     linear: bool = False
+    common: bool = False
 
     def __post_init__(self) -> None:
         exponents(self.unit)
@@ -107,6 +109,7 @@ def param(
     fixed: bool = False,
     per_record: bool = False,
     linear: bool = False,
+    common: Callable[[Any], bool] | None = None,
     vector: bool = False,
 ) -> Any:
     """A field of a model that is a parameter.
@@ -114,6 +117,7 @@ def param(
     Args:
         default: value, a number or an array.
         bounds, unit, scale, doc, fixed, per_record, linear: see `ParamInfo`.
+        common: whether one value serves all records of a given model, where `per_record`.
         vector: the parameter is an array of one dimension; a number becomes an array of one element.
 
     Raises:
@@ -121,7 +125,7 @@ def param(
     """
     info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear)
     extra = {} if default is dataclasses.MISSING else {"default": default}
-    return eqx.field(converter=_as_vector if vector else as_array, metadata={"param": info}, **extra)
+    return eqx.field(converter=_as_vector if vector else as_array, metadata={"param": info, "common": common}, **extra)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,6 +151,12 @@ def _snake(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
+def _declaration(node: Any, field: dataclasses.Field[Any]) -> ParamInfo | None:
+    """What a field of a model declares; None for one that is no parameter."""
+    info, common = field.metadata.get("param"), field.metadata.get("common")
+    return dataclasses.replace(info, per_record=False, common=True) if common and common(node) else info
+
+
 def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo | None]:
     """Readable path of a leaf, and its `ParamInfo` if its last field declares one."""
     node, words, info = tree, [], None
@@ -154,7 +164,7 @@ def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo
         info = None
         if isinstance(key, jax.tree_util.GetAttrKey):
             fields = dataclasses.fields(node) if dataclasses.is_dataclass(node) else ()  # a named tuple has none
-            info = next((f.metadata.get("param") for f in fields if f.name == key.name), None)
+            info = next((_declaration(node, f) for f in fields if f.name == key.name), None)
             words.append(key.name)
             node = getattr(node, key.name)
         elif isinstance(key, jax.tree_util.SequenceKey):

@@ -256,8 +256,9 @@ class ParameterSpace:
 
     @property
     def offsets(self) -> np.ndarray:
-        """Which free elements shift the output of one record, shape (p,), bool; their size says nothing about the other parameters."""
-        return self.linear & self.per_record & (self.kinds == REAL)
+        """Which free elements shift the output of records, shape (p,), bool; their size says nothing about the other parameters."""
+        shift = np.array([info.per_record or info.common for info in self.infos], dtype=bool)
+        return self.linear & shift & (self.kinds == REAL)
 
     @property
     def linear(self) -> np.ndarray:

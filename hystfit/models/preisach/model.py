@@ -85,7 +85,15 @@ class Preisach(AbstractPlane):
     b: Float[Array, " degree"] = param(
         (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the reversible part"
     )
-    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    offset: Scalar = param(
+        0.0,
+        unit="y",
+        per_record=True,
+        linear=True,
+        # Reversal curves start from one state: an offset for each would absorb the differences between them.
+        common=lambda model: model.from_saturation,
+        doc="constant part of the output",
+    )
     center: Scalar = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
     elements: Elements = eqx.field(static=True, default="cells")
@@ -265,14 +273,7 @@ class Preisach(AbstractPlane):
         columns_of = dict(zip(("w", "slopes", "b"), parts, strict=True)) | {"offset": np.ones((len(columns), 1))}
         leaves = {leaf.path[-1]: leaf for leaf in leaves_of(self)}
         blocks = (
-            # Reversal curves start from one state: an offset for each would absorb the differences between them.
-            Block(
-                leaves[name].index,
-                leaves[name].info,
-                part,
-                penalties.get(name),
-                name == "offset" and self.from_saturation,
-            )
+            Block(leaves[name].index, leaves[name].info, part, penalties.get(name))
             for name, part in columns_of.items()
             if part.shape[1]
         )

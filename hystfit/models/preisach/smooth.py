@@ -49,9 +49,9 @@ class Layout:
             records: how many there are.
             offsets: see `SmoothSystem.of`.
         """
-        kept = tuple(k for k, block in enumerate(design.blocks) if offsets != "none" or not block.info.per_record)
+        kept = tuple(k for k, block in enumerate(design.blocks) if offsets != "none" or not _is_offset(block))
         blocks = tuple(design.blocks[k] for k in kept)
-        own = tuple(block.info.per_record and offsets == "each" and not block.shared for block in blocks)
+        own = tuple(block.info.per_record and offsets == "each" for block in blocks)
         widths = [block.columns.shape[1] * (records if each else 1) for block, each in zip(blocks, own, strict=True)]
         return cls(blocks, kept, own, tuple(np.cumsum([0, *widths]).tolist()))
 
@@ -136,7 +136,7 @@ class SmoothSystem:
         level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
         level = level if abs(level) > FAR else 0.0
         for block, own, start in zip(blocks, layout.own, starts, strict=False):
-            if block.info.per_record and np.isneginf(block.info.bounds[0]) and np.all(block.columns == 1.0):
+            if _is_offset(block) and np.isneginf(block.info.bounds[0]) and np.all(block.columns == 1.0):
                 origin[start : start + (len(records) if own else 1)] = level
         low, high = np.full(p, np.inf), np.full(p, -np.inf)
         every = itertools.chain([design], others)
@@ -177,6 +177,10 @@ class SmoothSystem:
                     "follow from smoothness alone, and a prediction that reaches them is extrapolation"
                 )
         return tuple(lines)
+
+
+def _is_offset(block: Block) -> bool:
+    return block.info.per_record or block.info.common
 
 
 class _Gram:
