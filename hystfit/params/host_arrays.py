@@ -16,6 +16,7 @@ from hystfit.params.kept_programs import kept
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+_ARRAYS = (np.ndarray, jax.Array, np.generic)
 compile_whole_loops()  # before JAX computes: every model is made of arrays from here
 
 
@@ -33,18 +34,28 @@ def to_device(values: Any, dtype: Any = None) -> jax.Array:
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """`equinox.filter_jit`, at half its cost per call where all leaves of the arguments are arrays or NumPy numbers.
+    """`equinox.filter_jit`, at a third of its cost per call where all leaves of the arguments are arrays or NumPy numbers.
 
     The command line keeps its programs on disk (`hystfit.params.kept_programs`).
 
     Args:
         function: at the level of a module, of positional arguments that are trees.
     """
-    of_arrays, of_any = jax.jit(function), eqx.filter_jit(function)
+    of_any, programs = eqx.filter_jit(function), dict[Any, Callable[..., _R]]()
+
+    def program_for(structure: Any) -> Callable[..., _R]:
+        def of_leaves(*leaves: Any) -> _R:
+            return function(*structure.unflatten(leaves))
+
+        of_leaves.__name__ = function.__name__
+        return programs.setdefault(structure, jax.jit(of_leaves))
 
     @functools.wraps(function)
     def call(*trees: _P.args, **none: _P.kwargs) -> _R:
-        arrays = all(isinstance(leaf, (jax.Array, np.ndarray, np.generic)) for leaf in jax.tree_util.tree_leaves(trees))
-        return (of_arrays if arrays else of_any)(*trees, **none)
+        leaves, structure = jax.tree_util.tree_flatten(trees)
+        if not all(isinstance(leaf, _ARRAYS) for leaf in leaves):
+            return of_any(*trees, **none)
+        # JAX would flatten the trees once more: half the time of a short simulation.
+        return (programs.get(structure) or program_for(structure))(*leaves)
 
     return kept(function, call)
