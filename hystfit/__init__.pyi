@@ -14,7 +14,7 @@ from .errors import HystfitError as HystfitError
 from .explorer.widget import Explorer as Explorer
 from .explorer.widget import explore as explore
 from .fitting.compare import compare as compare
-from .fitting.entry import fit as fit
+from .fitting.fit import fit as fit
 from .inference import priors as priors
 from .inference.problem import Problem as Problem
 from .models import AsymmetricBoucWen as AsymmetricBoucWen

@@ -126,9 +126,10 @@ def test_records_of_one_bucket_share_a_compiled_program(records, monkeypatch):
 
 
 def _task(record: hf.Record) -> bucketed.Task:
+    from hystfit.fitting.fit_options import FitOptions
     from hystfit.fitting.fit_setup import set_up_fit, starting_vectors
 
-    posed = set_up_fit(hf.BoucWen(), hf.Dataset((record,)))
+    posed = set_up_fit(hf.BoucWen(), hf.Dataset((record,)), FitOptions())
     return bucketed.Task.of(posed.problem, starting_vectors(posed.problem, 2, 0, posed.points))
 
 
@@ -234,10 +235,10 @@ def test_a_loop_without_a_fit_is_a_row_with_its_reason(folder):
 def test_a_loop_that_breaks_the_numerics_does_not_end_the_batch(monkeypatch, records):
     judge = work.judge
 
-    def breaks(posed, estimate, **more):
+    def breaks(posed, estimate, *more):
         if posed.problem.data[0].name == "loop 1":
             raise np.linalg.LinAlgError("SVD did not converge")
-        return judge(posed, estimate, **more)
+        return judge(posed, estimate, *more)
 
     monkeypatch.setattr(work, "judge", breaks)
     fits = hf.fit_many("bouc-wen", records[:2], **QUICK)
@@ -359,7 +360,10 @@ def test_a_killed_command_resumes_and_writes_the_same_table(tmp_path):
     assert 0 < done < 48
     for out in ("killed", "whole"):
         ended = subprocess.run([*command, "--out", out], timeout=300, check=False, **options)
-        assert (ended.returncode, ended.stderr) == (0, b"")
+        assert ended.returncode == 0
+        assert [
+            line for line in ended.stderr.splitlines() if not line.startswith(b"fitting ")
+        ] == []  # progress of a slow run
     assert (tmp_path / "killed" / "fits.csv").read_bytes() == (tmp_path / "whole" / "fits.csv").read_bytes()
     assert len(rows.read_bytes().splitlines()) == 48
 

@@ -112,7 +112,7 @@ def test_the_weights_need_their_columns_and_a_block(monkeypatch: pytest.MonkeyPa
 def test_the_factor_of_blocks_is_that_of_all_rows(rows: int) -> None:
     whole = matrix(100, 9)
     parts = (whole[start : start + rows] for start in range(0, 100, rows))
-    factor = blocks.triangle_of_blocks(parts, 9)
+    factor = blocks.triangle(parts, 9)
     np.testing.assert_array_equal(factor, np.triu(factor))
     size = np.linalg.norm(whole, axis=0) + (np.linalg.norm(whole, axis=0) == 0)
     np.testing.assert_allclose((factor / size).T @ (factor / size), (whole / size).T @ (whole / size), atol=1e-12)

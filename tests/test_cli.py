@@ -128,10 +128,10 @@ def test_fit_prints_json_alone(loop, fitted, capsys):
 
 
 def test_auto_fits_the_winner_and_notes_the_choice(loop, capsys, monkeypatch):
-    from hystfit.fitting import entry
+    from hystfit.fitting import fit as fit_module
 
-    everything = entry.compare
-    monkeypatch.setattr(entry, "compare", lambda data, models=None, **k: everything(data, ["bouc-wen"], **k))
+    everything = fit_module.compare
+    monkeypatch.setattr(fit_module, "compare", lambda data, models=None, **k: everything(data, ["bouc-wen"], **k))
     assert run(["fit", str(loop), "--test-window", "2:"]) == 0
     assert "bouc-wen fitted to loop: usable" in capsys.readouterr().out
     assert run(["fit", str(loop), "--test-window", "2:", "--json"]) == 0

@@ -1,5 +1,7 @@
 """Estimators against each other and against linear theory; what a result says of data that determine little."""
 
+import dataclasses
+import inspect
 import itertools
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -12,6 +14,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, ModelError, ParameterError
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.registry import ESTIMATORS
@@ -54,6 +57,18 @@ def test_fit_needs_no_guess_and_reports_units(fitted):
     assert fitted["h0"].fixed
     assert fitted["h0"].stderr is None
     assert fitted.in_best_basin >= 4
+
+
+def test_the_options_of_every_fit_are_those_of_the_public_function():
+    """Fits of a comparison or a batch begin with `FitOptions()`."""
+    public = inspect.signature(hf.fit).parameters
+    assert {field.name: field.default for field in dataclasses.fields(FitOptions)} == {
+        name: p.default
+        for name, p in public.items()
+        if name not in ("model", "data", "y", "t", "u", "test", "settings")
+    }
+    assert FitOptions(fix=[], free={}, seed=3).changed() == []
+    assert FitOptions(fix={"c": 1.0}, starts=1).changed() == ["fix", "starts"]
 
 
 @pytest.mark.parametrize("method", ["dogleg", "trf", "lbfgsb", "projected-gradient"])

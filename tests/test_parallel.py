@@ -57,9 +57,10 @@ def agree(found: object, wanted: object) -> None:
     ],
 )
 def test_the_route_follows_from_device_and_size(
-    where: str, samples: int, lanes: int, associative: bool, chosen: Route
+    where: str, samples: int, lanes: int, associative: bool, chosen: Route, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert route(samples, lanes, associative=associative, where=where) is chosen
+    monkeypatch.setattr(routes, "platform", lambda: where)
+    assert route(samples, lanes, associative=associative) is chosen
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from hystfit.errors import DataError
 from hystfit.outcome.note import Code, Severity, has
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading import read, read_csv
-from hystfit.reading.columns import column_quantity
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.text import read_table
 from hystfit.results.stored_records import load_records, save_records

@@ -17,7 +17,8 @@ from matplotlib import font_manager, image
 
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
-from hystfit.fitting.fit import fit, with_test
+from hystfit.fitting.fit import fit
+from hystfit.fitting.trial import with_test
 from hystfit.inference.problem import Problem
 from hystfit.models import BoucWen, PrandtlIshlinskii, Preisach, simulate
 from hystfit.outcome import Status

@@ -421,9 +421,9 @@ def test_what_a_killed_run_left_is_removed(result, saved):
 
 
 def test_a_folder_of_other_content_is_found_before_any_work(result, saved, sampled, tmp_path, capsys, monkeypatch):
-    from hystfit.fitting import entry
+    from hystfit.fitting import fit as fit_module
 
-    monkeypatch.setattr(entry, "fit", lambda *_, **__: pytest.fail("computed before the check"))
+    monkeypatch.setattr(fit_module, "fit", lambda *_, **__: pytest.fail("computed before the check"))
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "result.json").write_text('{"mine": 1}')

@@ -111,10 +111,11 @@ def test_the_factor_in_blocks_is_that_of_all_rows(monkeypatch):
     joint = np.column_stack([rows[:, order], last])
     monkeypatch.setattr(blocks, "ENTRIES", 28)  # 7 rows of four columns
     monkeypatch.setattr(blocks, "TALL", 1)
-    factor = blocks.triangle(rows, last, order)
-    assert factor.shape == (4, 4)
+    parts = list(blocks.beside(rows, last, order))
+    assert {len(part) for part in parts} == {7, 1}
+    np.testing.assert_array_equal(np.vstack(parts), joint)
+    factor = blocks.triangle(parts, 4)
     np.testing.assert_allclose(factor.T @ factor, joint.T @ joint, rtol=1e-12)
-    assert blocks.triangle(rows[:2]).shape == (2, 3)
 
 
 def test_polish_that_stops_at_its_limit_has_not_converged():

@@ -8,8 +8,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.fit import with_test
-from hystfit.fitting.trial import with_left_out
+from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality import baselines

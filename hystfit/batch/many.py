@@ -91,7 +91,12 @@ def _described(work: Work) -> dict[str, Any]:
     """The settings that identify a batch: model, options and reading, not its loops."""
     model = work.model if isinstance(work.model, str) else to_json(work.model)
     plain = lambda options: {name: repr(value) for name, value in sorted(options.items())}
-    return {"model": model, "options": plain(work.options), "reading": plain(work.reading), "units": dict(work.units)}
+    return {
+        "model": model,
+        "options": plain(vars(work.options)),
+        "reading": plain(work.reading),
+        "units": dict(work.units),
+    }
 
 
 def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row]]]:

@@ -11,14 +11,15 @@ from typing import Any, cast
 from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
-from hystfit.config import enable_x64, require_seed
+from hystfit.config import enable_x64
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
-from hystfit.fitting.entry import fit
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.fit import changed_settings, judge
-from hystfit.fitting.fit_setup import PLAIN_NOISE, FitSetup, check_settings, set_up_fit, solve, starting_vectors
+from hystfit.fitting.fit import fit
+from hystfit.fitting.fit_model import judge
+from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.fit_setup import FitSetup, set_up_fit, solve, starting_vectors
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.outcome import Status
@@ -29,9 +30,7 @@ from hystfit.results.timing import Stopwatch
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
-_POSED = ("method", "fix", "free", "start", "loss")
 _SAMPLES = 2**19  # read before they are fitted, so that memory is bounded
-_DEFAULTS = {name: inspect.signature(fit).parameters[name].default for name in (*_POSED, "starts", "seed", "noise")}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,13 +39,13 @@ class Work:
 
     Attributes:
         model: a model or its name.
-        options: of `hystfit.fit`.
+        options: of each fit.
         reading: of `hystfit.read`, for loops that are files.
         units: to which loops are converted.
     """
 
     model: AbstractHysteresis | str
-    options: Mapping[str, Any]
+    options: FitOptions
     reading: Mapping[str, Any]
     units: Mapping[str, str]
 
@@ -63,19 +62,18 @@ class Work:
             options: of `hystfit.fit`.
             reading: of `hystfit.read`.
         """
-        if unknown := [name for name in options if name not in _DEFAULTS]:
-            raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(_DEFAULTS)}")
+        known = [field.name for field in dataclasses.fields(FitOptions)]
+        if unknown := [name for name in options if name not in known]:
+            raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(known)}")
         if unread := [name for name in reading if name not in inspect.signature(read).parameters]:
             raise ParameterError(f"reading has no setting {unread[0]!r}; see hystfit.read")
-        chosen = _DEFAULTS | dict(options)
-        check_settings(*(chosen[name] for name in ("method", "starts", "loss", "noise", "start")))
-        require_seed(chosen["seed"])
+        chosen = FitOptions(**options)
+        chosen.check()
         work = cls(make_model(model) if isinstance(model, type) else model, chosen, dict(reading), {})
-        compared = work.searches and work.model == AUTO
-        if compared and (changed := changed_settings({k: v for k, v in chosen.items() if k != "seed"})):
+        if work.searches and work.model == AUTO and (changed := chosen.changed()):
             raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
         if not work.searches:
-            space = ParameterSpace.of(make_model(work.model), fix=chosen["fix"], free=chosen["free"])
+            space = ParameterSpace.of(make_model(work.model), fix=chosen.fix, free=chosen.free)
             if not len(space):
                 raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
         return work
@@ -88,9 +86,9 @@ class Work:
     @property
     def quick(self) -> bool:
         """Whether a loop is expected to take milliseconds."""
-        if self.searches or self.options["method"] not in ("auto", _TOGETHER):
+        if self.searches or self.options.method not in ("auto", _TOGETHER):
             return False
-        return make_model(self.model).estimator is None and self.options["noise"] in PLAIN_NOISE
+        return make_model(self.model).estimator is None and self.options.plain_noise
 
 
 @dataclasses.dataclass
@@ -165,21 +163,15 @@ def _in_common_units(work: Work, loop: _Loop) -> Record:
 
 def _search(work: Work, loop: _Loop) -> None:
     record = _in_common_units(work, loop)
-    loop.row = row_of(loop.name, loop.source.file, record, fit(work.model, record, **work.options))
+    loop.row = row_of(loop.name, loop.source.file, record, fit(work.model, record, **vars(work.options)))
 
 
 def _pose(work: Work, loop: _Loop) -> None:
-    options = {name: work.options[name] for name in _POSED}
-    named = isinstance(work.model, str)
-    loop.fit_setup = fit_setup = set_up_fit(
-        make_model(work.model),
-        Dataset.of(_in_common_units(work, loop)),
-        held=not named,
-        keep_outliers=work.options["noise"] not in PLAIN_NOISE,
-        **options,
-    )
+    data = Dataset.of(_in_common_units(work, loop))
+    held = not isinstance(work.model, str)
+    loop.fit_setup = fit_setup = set_up_fit(make_model(work.model), data, work.options, held=held)
     if fit_setup.method == _TOGETHER:
-        starts = starting_vectors(fit_setup.problem, work.options["starts"], work.options["seed"], fit_setup.points)
+        starts = starting_vectors(fit_setup.problem, work.options.starts, work.options.seed, fit_setup.points)
         loop.task = Task.of(fit_setup.problem, starts)
 
 
@@ -199,11 +191,9 @@ def _solve_together(loops: Sequence[_Loop]) -> None:
 
 def _judge(work: Work, loop: _Loop) -> None:
     watch, fit_setup, record = Stopwatch(), cast(FitSetup, loop.fit_setup), cast(Record, loop.record)
-    starts, seed, noise = (work.options[name] for name in ("starts", "seed", "noise"))
+    starts, seed = work.options.starts, work.options.seed
     estimate = loop.estimate or solve(fit_setup.problem, fit_setup.method, starts, seed, fit_setup.points)
-    loop.row = row_of(
-        loop.name, loop.source.file, record, judge(fit_setup, estimate, noise=noise, seed=seed, watch=watch)
-    )
+    loop.row = row_of(loop.name, loop.source.file, record, judge(fit_setup, estimate, work.options, watch))
     loop.fit_setup = loop.task = loop.estimate = None  # arrays of the record are not kept
 
 
@@ -215,4 +205,4 @@ def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
     """
     record = dict(source.loops(work.reading))[row.name].in_units(**work.units)
     model = row.model if work.searches and row.model else work.model
-    return fit(model, record, **work.options)
+    return fit(model, record, **vars(work.options))

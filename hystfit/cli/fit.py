@@ -91,12 +91,12 @@ def fit(
     elif purpose != "prediction":
         raise ParameterError("--for chooses among models: it has no effect with --model or a sequential method")
     else:
-        from hystfit.fitting.entry import fit as fit_model
+        from hystfit.fitting.fit import fit as fit_model
 
         with progress(f"fitting {model}"):
             result = fit_model(model, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
     if test is not None:
-        from hystfit.fitting.fit import with_test
+        from hystfit.fitting.trial import with_test
 
         result = with_test(result, test, refit_offset=split.refit_offset)
 
@@ -141,10 +141,10 @@ def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Spli
 
 def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, seed: int) -> FitResult:
     """The winner of `compare`, with a note on the choice."""
-    from hystfit.fitting.entry import best_model
-    from hystfit.fitting.fit import changed_settings
+    from hystfit.fitting.fit import best_model
+    from hystfit.fitting.fit_options import FitOptions
 
-    if changed := changed_settings({**options, "method": method}):
+    if changed := FitOptions(method=method, **options).changed():
         raise ParameterError(
             f"--{changed[0]} needs a chosen model: add --model NAME (hystfit models lists them, hystfit compare ranks them)"
         )
@@ -180,7 +180,7 @@ def compare(
     comparison = compare_models(train, names or None, left_out=left_out, purpose=purpose, seed=seed)
     text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner
     if test is not None:
-        from hystfit.fitting.fit import with_test
+        from hystfit.fitting.trial import with_test
         from hystfit.results.report import metrics_words
 
         winner = with_test(winner, test, refit_offset=split.refit_offset)

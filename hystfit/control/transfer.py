@@ -9,6 +9,8 @@ import numpy as np
 
 from hystfit.errors import ParameterError
 
+_POINTS = 20_000  # of the grid of frequencies, besides those near the corners
+
 
 @dataclasses.dataclass(frozen=True)
 class TransferFunction:
@@ -99,7 +101,7 @@ class Margins:
     stable: bool
 
 
-def margins(loop: TransferFunction, delay: float = 0.0, points: int = 20000) -> Margins:
+def margins(loop: TransferFunction, delay: float = 0.0) -> Margins:
     """Margins of a loop with a dead time `delay` [s], unit negative feedback.
 
     Evaluated on a grid of frequencies from 1e-3 of the slowest corner to 1e3 of the fastest, dense enough for resonances of
@@ -108,13 +110,12 @@ def margins(loop: TransferFunction, delay: float = 0.0, points: int = 20000) -> 
     Args:
         loop: open loop.
         delay: dead time [s].
-        points: of the logarithmic grid, besides those near the corners.
     """
     corners = np.abs(np.concatenate([loop.poles, loop.zeros]))
     corners = corners[corners > 0]
     low, high = (1e-3 * corners.min(), 1e3 * corners.max()) if corners.size else (1e-3, 1e3)
     w = np.unique(
-        np.concatenate([np.geomspace(low, high, points), *(c * np.linspace(0.9, 1.1, 2001) for c in corners)])
+        np.concatenate([np.geomspace(low, high, _POINTS), *(c * np.linspace(0.9, 1.1, 2001) for c in corners)])
     )
     value = loop(1j * w) * np.exp(-1j * w * delay)
     size, angle = np.abs(value), np.unwrap(np.angle(value))

@@ -16,7 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.explorer.decimation import chunks, visible
 from hystfit.explorer.view import View
-from hystfit.fitting.entry import fit
+from hystfit.fitting.fit import fit
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.data_check import data_kinds
 from hystfit.models.registry import MODELS, compared, make_model

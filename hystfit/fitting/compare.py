@@ -17,7 +17,8 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.fit import fit
+from hystfit.fitting.fit_model import fit_model
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem, without_faults
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
@@ -289,7 +290,7 @@ class _Judge:
         name = one.name
         progress("fit")
         if name == SEARCH:
-            result = fit(SEARCH, self.data, seed=self.seed)
+            result = fit_model(SEARCH, self.data, FitOptions(seed=self.seed))
         else:
             given = self.named.get(name, name)
             model = make_model(given)
@@ -297,9 +298,9 @@ class _Judge:
             sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
             first = one.first.error if one.first else None
             if not sized and (choice := choose_size(model, self.data, progress, first)).notes:
-                result = fit(choice.model, self.data, seed=self.seed).with_notes(*choice.notes)
+                result = fit_model(choice.model, self.data, FitOptions(seed=self.seed)).with_notes(*choice.notes)
             else:
-                result = fit(given, self.data, seed=self.seed)
+                result = fit_model(given, self.data, FitOptions(seed=self.seed))
         progress("cross-validation")
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):

@@ -1,61 +1,42 @@
-"""The fit of one model to records; `hystfit.fit` in `entry` calls it."""
+"""`hystfit.fit`: records from what the user has, the model that is meant, and its fit."""
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from typing import Any
 
-import numpy as np
-
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_x64
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import Record
 from hystfit.errors import ParameterError
-from hystfit.fitting.assessment import notes_of
-from hystfit.fitting.covariance import Uncertainty, uncertainty
-from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.fit_setup import (
-    PLAIN_NOISE,
-    FitSetup,
-    Start,
-    check_settings,
-    choose_method,
-    set_up_fit,
-    solve,
-    without_faults,
-)
-from hystfit.fitting.noise_refinement import refine
-from hystfit.fitting.registry import ESTIMATORS, is_sequential
-from hystfit.fitting.structure import search_structure
-from hystfit.fitting.trial import evaluate_on, with_left_out, worse
-from hystfit.fitting.verdict import Fitted, verdict_of
-from hystfit.identify.identification import as_fit
-from hystfit.identify.sequential import identify
+from hystfit.fitting.compare import compare
+from hystfit.fitting.comparison import Purpose
+from hystfit.fitting.estimate import AbstractEstimator
+from hystfit.fitting.fit_model import fit_model
+from hystfit.fitting.fit_options import FitOptions, Start
+from hystfit.fitting.registry import is_sequential
+from hystfit.fitting.trial import with_test
 from hystfit.inference.noise.base import AbstractNoise
-from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.objective import Loss
-from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import SEARCH, make_model
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
-from hystfit.quality.baselines import Baselines
-from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
-from hystfit.results.metrics import Metrics
-from hystfit.results.provenance import provenance
+from hystfit.reading.frames import is_frame
+from hystfit.reading.in_memory import records_of
+from hystfit.reading.read import read
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 
-_ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
+_OF_SEQUENTIAL = "duhem"  # the model that "auto" means where an identifier runs over the samples
+_OF_READ = signature(read).parameters
 
 
 def fit(
     model: AbstractHysteresis | type[AbstractHysteresis] | str,
-    data: Record | Dataset | Sequence[Record],
+    data: Any = None,
+    y: Any = None,
+    t: Any = None,
     *,
+    u: Any = None,
     method: str | AbstractEstimator = "auto",
     fix: Sequence[str] | Mapping[str, Any] = (),
     free: Sequence[str] = (),
@@ -64,178 +45,83 @@ def fit(
     seed: int = 0,
     loss: Loss = "linear",
     noise: str | type[AbstractNoise] = "auto",
-    test: Record | Dataset | Sequence[Record] | None = None,
+    test: Any = None,
     **settings: Any,
 ) -> FitResult:
-    """Fit one model to records; arguments, result and errors as for `hystfit.fit`.
+    """Fit a model to measured loops by least squares on its simulated output, or by a sequential identifier.
+
+    `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
 
     Args:
-        model: a model, its class or its name.
-        data: one record or several.
-        method, fix, free, start, starts, seed, loss, noise, settings: see `hystfit.fit`.
-        test: records to report the error on.
-    """
-    require_x64()
-    require_seed(seed)
-    named = not isinstance(model, AbstractHysteresis)
-    data = Dataset.of(data)
-    notes: list[Note] = []
-    if isinstance(model, str) and model == SEARCH and not is_sequential(method):
-        if isinstance(start, Mapping):
-            raise ParameterError(f"{SEARCH} chooses its terms on the data: leave out starting values by name")
-        found = search_structure(without_faults(data))
-        model, start, notes = found.model, "model", list(found.notes())
-    model = make_model(model)
-    watch = Stopwatch()
-    if is_sequential(method):
-        given = {"fix": fix, "free": free, "start": start, "starts": starts, "loss": loss, "noise": noise}
-        if changed := changed_settings(given):
-            raise ParameterError(f"{changed[0]}= has no effect with method={method!r}: leave it out")
-        result = as_fit(identify(data, method, model, **settings), seed, watch)
-        return result if test is None else with_test(result, test)
-    if settings:
-        raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
-    check_settings(method, starts, loss, noise, start)
-    fit_setup = set_up_fit(
-        model, data, method=method, fix=fix, free=free, start=start, loss=loss, held=not named,
-        keep_outliers=noise not in PLAIN_NOISE, notes=tuple(notes),
-    )  # fmt: skip
-    estimate = solve(fit_setup.problem, fit_setup.method, starts, seed, fit_setup.points)
-    result = judge(fit_setup, estimate, noise=noise, seed=seed, watch=watch)
-    return result if test is None else with_test(result, test)
+        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`. "prandtl-ishlinskii-search"
+            searches that family for the terms that predict left-out data best, and the result names them.
+        data: a record, several, or a data frame (pandas, polars, a dictionary of columns); or the input, shape (T,). Windows are set
+            by `Record.window`.
+        y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
+        t: time of each sample [s], shape (T,), or a column of a data frame; models that depend on time need it.
+        u: column of the input in a data frame; or the input, where it is given by name.
+        method: "lm", "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
+            (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
+            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
+            "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
+        fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
+            the records where `start` is "data" and the model is given by name.
+        free: parameters to fit that the model holds by default.
+        start: "data" reads starting values off the records, "model" takes the model's own; values by name ({"tau": 0.01}) replace
+            those read off the records.
+        starts: number of starting points: the data-driven one, and a Latin hypercube about it; at most so many of a model that
+            reads several off the records.
+        seed: of the starting points.
+        loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that bends at 1 % of the output's range.
+        noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
+            slow (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" treats residuals as independent. "ou" (slow and
+            independent noise), "ar1", "student-t", "discrepancy" (model error that repeats every loop), my_noise.py:MyNoise or a
+            class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
+            standard errors under a repeating misfit need "discrepancy" (the notes say when).
+        test: records to report the error on, never fitted; or a data frame with the same columns.
+        **settings: of a sequential identifier, see `hystfit.identify`.
 
-
-def judge(
-    fit_setup: FitSetup, estimate: Estimate, *, noise: str | type[AbstractNoise], seed: int, watch: Stopwatch
-) -> FitResult:
-    """The result of a solved fit: standard errors under the noise, and the verdict."""
-    problem, notes = fit_setup.problem, list(fit_setup.notes)
-    if noise in PLAIN_NOISE:
-        errors = uncertainty(problem, estimate, correlated=noise == "auto")
-        slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
-        noise_estimate = NoiseEstimate(str(noise), slow.noise.parameters if slow else {})
-    else:
-        estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
-        notes.append(description)
-    notes += _mismatches(errors, noise, problem.scales.y)
-    label = ESTIMATORS.label(fit_setup.method)
-    return _make_result(problem, estimate, errors, label, seed, watch, noise=noise_estimate, notes=notes)
-
-
-def changed_settings(given: Mapping[str, Any]) -> list[str]:
-    """Names of the settings of `fit` that have another value than their default."""
-    defaults = {name: p.default for name, p in inspect.signature(fit).parameters.items()}
-    return [name for name, value in given.items() if (value or None) != (defaults[name] or None)]
-
-
-def _with_noise(
-    problem: Problem, estimate: Estimate, noise: str | type[AbstractNoise]
-) -> tuple[Estimate, Uncertainty, NoiseEstimate, Note]:
-    """The estimate refined by a noise model, its errors, the noise, and a note that describes it."""
-    if problem.objective.loss != "linear":
-        raise ParameterError(f"noise={noise!r} has a likelihood of its own: leave loss at 'linear'")
-    refined = refine(problem, estimate.x, noise)
-    label, notes = refined.noise.name, estimate.notes
-    if not refined.converged:
-        notes = (*notes, warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"))
-    predicted = zip(problem.data, problem.predict(refined.x), strict=True)
-    squares = sum(np.sum((r.weight * (r.y - y) ** 2)[r.used]) for r, y in predicted)
-    cost = 0.5 * float(squares) / problem.scales.y**2
-    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=notes, linearized=None)
-    rows = zip(refined.space.names, refined.values, refined.space.units, strict=True)
-    values = ", ".join(f"{name} = {value:.3g} {unit}".rstrip() for name, value, unit in rows)
-    description = Note(Code.NOISE_MODEL, f"noise model {label}: {values}")
-    noise_estimate = NoiseEstimate(NOISES.label(noise), refined.parameters)
-    return changed, uncertainty(problem, changed, root=refined.root), noise_estimate, description
-
-
-def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: float) -> list[Note]:
-    """Findings about the residuals that errors of this kind do not allow for; `size` is that of the output."""
-    if errors.sigma < _ROUNDING * size:
-        return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
-    diagnosis = diagnose(errors.residuals)
-    if noise == "auto":
-        return [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]
-    return [
-        dataclasses.replace(note, text=f"noise={noise!r} was chosen, but {note.text}")
-        for note in diagnosis.objections(NOISES.find(noise))  # type: ignore[arg-type]
-    ]
-
-
-def _make_result(
-    problem: Problem,
-    estimate: Estimate,
-    errors: Uncertainty,
-    method: str,
-    seed: int,
-    watch: Stopwatch,
-    *,
-    noise: NoiseEstimate,
-    notes: Sequence[Note] = (),
-) -> FitResult:
-    """The `FitResult` of an estimate, with its verdict."""
-    data, x = problem.data, estimate.x
-    measured = [r.y[r.used] for r in data]
-    predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
-    train = Metrics.of(measured, predicted)
-    rows = [y - m for y, m in zip(predicted, measured, strict=True)]
-    model = problem.space.assembled(x)
-    baselines = Baselines.of(data)
-    fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
-    status, reasons = verdict_of(fitted)
-    compile_s, run_s = watch.read()
-    result = FitResult(
-        problem=problem,
-        x=np.asarray(x),
-        status=status,
-        notes=(*reasons, *notes, *notes_of(problem, model, estimate, errors)),
-        parameters=_parameters_of(problem, x, errors),
-        covariance=errors.covariance,
-        joint=errors.joint,
-        train=train,
-        test=None,
-        sigma=errors.sigma,
-        correlation_time=errors.correlation_time,
-        error_ratio=errors.ratio,
-        rank=errors.rank,
-        condition=errors.condition,
-        method=method,
-        starts=int(estimate.costs.size),
-        in_best_basin=estimate.in_best_basin,
-        compile_s=compile_s,
-        run_s=run_s,
-        noise=noise,
-        baselines=baselines,
-        provenance=provenance(data, seed, evaluations=estimate.evaluations),
-    )
-    return result if estimate.left_out is None else with_left_out(result, estimate.left_out)
-
-
-def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
-    """The result judged on records that were not fitted: their error, and a status that includes it.
-
-    With `refit_offset`, each prediction is shifted to the mean of its record.
+    Returns:
+        A result with a status; look at `usable` and `notes` before using its numbers.
 
     Raises:
-        HystfitError: the model cannot predict the records.
+        HystfitError: data, names or settings that cannot be used; the message names the remedy.
     """
-    trial = evaluate_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
-    notes = [Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted")] if refit_offset else []
-    status = worse(result.status, trial.status)
-    changed = dataclasses.replace(result, test=trial.metrics, test_baselines=trial.baselines, status=status)
-    return changed.with_notes(*trial.notes, *notes)
-
-
-def _parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:
-    """Every parameter, free ones first, for the report."""
-    rows, variance, sides = parameter_estimates(problem.space, x), np.diag(errors.covariance), problem.at_bound(x)
-    free = [
-        dataclasses.replace(
-            row,
-            stderr=float(np.sqrt(square)) if np.isfinite(square) else None,
-            at_bound=side,
-            identifiable=bool(known) and not side,
+    require_x64()
+    if isinstance(data, str | AbstractHysteresis) and not isinstance(model, str | type | AbstractHysteresis):
+        name = repr(data) if isinstance(data, str) else type(data).__name__ + "()"
+        raise ParameterError(f"the model comes first, then the data: hystfit.fit({name}, data)")
+    if of_read := [name for name in settings if name in _OF_READ and not is_sequential(method)]:
+        raise ParameterError(
+            f"{of_read[0]}= is an option of hystfit.read, which takes files and data frames: "
+            f"hystfit.fit(model, hystfit.read(data, {of_read[0]}=...))"
         )
-        for row, square, side, known in zip(rows, variance, sides, errors.determined, strict=False)
-    ]
-    return (*free, *rows[len(free) :])
+    records = records_of(data, y, t, u=u)
+    tested = None if test is None else records_of(test, y, t, u=u) if is_frame(test) else records_of(test)
+    options = FitOptions(method, fix, free, start, starts, seed, loss, noise)
+    if isinstance(model, str) and model == "auto" and is_sequential(method):
+        model = _OF_SEQUENTIAL
+    if isinstance(model, str) and model == "auto":
+        if changed := [*options.changed(), *settings]:
+            raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
+        result = best_model(records, seed)
+    else:
+        result = fit_model(model, records, options, **settings)
+    return result if tested is None else with_test(result, tested)
+
+
+def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") -> FitResult:
+    """The fit of the model that wins the comparison, with notes on the choice."""
+    comparison = compare(data, purpose=purpose, seed=seed)
+    best, count = comparison.rows[0], len(comparison.rows)
+    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
+    scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
+    reason = "is the only candidate for these data"
+    if count > 1:
+        reason = f"is the best of {count} models by cross-validation"
+    if min(scores, default=None) != best.score_percent:
+        reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
+    choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
+    failed = [row for row in comparison.rows if row.status is Status.FAILED]
+    left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]
+    return comparison.winner.with_notes(choice, *left_out, first=True)

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.errors import ParameterError
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.multistart import starting_vectors, with_record_parameters
 from hystfit.fitting.registry import ESTIMATORS
-from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.objective import Loss
-from hystfit.inference.problem import LOSSES, Problem, check_fittable
+from hystfit.inference.problem import Problem, check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import saturated_samples
 from hystfit.quality.summary import outliers_of
 
-PLAIN_NOISE = ("auto", "iid")  # the others have a likelihood of their own, in which outliers may have a place
-Start = Literal["data", "model"] | Mapping[str, float]
 _MANY = 4  # weights on a bound from which the convex solve is the default
 
 
@@ -48,27 +45,21 @@ class FitSetup:
 
 
 def set_up_fit(
-    model: AbstractHysteresis,
-    data: Dataset,
-    *,
-    method: str | AbstractEstimator = "auto",
-    fix: Sequence[str] | Mapping[str, Any] = (),
-    free: Sequence[str] = (),
-    start: Start = "data",
-    loss: Loss = "linear",
-    held: bool = False,
-    keep_outliers: bool = False,
-    notes: tuple[Note, ...] = (),
+    model: AbstractHysteresis, data: Dataset, options: FitOptions, *, held: bool = False, notes: tuple[Note, ...] = ()
 ) -> FitSetup:
     """Set up a fit: the problem, its estimator and starting points.
 
-    Arguments as in `hystfit.fit`, and notes on choices made before. With `held`, parameters in `fix` without a value keep that of
-    the model where starting values are read off the data. With `keep_outliers`, isolated outliers of the output are fitted; a robust
-    loss always has them.
+    Args:
+        model: to be fitted.
+        data: the records.
+        options: of the fit. Isolated outliers of the output are fitted where a noise model or a robust loss has a place for them.
+        held: parameters in `fix` without a value keep that of the model where starting values are read off the data.
+        notes: on choices made before.
     """
     check_fittable(model, data)
-    data = without_faults(data, keep_outliers=keep_outliers or loss != "linear")
+    data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")
     points: tuple[AbstractHysteresis, ...] = (model,)
+    fix, free, loss, start = options.fix, options.free, options.loss, options.start
     if start != "model":
         fix = _fixed_values(model, fix) if held else fix
         problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
@@ -78,7 +69,7 @@ def set_up_fit(
         model = points[0]
     else:
         problem = Problem(model, data, fix=fix, free=free, loss=loss)
-    name = choose_method(problem) if method == "auto" else method
+    name = choose_method(problem) if options.method == "auto" else options.method
     if name == "convex" and start != "model" and model.has_rest:
         problem, of_rest = _choose_rest(problem, fix, free, loss)
         notes = (*notes, *of_rest)
@@ -118,24 +109,6 @@ def _fixed_values(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, A
     """`fix` with the model's own values where it gives none: starting values read off the data must not replace them."""
     values = dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix)
     return {name: ParameterSpace.of(model).value(name) if value is None else value for name, value in values.items()}
-
-
-def check_settings(method: Any, starts: int, loss: str, noise: Any, start: Any) -> None:
-    """Refuse settings that no data can be fitted with.
-
-    Raises:
-        ParameterError: one of them is unknown.
-    """
-    if method != "auto" and not isinstance(method, AbstractEstimator):
-        ESTIMATORS.find(method)
-    if noise != "auto":
-        NOISES.find(noise)
-    if loss not in LOSSES:
-        raise ParameterError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
-    if start not in ("data", "model") and not isinstance(start, Mapping):
-        raise ParameterError(f"start must be data, model, or values of parameters by name, got {start!r}")
-    if starts < 1:
-        raise ParameterError(f"at least one start is needed, got {starts}")
 
 
 def choose_method(problem: Problem) -> str:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.inference.blocks import triangle
+from hystfit.inference.blocks import beside, triangle
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
@@ -111,7 +111,7 @@ def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int)
         cost = 0.5 * float(residual @ residual)
         if not np.isfinite(cost):
             return _Linearized(z, x, cost, np.empty((0, 0)), None)
-        factor = triangle(jacobian, residual, order)
+        factor = triangle(beside(jacobian, residual, order), x.size + 1)
         columns = factor[:, :-1]
         columns *= problem.space.slope(z)[order]
         columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < _NOTHING * np.sqrt(samples))] = 0.0
@@ -126,8 +126,7 @@ def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarra
         offsets: number of the first columns of J, whose entries are not damped.
         damping: relative to the columns of the others, less what the first ones explain of them.
     """
-    p = triangle.shape[1] - 1
-    triangle = np.pad(triangle, ((0, max(p + 1 - triangle.shape[0], 0)), (0, 0)))
+    p = len(triangle) - 1
     R, q = triangle[offsets:p, offsets:p], triangle[offsets:p, p]
     size = np.linalg.norm(R, axis=0)
     size = np.maximum(size, 1e-12 * max(float(size.max(initial=0.0)), 1e-300))

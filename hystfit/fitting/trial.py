@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.verdict import POOR
@@ -71,6 +72,21 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
         text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
         notes.append(warn(Code.RECORD_PARAMETERS, text))
     return Trial(metrics, baselines, status, tuple(notes))
+
+
+def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
+    """The result judged on records that were not fitted: their error, and a status that includes it.
+
+    With `refit_offset`, each prediction is shifted to the mean of its record.
+
+    Raises:
+        HystfitError: the model cannot predict the records.
+    """
+    trial = evaluate_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
+    notes = [Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted")] if refit_offset else []
+    status = worse(result.status, trial.status)
+    changed = dataclasses.replace(result, test=trial.metrics, test_baselines=trial.baselines, status=status)
+    return changed.with_notes(*trial.notes, *notes)
 
 
 def _offset_explains(rows: Sequence[np.ndarray], rmse: float) -> bool:

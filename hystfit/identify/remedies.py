@@ -18,6 +18,9 @@ from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 
+_ITERATIONS = 100  # of integrated regression, at most
+_SETTLED = 1e-5  # change of the simulated output, in units of its half range, at which they stop
+
 
 def decimate(record: Record, increment: float) -> Record:
     """The samples between which the input has moved by `increment` [u], and all turning points.
@@ -66,9 +69,7 @@ class Refinement:
     notes: tuple[Note, ...] = ()
 
 
-def integrated_regression(
-    model: Duhem, record: Record, *, iterations: int = 100, tolerance: float = 1e-5
-) -> Refinement:
+def integrated_regression(model: Duhem, record: Record) -> Refinement:
     """Regression of the output itself instead of its increments:  y_k = w_0 + sum over j <= k of phi_j . theta.
 
     The regressors use the output simulated with the previous estimate, which has no noise; iterated until the simulation
@@ -77,8 +78,6 @@ def integrated_regression(
     Args:
         model: any fair start (recursive least squares, `Duhem.start`); its orders and scheme are kept.
         record: one record.
-        iterations: largest number of them.
-        tolerance: change of the simulated output, in units of its half range, at which to stop.
 
     Raises:
         ModelError, DataError: see `DuhemRegressor.of`; fewer usable steps than parameters.
@@ -88,7 +87,7 @@ def integrated_regression(
     unit, size = float(regressor.target_unit), float(regressor.size)
     used, root = record.used, np.sqrt(np.asarray(record.weight)[record.used])
     best, last, change = model, np.asarray(simulate(model, record.u)[0]), np.inf
-    for count in range(1, iterations + 1):
+    for count in range(1, _ITERATIONS + 1):
         phi = np.asarray(_regressors(regressor, jnp.asarray(record.u), jnp.asarray(last)))
         columns = np.hstack(
             [np.ones((len(record), 1)), np.vstack([np.zeros(regressor.p), np.cumsum(phi, axis=0) * unit])]
@@ -105,9 +104,9 @@ def integrated_regression(
             raise DataError(
                 f"the simulation is not finite after {count} iterations of integrated regression: use method='lm'"
             )
-        if change < tolerance:
+        if change < _SETTLED:
             return Refinement(best, True)
-    text = f"not converged after {iterations} iterations: the simulation changes by {change:.1e} of its half range"
+    text = f"not converged after {_ITERATIONS} iterations: the simulation changes by {change:.1e} of its half range"
     return Refinement(best, False, (warn(Code.NOT_SETTLED, text),))
 
 

@@ -31,7 +31,7 @@ class Phase:
 
 
 def identify_in_stages(
-    model: AbstractHysteresis, stages: Sequence[Phase], *, passes: int = 1
+    model: AbstractHysteresis, stages: Sequence[Phase]
 ) -> tuple[AbstractHysteresis, list[Identification]]:
     """Run the filter stage by stage, each from the result of the previous one.
 
@@ -43,7 +43,6 @@ def identify_in_stages(
     Args:
         model: start of the first stage, unless its settings have start="data".
         stages: the stages in turn.
-        passes: over the records of each stage.
 
     Returns:
         The model of the last stage and the identification of each stage.
@@ -56,7 +55,7 @@ def identify_in_stages(
     results: list[Identification] = []
     for number, stage in enumerate(stages, start=1):
         settings = {"start": "model", **stage.settings}
-        result = Ukf.of(model, stage.data, only=stage.only or None, **settings).fit(stage.data, passes=passes)
+        result = Ukf.of(model, stage.data, only=stage.only or None, **settings).fit(stage.data)
         results.append(result)
         if result.model is None or result.status is Status.DIVERGED:
             raise ParameterError(f"stage {number} diverged: {'; '.join(map(str, result.notes))}")

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dtpqrt
 
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
-# Entries of a block of `triangle`, and rows for each of its columns at least. A larger block would be copied into memory that the
-# system hands out page by page, which takes several times as long as its factor.
-ENTRIES, TALL = 2**13, 8
-_PANEL = 64  # columns that `triangle_of_blocks` eliminates together
+# Entries of a block of `beside`, and rows for each of its columns at least. A larger block is copied into memory that the system hands
+# out page by page, which takes longer than its factor.
+ENTRIES, TALL = 2**15, 2
+_PANEL = 64  # columns that `triangle` eliminates together
 
 
 def parts(size: int, other: int) -> Iterator[slice]:
@@ -59,35 +59,28 @@ def _tall(n: int, p: int) -> list[slice]:
     return blocks
 
 
-def triangle(
-    rows: Float[np.ndarray, "n p"], last: Float[np.ndarray, " n"] | None = None, order: np.ndarray | None = None
-) -> Float[np.ndarray, "m p2"]:
-    """R of rows = Q R, or of [rows, last] = Q R, by blocks of rows: with at most as many rows as columns.
-
-    `order` is that of the columns of `rows` in R. Least squares needs no more of a Jacobian of a million samples.
-    """
-    factor, columns = None, rows.shape[1] + (last is not None)
-    size = max(ENTRIES // max(columns, 1), TALL * columns, 1)
-    for start in range(0, max(len(rows), 1), size):
-        block = rows[start : start + size]
-        block = block if order is None else block[:, order]
-        if last is not None:
-            block = np.column_stack([block, last[start : start + size]])
-        factor = np.asarray(np.linalg.qr(block if factor is None else np.vstack([factor, block]), mode="r"))
-    assert factor is not None
-    return factor
-
-
-def triangle_of_blocks(blocks: Iterable[Float[np.ndarray, "n p"]], size: int) -> Float[np.ndarray, "p p"]:
+def triangle(blocks: Iterable[Float[np.ndarray, "n p"]], size: int) -> Float[np.ndarray, "p p"]:
     """R of a matrix Q R of which blocks of rows come one after another, each eliminated below the factor of those before it.
 
-    The cost is that of one factorization of the whole, however small the blocks are. `size` is p.
+    The cost is that of one factorization of the whole, however small the blocks are. `size` is p. Least squares needs no more of a
+    Jacobian of a million samples.
     """
     factor = np.zeros((size, size), order="F")
     for rows in blocks:
         if len(rows) and size:
             factor = dtpqrt(0, min(_PANEL, size), factor, rows, overwrite_a=True)[0]
     return factor
+
+
+def beside(
+    rows: Float[np.ndarray, "n p"], last: Float[np.ndarray, " n"], order: np.ndarray
+) -> Iterator[Float[np.ndarray, "m p1"]]:
+    """Blocks of rows of [rows[:, order], last], which is never held as a whole."""
+    columns = rows.shape[1] + 1
+    size = max(ENTRIES // columns, TALL * columns)
+    for start in range(0, len(rows), size):
+        part = slice(start, start + size)
+        yield np.column_stack([rows[part][:, order], last[part]])
 
 
 def gram(columns: Sequence[np.ndarray], apply: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "k k"]:

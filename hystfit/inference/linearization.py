@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hystfit.inference.blocks import chosen, parts, triangle_of_blocks
+from hystfit.inference.blocks import chosen, parts, triangle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Linearization:
     def triangle(self, which: Bool[np.ndarray, " p"] | None = None) -> Float[np.ndarray, "k k"]:
         """R of the derivatives Q R with respect to some parameters, or all."""
         if which is None or which.all():
-            return triangle_of_blocks(self.blocks(), self.size)
-        return triangle_of_blocks((rows[:, which] for rows in self.blocks()), int(np.count_nonzero(which)))
+            return triangle(self.blocks(), self.size)
+        return triangle((rows[:, which] for rows in self.blocks()), int(np.count_nonzero(which)))
 
     def gradient(self) -> Float[np.ndarray, " p"]:
         """Derivatives of half the sum of squares."""

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+_LIKE = 0.03  # difference of the turning levels of like cycles, as a fraction of the range of u
 _VISIBLE = 1e-4  # least drift, as a fraction of the range of y
 
 
@@ -35,14 +36,13 @@ class Drift:
     total: float
 
 
-def like_cycles(u: np.ndarray, cycles: np.ndarray, y: np.ndarray | None = None, tolerance: float = 0.03) -> np.ndarray:
+def like_cycles(u: np.ndarray, cycles: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
     """The cycles between the pair of turning levels that occurs most often.
 
     Args:
         u: input, shape (T,).
         cycles: see `loops.cycles`, shape (C, 3).
         y: output, shape (T,); cycles with missing values are omitted.
-        tolerance: largest difference of turning levels, as a fraction of the range of u.
 
     Returns:
         Rows of `cycles`, shape (K, 3); among equally frequent pairs, those of the largest stroke.
@@ -50,7 +50,7 @@ def like_cycles(u: np.ndarray, cycles: np.ndarray, y: np.ndarray | None = None, 
     if len(cycles) == 0:
         return cycles
     ends, span = np.sort(u[cycles[:, :2]], axis=1), np.ptp(u)
-    near = np.max(np.abs(ends[:, None] - ends[None]), axis=2) <= tolerance * span
+    near = np.max(np.abs(ends[:, None] - ends[None]), axis=2) <= _LIKE * span
     score = near.sum(axis=1) + 0.5 * (ends[:, 1] - ends[:, 0]) / span
     like = cycles[near[int(np.argmax(score))]]
     if y is None:

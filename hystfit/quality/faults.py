@@ -10,6 +10,7 @@ import numpy as np
 MAD_TO_RMS = 1.4826  # of a normal distribution
 _ABOUT = 2  # samples on each side of an outlier that must be smooth without it
 _ROUGH = 0.5  # their largest second difference, as a part of its height
+_BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
@@ -62,17 +63,17 @@ def runs(mask: np.ndarray) -> np.ndarray:
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
 
 
-def bridged(y: np.ndarray, most: int = 3) -> np.ndarray:
-    """Output with gaps of at most this many missing samples filled by straight lines, shape (T,)."""
+def bridged(y: np.ndarray) -> np.ndarray:
+    """Output with gaps of at most three missing samples filled by straight lines, shape (T,)."""
     missing = np.isnan(y)
     filled = np.interp(np.arange(y.size), np.flatnonzero(~missing), y[~missing])
     for start, stop in runs(missing):
-        if stop - start > most or start == 0 or stop == y.size:
+        if stop - start > _BRIDGED or start == 0 or stop == y.size:
             filled[start:stop] = np.nan
     return filled
 
 
-def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
+def holds(u: np.ndarray, tolerance: float) -> np.ndarray:
     """Holds of the input: first sample and end (exclusive), shape (K, 2).
 
     A hold is a longest stretch within the tolerance whose input moves away soon outside it. The input may settle before it; the
@@ -98,7 +99,7 @@ def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
         lows.append(now)
         if values[highs[0]] - values[lows[0]] <= tolerance:
             continue
-        if now - start >= least and _is_rest(values, start, now, tolerance):
+        if now - start >= _SHORTEST_HOLD and _is_rest(values, start, now, tolerance):
             stop = _end_of_rest(values, start, now, tolerance)
             found.append((start, stop))
             start = stop
@@ -110,7 +111,7 @@ def holds(u: np.ndarray, tolerance: float, least: int = 10) -> np.ndarray:
             for ends in (highs, lows):
                 while ends[0] < start:
                     ends.popleft()
-    if len(values) - start >= least and _is_rest(values, start, len(values), tolerance):
+    if len(values) - start >= _SHORTEST_HOLD and _is_rest(values, start, len(values), tolerance):
         found.append((start, len(values)))
     return np.array(found, dtype=int).reshape(-1, 2)
 

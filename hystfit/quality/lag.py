@@ -22,6 +22,7 @@ SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches cur
 # Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
 NEAR = 0.12, 0.2, 0.35
 MOST_TURNS = 40
+_SAMPLES = 6000  # on which the effect of speed is measured
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,7 +174,7 @@ def _over_turns(
     return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
 
 
-def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 6000) -> float | None:
+def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray) -> float | None:
     """Share of the variance unexplained by a rate-independent model that velocity terms explain.
 
     A flexible rate-independent model (plays, their squares, a cubic, a trend) is fitted by least squares without and with
@@ -188,8 +189,8 @@ def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray, *, most: int = 60
     Returns:
         A number from 0 to 1; None with fewer than 100 samples.
     """
-    used = np.isfinite(y[:most])
-    u, y, t = u[:most], y[:most], t[:most]
+    u, y, t = u[:_SAMPLES], y[:_SAMPLES], t[:_SAMPLES]
+    used = np.isfinite(y)
     if used.sum() < 100 or np.ptp(u) == 0 or (np.diff(t) <= 0).any():
         return None
     x = 2 * (u - u.min()) / np.ptp(u) - 1

@@ -8,6 +8,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+_BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples
+
 
 def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     """Turning points of u, without those of noise.
@@ -179,13 +181,12 @@ def branch_means(u: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.interp(0.5 * (edges[1:] + edges[:-1]), mean_u, mean_y)
 
 
-def loop_branches(u: np.ndarray, y: np.ndarray, bins: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def loop_branches(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Output on the rising and on the falling branch of one loop at common inputs.
 
     Args:
         u: input over one loop that begins at a turning point, shape (T,).
         y: output, shape (T,).
-        bins: number of bins over the range of u; fewer where the branches have fewer samples.
 
     Returns:
         (centers [unit of u], rising [unit of y], falling [unit of y]), each of shape (B,).
@@ -195,7 +196,7 @@ def loop_branches(u: np.ndarray, y: np.ndarray, bins: int = 50) -> tuple[np.ndar
     turn = int(np.argmax(u)) if begins_low else int(np.argmin(u))
     parts = slice(0, turn + 1), slice(turn, None)
     rising, falling = parts if begins_low else parts[::-1]
-    count = int(np.clip(min(turn, u.size - turn), 4, bins))
+    count = int(np.clip(min(turn, u.size - turn), 4, _BINS))
     edges = np.linspace(u.min(), u.max(), count + 1)
     centers = 0.5 * (edges[1:] + edges[:-1])
     return centers, branch_means(u[rising], y[rising], edges), branch_means(u[falling], y[falling], edges)

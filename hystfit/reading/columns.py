@@ -14,57 +14,10 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.params.units import quantity
+from hystfit.reading.column_names import column_quantity, secondary
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
-_WORDS: dict[str, str] = {}
-for _kind, _list in {
-    "time": "t time times sec secs second seconds zeit temps timestamp datetime date elapsed tout clock tiempo x_value "
-    "时间 時間 время",
-    "input": "input in command cmd dac pwm duty heater excitation reference ref setpoint drive stimulus u eingang",
-    "output": "output out adc response y reading ausgang",
-    "voltage": "voltage volt volts vin spannung potential vdrive vcmd tension_v 电压 電圧 電壓 напряжение",
-    "field": "h hfield field feld applied_field 磁场 磁場",
-    "electric field": "efield e_field electric_field 电场 電場",
-    "current": "current strom amps amperes 电流 電流 ток",
-    "pressure": "pressure druck suction saugspannung 压力 圧力",
-    "strain": "strain eps epsilon dehnung e etrue engstrain 应变 應變 ひずみ деформация",
-    "displacement": "x d disp displ displacement position pos stroke deflection drift weg dist distance "
-    "elongation extension travel angle theta rotation rot lvdt 位移 変位 перемещение",
-    "velocity": "vel velocity speed geschwindigkeit xdot v_rel rate acceleration accel acc",
-    "moment": "moment 磁矩",
-    "magnetization": "m j magnetization magnetisation mag 磁化",
-    "induction": "b induction flux",
-    "polarization": "polarization polarisation pol p 极化 分極",
-    "charge": "charge q 电荷 電荷",
-    "state of charge": "soc dod capacity ladezustand kapazität",
-    "force": "f force load kraft shear forc torque fx fy fz base_shear lateral_load 荷重 载荷 сила",
-    "stress": "stress sigma sig s 应力 応力",
-    "temperature": "temperature temp temperatur kelvin celsius 温度 температура",
-    "frequency": "frequency freq frequenz 频率 周波数",
-    "error": "err error errors stderr std uncertainty",
-    "status": "status code flag valid range sensitivity",
-    "index": "index idx no nr number sample point pt loop curve cycle segment kind step branch run id n k",
-}.items():
-    for _word in _list.split():
-        _WORDS[_word] = _kind
-_UPPER = {"V": "voltage", "U": "voltage", "H": "field", "I": "current"}
-_UPPER |= {"E": "electric field", "D": "polarization", "T": "temperature"}
-_CHANNEL = re.compile(r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column)[ _.-]?[a-z0-9]", re.IGNORECASE)
-_TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
-_SENSED = (
-    *("displacement", "force", "strain", "stress", "current"),
-    *("pressure", "moment", "magnetization", "polarization"),
-)
-_BY_NAME = {  # quantities in the unit of another, which their name tells
-    "field": ("magnetization",),
-    "induction": ("field", "magnetization"),
-    "voltage": _SENSED,  # signal of a sensor
-    "stress": ("pressure",),
-}
-# In the names of columns beside another column of the same quantity.
-_SECONDARY = frozenset("min max raw quad system peak center bridge trans background".split())
 _AS_INPUT = (
     "input", "voltage", "field", "electric field", "current", "pressure", "strain", "displacement", "induction", "", "temperature",
     "velocity",
@@ -114,46 +67,6 @@ class Choice:
     input: int
     output: int
     notes: tuple[Note, ...]
-
-
-def column_quantity(name: str, unit: str = "") -> str:
-    """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
-    base, unit_of_name = split_unit(name)
-    by_unit = quantity(unit or unit_of_name)
-    if base == "T" and by_unit == "charge":
-        return "temperature"  # degrees Celsius without their sign
-    base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
-    if of_matrix and "_" in base:
-        return by_unit  # a column of a matrix x_F: the name is not that of the column
-    if _CHANNEL.fullmatch(base):
-        return by_unit  # its letter is that of the channel
-    if _TEMPERATURES.fullmatch(base):
-        return "temperature"
-    if base in _UPPER and by_unit in ("", _UPPER[base]):
-        return _UPPER[base]
-    kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
-    kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
-    if "displac" in base.lower():
-        kinds.append("displacement")
-    if symbol := re.match(r"([HBMJ])(?:meas|field|exp|data)", base):
-        kinds.append({"H": "field", "B": "induction"}.get(symbol[1], "magnetization"))
-    for strong in ("temperature", "error", "status", "frequency"):  # the unit C alone would be a charge
-        if strong in kinds:
-            return strong
-    for strong in ("index", "time", "input", "output"):
-        if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
-            return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
-    named = kinds[-1] if kinds else ""
-    if named in _BY_NAME.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
-        return named
-    return by_unit or named or ("velocity" if base == "v" else "")
-
-
-def _words(base: str) -> list[str]:
-    """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
-    tokens = [token.strip() for token in base.lower().split("_")]
-    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)]
-    return [base.lower(), *tokens, *camel]
 
 
 def _composed(name: str) -> str:
@@ -386,14 +299,9 @@ def _candidates(table: Table, free: list[int], kinds: dict[int, str], clock: int
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
             kinds[k] = "time"
     groups: dict[str, list[int]] = {}
-    for k in sorted(free, key=lambda k: (_secondary(table.names[k]), k)):
+    for k in sorted(free, key=lambda k: (secondary(table.names[k]), k)):
         groups.setdefault(kinds[k], []).append(k)
     return [k for group in groups.values() for k in group[:2]]
-
-
-def _secondary(name: str) -> int:
-    """Number of words in a name by which it comes after other columns of its quantity ("Min. Field", "Raw Moment")."""
-    return len(_SECONDARY.intersection(_words(name)))
 
 
 def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[int, ...]:
@@ -409,7 +317,7 @@ def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[in
         rank = len(_SPECIFIC) + 1 + _COMMON.index(pair)
     else:
         rank = len(_SPECIFIC) + 1 + len(_COMMON)
-    sides = ((place(kinds[k], among), _secondary(table.names[k]), k) for k, among in ((i, _AS_INPUT), (o, order)))
+    sides = ((place(kinds[k], among), secondary(table.names[k]), k) for k, among in ((i, _AS_INPUT), (o, order)))
     return rank, *itertools.chain.from_iterable(sides)
 
 

@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from hystfit.outcome import Code, Note
-from hystfit.reading.columns import column_quantity
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.raw_table import Table
 
 _RISING = "up rising rise ascending asc increasing inc loading load forward fwd heating upward upscale charging"

@@ -22,6 +22,7 @@ from hystfit.results.result import FitResult
 SCHEMA = "hystfit.errors/1"
 FEWEST = {"iid": 1, "sandwich": 6, "bootstrap": 8}  # blocks from which intervals hold the truth as often as they should
 _RANK = 1e-12  # square of the smallest singular value, over that of the largest, of a direction that counts
+_DRAWS = 1000  # of the bootstrap
 _WEBB = np.sqrt([0.5, 1.0, 1.5]) * np.array([[-1.0], [1.0]])  # weights of the wild bootstrap
 
 
@@ -176,7 +177,6 @@ def covariance(
     kind: Literal["iid", "sandwich", "bootstrap"] = "sandwich",
     *,
     block: int | None = None,
-    draws: int = 1000,
     seed: int = 0,
 ) -> Covariance:
     """Covariance of a least-squares fit from its linearized scores J_t r_t, summed over blocks of consecutive samples.
@@ -189,7 +189,6 @@ def covariance(
         result: a least-squares fit.
         kind: which.
         block: samples; by default one cycle of the input, or five correlation times where those are longer.
-        draws: of the bootstrap.
         seed: of the bootstrap.
 
     Raises:
@@ -224,7 +223,7 @@ def covariance(
     if kind == "sandwich":
         robust, factor = blocks.sandwich(back)
     elif kind == "bootstrap":
-        robust, factor = blocks.bootstrap(back, draws, seed)
+        robust, factor = blocks.bootstrap(back, seed)
     else:
         robust, factor = plain, np.full(len(plain), scipy.stats.t.ppf(0.975, freedom))
     matrix, ratio, factors = np.full((x.size, x.size), np.nan), np.full(x.size, np.nan), np.full(x.size, np.nan)
@@ -297,9 +296,9 @@ class _Blocks:
         moved = self.corrected @ back.T
         return moved.T @ moved, scipy.stats.t.ppf(0.975, trace**2 / square)
 
-    def bootstrap(self, back: np.ndarray, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def bootstrap(self, back: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Covariance of the parameters `back` q over draws, and half a 95 % interval of the studentized draws over its root."""
-        weights = np.random.default_rng(seed).choice(_WEBB.ravel(), (draws, len(self.scores)))
+        weights = np.random.default_rng(seed).choice(_WEBB.ravel(), (_DRAWS, len(self.scores)))
         shifts, factor = weights @ self.corrected, np.empty(len(back))
         robust = np.cov((shifts @ back.T).T).reshape(len(back), len(back))
         for k, row in enumerate(back):

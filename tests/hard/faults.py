@@ -1,4 +1,4 @@
-"""Shell verbs in hard use: full disks, folders that cannot be written or vanish, interrupts, and two runs into one folder.
+"""Shell verbs in hard use: full disks, folders that cannot be written or vanish, interrupts, kills, and two runs into one folder.
 
     python -m tests.hard.faults              # about 350 runs, some 30 minutes
     python -m tests.hard.faults --trials 2   # the moments of each fault; 12 in the full form
@@ -69,7 +69,7 @@ class Verbs:
     def timed(self, verb: str, out: Path) -> float:
         """Seconds of a run without a fault."""
         begun = time.monotonic()
-        status, said = self.ended(self.begun(verb, out))
+        status, said = self.ended(self.begun(verb, out), patience=1800.0)  # it compiles
         if status not in (0, 1):
             raise RuntimeError(f"{verb} fails without a fault: {status}, {said}")
         return time.monotonic() - begun
@@ -196,6 +196,19 @@ def interrupts(verbs: Verbs, verb: str, scratch: Path, trials: int, rng: random.
         yield f"ended {status}", wrong or (again(verbs, verb, out) if number % 2 == 0 else "")
 
 
+def kills(verbs: Verbs, verb: str, scratch: Path, trials: int, rng: random.Random) -> Iterator[tuple[str, str]]:
+    """SIGKILL at random moments."""
+    for number in range(trials):
+        out = scratch / f"killed-{number}"
+        process = verbs.begun(verb, out)
+        time.sleep(rng.uniform(0.3, 1.0) * verbs.seconds[verb])
+        process.kill()
+        status, said = verbs.ended(process)
+        killed = status == -signal.SIGKILL
+        wrong = fault_of(verb, out, 130 if killed else status, said)  # no more is asked than after an interrupt
+        yield "killed" if killed else f"ended {status}", wrong or again(verbs, verb, out)
+
+
 def vanishing(verbs: Verbs, verb: str, scratch: Path, trials: int, rng: random.Random) -> Iterator[tuple[str, str]]:
     """The folder above the target is removed at random moments."""
     for number in range(trials):
@@ -229,6 +242,7 @@ KINDS = {
     "full disk": full_disks,
     "read-only folder": unwritable,
     "interrupt": interrupts,
+    "kill": kills,
     "vanishing folder": vanishing,
     "two runs": together,
 }

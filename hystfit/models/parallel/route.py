@@ -26,14 +26,14 @@ def platform() -> str:
     return jax.default_backend() if device is None else str(getattr(device, "platform", device))
 
 
-def on_gpu(where: str | None = None) -> bool:
+def on_gpu() -> bool:
     """Whether programs run on a GPU."""
-    return (where or platform()) in ("gpu", "cuda", "rocm")
+    return platform() in ("gpu", "cuda", "rocm")
 
 
-def route(samples: int, lanes: int = 1, *, associative: bool = False, where: str | None = None) -> Route:
+def route(samples: int, lanes: int = 1, *, associative: bool = False) -> Route:
     """How to run a simulation. On a CPU it is always the scan, which is several times faster there than either other form."""
-    if not on_gpu(where):
+    if not on_gpu():
         return Route.SCAN
     if lanes >= _MANY:
         return Route.KERNEL

@@ -18,6 +18,7 @@ WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
 CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
 HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
 NOISE = 0.02  # reversals smaller than this fraction of the input's range count as noise
+_ALIKE = 0.01  # difference of two inputs, as a fraction of their range, up to which branches end at the same input
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
@@ -51,15 +52,14 @@ class Closures:
     percent: tuple[float, float] | None
 
 
-def wiping_out(record: Record, noise: float = NOISE) -> Closures:
+def wiping_out(record: Record) -> Closures:
     """Return-point memory: every time the input passes an earlier dominant extremum, the output should pass its value there.
 
     Args:
-        record: measured; the input need not be noise-free.
-        noise: reversals smaller than this fraction of the input's range do not count.
+        record: measured; reversals smaller than `NOISE` do not count.
     """
     u, y = record.u, record.y
-    corners = _corners(u, noise)
+    corners = _corners(u)
     at, width, gap = [], [], []
     stack: list[int] = []
     for before, now in itertools.pairwise(corners):
@@ -92,9 +92,9 @@ def _crossing(u: np.ndarray, y: np.ndarray, level: float, sign: float) -> float:
     return float(y[k - 1] + part * (y[k] - y[k - 1]))
 
 
-def _corners(u: np.ndarray, noise: float) -> np.ndarray:
+def _corners(u: np.ndarray) -> np.ndarray:
     """First sample, reversals larger than the noise, last sample."""
-    least, corners, best = noise * float(np.ptp(u)), [0], 0
+    least, corners, best = NOISE * float(np.ptp(u)), [0], 0
     direction = 0
     for k in turning_points(u) if not (u[1:] == u[:-1]).any() else range(u.size):
         step = u[k] - u[best]
@@ -128,26 +128,24 @@ class Congruency:
     percent_of_range: float
 
 
-def congruency(record: Record, tolerance: float = 0.01, noise: float = NOISE) -> list[Congruency]:
+def congruency(record: Record) -> list[Congruency]:
     """Compare all branches that run between the same two inputs in the same direction, and wipe out nothing on their way.
 
     Args:
-        record: measured.
-        tolerance: how far the ends may differ, as a fraction of the input's range.
-        noise: see `wiping_out`.
+        record: measured; reversals smaller than `NOISE` do not count.
 
     Returns:
         One comparison per pair of inputs and direction that occurs more than once, widest first. Branches that follow
         the same history twice agree for any memory: their differences are repeatability.
     """
     u, y = record.u, record.y
-    span, reach = float(np.nanmax(y) - np.nanmin(y)) or 1.0, float(np.ptp(u))
-    corners = _corners(u, noise)
+    span, reach = float(np.nanmax(y) - np.nanmin(y)) or 1.0, _ALIKE * float(np.ptp(u))
+    corners = _corners(u)
     groups: dict[int, list[np.ndarray]] = {}
     ends: dict[int, tuple[float, float]] = {}
     part = np.linspace(0.0, 1.0, 101)
-    for a, b in _undisturbed(u, corners, tolerance * reach):
-        near = lambda end, a=a, b=b: max(abs(u[a] - end[0]), abs(u[b] - end[1])) <= tolerance * reach
+    for a, b in _undisturbed(u, corners, reach):
+        near = lambda end, a=a, b=b: max(abs(u[a] - end[0]), abs(u[b] - end[1])) <= reach
         key = next((k for k, end in ends.items() if near(end)), None)
         if key is None:
             key = len(ends)

@@ -29,6 +29,7 @@ Outcome = Literal["holds", "fails", "untested"]
 _LIMIT = 2.0  # percent of the output's range up to which a property holds
 _MAJOR = 0.95  # fraction of the input's range from which a loop is the major one
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
+_CELLS = 20  # along an axis, of the model whose errors are split by order
 _FIRST = 1  # reversals that the memory holds on a first-order curve
 _MOST_GROUPS, _MOST_NAMES = 8, 5  # of equal texts, and of records in a line, in the text of a data set
 
@@ -53,7 +54,7 @@ class HigherOrder:
         return max((rms for order, (_, rms, _) in self.errors.items() if order > _FIRST), default=None)
 
 
-def higher_order(record: Record, n: int = 20) -> HigherOrder | None:
+def higher_order(record: Record) -> HigherOrder | None:
     """How well a Preisach model describes reversals of higher order (paper's Figs. 14 and 15 ask the same).
 
     It is identified on samples that remember at most one reversal where those determine the others (reversal curves do), and
@@ -61,14 +62,13 @@ def higher_order(record: Record, n: int = 20) -> HigherOrder | None:
 
     Args:
         record: measured.
-        n: cells along an axis.
 
     Returns:
         Errors by order; None where no sample remembers more than one reversal, or nothing moves.
     """
     if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
         return None
-    model = Preisach.of(n, initial=_rest(record))
+    model = Preisach.of(_CELLS, initial=_rest(record))
     order = orders(model.start([record]), record, NOISE)
     if not (record.used & (order > _FIRST)).any():
         return None

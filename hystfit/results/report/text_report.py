@@ -16,7 +16,7 @@ from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
-_WIDTH = 100
+_WIDTH, _MOST_ITEMS = 100, 16  # of a page, characters; of a list
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are allowed"}
 _VERDICT = frozenset(
     {
@@ -114,10 +114,9 @@ def _columns_of(record: Record) -> list[str]:
     return ranges
 
 
-def _shortened(items: list[str], most: int = 16) -> list[str]:
-    return (
-        items if len(items) <= most else [*items[:most], f"and {len(items) - most} more (result.json and records.npz)"]
-    )
+def _shortened(items: list[str]) -> list[str]:
+    more = len(items) - _MOST_ITEMS
+    return items if more <= 0 else [*items[:_MOST_ITEMS], f"and {more} more (result.json and records.npz)"]
 
 
 def text_report(result: FitResult, wording: Wording | None = None) -> str:

@@ -1,0 +1,191 @@
+"""`fit_model`: the fit of one model to records."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hystfit.config import require_seed, require_x64
+from hystfit.data.dataset import Dataset
+from hystfit.errors import ParameterError
+from hystfit.fitting.assessment import notes_of
+from hystfit.fitting.covariance import Uncertainty, uncertainty
+from hystfit.fitting.estimate import Estimate
+from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
+from hystfit.fitting.noise_refinement import refine
+from hystfit.fitting.registry import ESTIMATORS, is_sequential
+from hystfit.fitting.structure import search_structure
+from hystfit.fitting.trial import with_left_out
+from hystfit.fitting.verdict import Fitted, verdict_of
+from hystfit.identify.identification import as_fit
+from hystfit.identify.sequential import identify
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.problem import Problem
+from hystfit.inference.residuals import diagnose
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import SEARCH, make_model
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.quality.baselines import Baselines
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
+from hystfit.results.metrics import Metrics
+from hystfit.results.provenance import provenance
+from hystfit.results.result import FitResult
+from hystfit.results.timing import Stopwatch
+
+_ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
+
+
+def fit_model(
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
+    data: Dataset,
+    options: FitOptions,
+    **settings: Any,
+) -> FitResult:
+    """Fit one model to records; result and errors as for `hystfit.fit`.
+
+    Args:
+        model: a model, its class or its name.
+        data: the records.
+        options: of the fit.
+        **settings: of a sequential identifier.
+    """
+    require_x64()
+    require_seed(options.seed)
+    method, named, notes = options.method, not isinstance(model, AbstractHysteresis), []
+    if isinstance(model, str) and model == SEARCH and not is_sequential(method):
+        if isinstance(options.start, Mapping):
+            raise ParameterError(f"{SEARCH} chooses its terms on the data: leave out starting values by name")
+        found = search_structure(without_faults(data))
+        model, notes = found.model, list(found.notes())
+        options = dataclasses.replace(options, start="model")
+    model = make_model(model)
+    watch = Stopwatch()
+    if is_sequential(method):
+        if changed := dataclasses.replace(options, method="auto").changed():
+            raise ParameterError(f"{changed[0]}= has no effect with method={method!r}: leave it out")
+        return as_fit(identify(data, method, model, **settings), options.seed, watch)
+    if settings:
+        raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
+    options.check()
+    fit_setup = set_up_fit(model, data, options, held=not named, notes=tuple(notes))
+    estimate = solve(fit_setup.problem, fit_setup.method, options.starts, options.seed, fit_setup.points)
+    return judge(fit_setup, estimate, options, watch)
+
+
+def judge(fit_setup: FitSetup, estimate: Estimate, options: FitOptions, watch: Stopwatch) -> FitResult:
+    """The result of a solved fit: standard errors under the noise, and the verdict."""
+    problem, noise, notes = fit_setup.problem, options.noise, list(fit_setup.notes)
+    if options.plain_noise:
+        errors = uncertainty(problem, estimate, correlated=noise == "auto")
+        slow = errors.residuals.noise if noise == "auto" and errors.residuals.correlated else None
+        noise_estimate = NoiseEstimate(str(noise), slow.noise.parameters if slow else {})
+    else:
+        estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
+        notes.append(description)
+    notes += _mismatches(errors, noise, problem.scales.y)
+    label = ESTIMATORS.label(fit_setup.method)
+    return _make_result(problem, estimate, errors, label, options.seed, watch, noise=noise_estimate, notes=notes)
+
+
+def _with_noise(
+    problem: Problem, estimate: Estimate, noise: str | type[AbstractNoise]
+) -> tuple[Estimate, Uncertainty, NoiseEstimate, Note]:
+    """The estimate refined by a noise model, its errors, the noise, and a note that describes it."""
+    if problem.objective.loss != "linear":
+        raise ParameterError(f"noise={noise!r} has a likelihood of its own: leave loss at 'linear'")
+    refined = refine(problem, estimate.x, noise)
+    label, notes = refined.noise.name, estimate.notes
+    if not refined.converged:
+        notes = (*notes, warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"))
+    predicted = zip(problem.data, problem.predict(refined.x), strict=True)
+    squares = sum(np.sum((r.weight * (r.y - y) ** 2)[r.used]) for r, y in predicted)
+    cost = 0.5 * float(squares) / problem.scales.y**2
+    changed = dataclasses.replace(estimate, x=refined.x, cost=cost, notes=notes, linearized=None)
+    rows = zip(refined.space.names, refined.values, refined.space.units, strict=True)
+    values = ", ".join(f"{name} = {value:.3g} {unit}".rstrip() for name, value, unit in rows)
+    description = Note(Code.NOISE_MODEL, f"noise model {label}: {values}")
+    noise_estimate = NoiseEstimate(NOISES.label(noise), refined.parameters)
+    return changed, uncertainty(problem, changed, root=refined.root), noise_estimate, description
+
+
+def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: float) -> list[Note]:
+    """Findings about the residuals that errors of this kind do not allow for; `size` is that of the output."""
+    if errors.sigma < _ROUNDING * size:
+        return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
+    diagnosis = diagnose(errors.residuals)
+    if noise == "auto":
+        return [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]
+    return [
+        dataclasses.replace(note, text=f"noise={noise!r} was chosen, but {note.text}")
+        for note in diagnosis.objections(NOISES.find(noise))  # type: ignore[arg-type]
+    ]
+
+
+def _make_result(
+    problem: Problem,
+    estimate: Estimate,
+    errors: Uncertainty,
+    method: str,
+    seed: int,
+    watch: Stopwatch,
+    *,
+    noise: NoiseEstimate,
+    notes: Sequence[Note] = (),
+) -> FitResult:
+    """The `FitResult` of an estimate, with its verdict."""
+    data, x = problem.data, estimate.x
+    measured = [r.y[r.used] for r in data]
+    predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
+    train = Metrics.of(measured, predicted)
+    rows = [y - m for y, m in zip(predicted, measured, strict=True)]
+    model = problem.space.assembled(x)
+    baselines = Baselines.of(data)
+    fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
+    status, reasons = verdict_of(fitted)
+    compile_s, run_s = watch.read()
+    result = FitResult(
+        problem=problem,
+        x=np.asarray(x),
+        status=status,
+        notes=(*reasons, *notes, *notes_of(problem, model, estimate, errors)),
+        parameters=_parameters_of(problem, x, errors),
+        covariance=errors.covariance,
+        joint=errors.joint,
+        train=train,
+        test=None,
+        sigma=errors.sigma,
+        correlation_time=errors.correlation_time,
+        error_ratio=errors.ratio,
+        rank=errors.rank,
+        condition=errors.condition,
+        method=method,
+        starts=int(estimate.costs.size),
+        in_best_basin=estimate.in_best_basin,
+        compile_s=compile_s,
+        run_s=run_s,
+        noise=noise,
+        baselines=baselines,
+        provenance=provenance(data, seed, evaluations=estimate.evaluations),
+    )
+    return result if estimate.left_out is None else with_left_out(result, estimate.left_out)
+
+
+def _parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:
+    """Every parameter, free ones first, for the report."""
+    rows, variance, sides = parameter_estimates(problem.space, x), np.diag(errors.covariance), problem.at_bound(x)
+    free = [
+        dataclasses.replace(
+            row,
+            stderr=float(np.sqrt(square)) if np.isfinite(square) else None,
+            at_bound=side,
+            identifiable=bool(known) and not side,
+        )
+        for row, square, side, known in zip(rows, variance, sides, errors.determined, strict=False)
+    ]
+    return (*free, *rows[len(free) :])

@@ -1,0 +1,61 @@
+"""Options of a fit, with their defaults: `hystfit.fit`, the fits of a comparison and those of a batch have the same."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from hystfit.config import require_seed
+from hystfit.errors import ParameterError
+from hystfit.fitting.estimate import AbstractEstimator
+from hystfit.fitting.registry import ESTIMATORS
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
+from hystfit.inference.objective import Loss
+from hystfit.inference.problem import LOSSES
+
+Start = Literal["data", "model"] | Mapping[str, float]
+_PLAIN_NOISE = ("auto", "iid")  # the others have a likelihood of their own, in which outliers may have a place
+
+
+@dataclasses.dataclass(frozen=True)
+class FitOptions:
+    """How one model is fitted; `hystfit.fit` describes each option."""
+
+    method: str | AbstractEstimator = "auto"
+    fix: Sequence[str] | Mapping[str, Any] = ()
+    free: Sequence[str] = ()
+    start: Start = "data"
+    starts: int = 8
+    seed: int = 0
+    loss: Loss = "linear"
+    noise: str | type[AbstractNoise] = "auto"
+
+    @property
+    def plain_noise(self) -> bool:
+        """Whether no noise model refines the fit."""
+        return self.noise in _PLAIN_NOISE
+
+    def changed(self) -> list[str]:
+        """Names of the options that have another value than their default; the seed, which every fit takes, is none of them."""
+        names = [field.name for field in dataclasses.fields(self) if field.name != "seed"]
+        return [name for name in names if (getattr(self, name) or None) != (getattr(type(self), name) or None)]
+
+    def check(self) -> None:
+        """Refuse options that no data can be fitted with.
+
+        Raises:
+            HystfitError: one of them is unknown, or has a value that it cannot have.
+        """
+        require_seed(self.seed)
+        if self.method != "auto" and not isinstance(self.method, AbstractEstimator):
+            ESTIMATORS.find(self.method)
+        if self.noise != "auto":
+            NOISES.find(self.noise)
+        if self.loss not in LOSSES:
+            raise ParameterError(f"loss must be one of {', '.join(LOSSES)}, got {self.loss!r}")
+        if self.start not in ("data", "model") and not isinstance(self.start, Mapping):
+            raise ParameterError(f"start must be data, model, or values of parameters by name, got {self.start!r}")
+        if self.starts < 1:
+            raise ParameterError(f"at least one start is needed, got {self.starts}")

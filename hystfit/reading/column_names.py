@@ -1,0 +1,70 @@
+"""The physical quantity of a column, by its name and unit; `column_names.toml` holds the words that names are made of."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+from hystfit.params.units import quantity
+from hystfit.reading.header import split_unit
+
+_VOCABULARY = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_WORDS: dict[str, str] = {word: kind for kind, words in _VOCABULARY["words"].items() for word in words.split()}
+_LETTERS: dict[str, str] = _VOCABULARY["letters"]
+_STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
+_SECONDARY = frozenset(_VOCABULARY["secondary"].split())
+_CHANNEL = re.compile(r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column)[ _.-]?[a-z0-9]", re.IGNORECASE)
+_TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
+_FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
+
+
+def column_quantity(name: str, unit: str = "") -> str:
+    """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
+    base, unit_of_name = split_unit(name)
+    by_unit = quantity(unit or unit_of_name)
+    if base == "T" and by_unit == "charge":
+        return "temperature"  # degrees Celsius without their sign
+    base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
+    if of_matrix and "_" in base:
+        return by_unit  # a column of a matrix x_F: the name is not that of the column
+    if _CHANNEL.fullmatch(base):
+        return by_unit  # its letter is that of the channel
+    if _TEMPERATURES.fullmatch(base):
+        return "temperature"
+    if base in _LETTERS and by_unit in ("", _LETTERS[base]):
+        return _LETTERS[base]
+    kinds = _named_quantities(base)
+    for strong in ("temperature", "error", "status", "frequency"):  # the unit C alone would be a charge
+        if strong in kinds:
+            return strong
+    for strong in ("index", "time", "input", "output"):
+        if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
+            return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
+    named = kinds[-1] if kinds else ""
+    if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
+        return named
+    return by_unit or named or ("velocity" if base == "v" else "")
+
+
+def secondary(name: str) -> int:
+    """Number of words in a name by which it comes after other columns of its quantity ("Min. Field", "Raw Moment")."""
+    return len(_SECONDARY.intersection(_words(name)))
+
+
+def _named_quantities(base: str) -> list[str]:
+    """Quantities of the words in a name, those of its own words first."""
+    kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
+    kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
+    if "displac" in base.lower():
+        kinds.append("displacement")
+    if symbol := _FIELD_SYMBOL.match(base):
+        kinds.append({"H": "field", "B": "induction"}.get(symbol[1], "magnetization"))
+    return kinds
+
+
+def _words(base: str) -> list[str]:
+    """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
+    tokens = [token.strip() for token in base.lower().split("_")]
+    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)]
+    return [base.lower(), *tokens, *camel]
