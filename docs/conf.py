@@ -70,7 +70,11 @@ html_theme_options = {
     "navbar_align": "left",
     "header_links_before_dropdown": 6,
     "show_prev_next": False,
-    "secondary_sidebar_items": ["page-toc"],
+    # pages with wide tables and long lines use the space of the list of headings
+    "secondary_sidebar_items": {
+        "**": ["page-toc"],
+        **{pages: [] for pages in ("guide/calibration", "guide/beside", "notebooks/*", "results/**")},
+    },
     "navigation_with_keys": False,
     "footer_start": ["copyright"],
     "footer_end": [],

@@ -43,7 +43,7 @@ def _draw(runs: dict[str, dict[str, Any]]) -> Figure:
     Args:
         runs: variables of each script by the title of its panel: `result` and, if a part was held out, `later`.
     """
-    figure, axes = plt.subplots(1, len(runs), figsize=(11, 2.9), layout="constrained")
+    figure, axes = plt.subplots(1, len(runs), figsize=(9.6, 3.0), layout="constrained")  # about as wide as it is shown
     for ax, (title, run) in zip(axes, runs.items(), strict=True):
         result = run["result"]
         records = [run["later"]] if "later" in run else result.data
@@ -53,11 +53,13 @@ def _draw(runs: dict[str, dict[str, Any]]) -> Figure:
             ax.plot(u[at], y[at], color="#9aa0a6", lw=2.6, label=None if k else "measured")
             ax.plot(u[at], model[at], color="#2f86c9", lw=0.9, label=None if k else "model")
         error = (result.metrics(run["later"]) if "later" in run else result.train).nrmse_percent
-        ax.set_title(title, fontsize=9)
-        ax.set_xlabel(axis_label(record.u_name or "input", record.u_unit))
-        ax.set_ylabel(axis_label(record.y_name or "output", record.y_unit))
-        ax.text(0.97, 0.03, f"rms error {error:.2g} %", ha="right", transform=ax.transAxes, fontsize=8)
-    axes[0].legend(loc="upper left", fontsize=8)
+        ax.set_title(title, fontsize=11)
+        ax.tick_params(labelsize=10)
+        ax.locator_params(axis="x", nbins=4)
+        ax.set_xlabel(axis_label(record.u_name or "input", record.u_unit), fontsize=11)
+        ax.set_ylabel(axis_label(record.y_name or "output", record.y_unit), fontsize=11)
+        ax.text(0.97, 0.03, f"rms error {error:.2g} %", ha="right", transform=ax.transAxes, fontsize=10)
+    axes[0].legend(loc="upper left", fontsize=10, borderaxespad=0.1, handlelength=1.2)
     return figure
 
 

@@ -1,6 +1,7 @@
 """Samplers against grids, closed forms and each other; diagnostics against ArviZ; runs killed and resumed; bad input."""
 
 import dataclasses
+import itertools
 import os
 import signal
 import subprocess
@@ -311,6 +312,11 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
     figure = posterior.plot("corner")
     titles = [ax.get_title().splitlines()[0] for ax in figure.axes if ax.get_title()]
     assert tuple(titles) == posterior.names
+    texts = [text for ax in figure.axes for text in (ax.title, ax.xaxis.label, ax.yaxis.label) if text.get_text()]
+    boxes = [text.get_window_extent() for text in [*texts, figure._suptitle]]
+    page = figure.bbox.padded(1)
+    assert all(page.contains(*box.min) and page.contains(*box.max) for box in boxes)
+    assert [a for a, b in itertools.combinations(boxes, 2) if a.overlaps(b)] == []
     plt.close(figure)
     for kind in ("trace", "rank", "bands"):
         plt.close(posterior.plot(kind))

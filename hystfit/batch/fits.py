@@ -229,12 +229,22 @@ class Fits(WithStatus):
         return [name, unit, int(values.size), middle, low, high, spread, float(np.median(errors)) if errors else None]
 
     def __str__(self) -> str:
+        return self.text()
+
+    __repr__ = __str__
+
+    def text(self, width: int | None = None) -> str:
+        """Counts, the summary of the usable fits, and the reasons of those that are not usable.
+
+        Args:
+            width: columns of the table; a wider one is shown in parts.
+        """
         counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
         lines = [f"{self.model} fitted to {len(self.rows)} loops: {counted}"]
         if any(row.usable for row in self.rows):
             arrays = Counter(name.partition("[")[0] for name in self.names)
             few = [name for name in self.names if arrays[name.partition("[")[0]] <= MANY]
-            lines += ["", "Usable fits", *self.summary((*self.quantities, *few)).lines("  ")]
+            lines += ["", "Usable fits", *self.summary((*self.quantities, *few)).lines("  ", width)]
             many = [f"{name}[{count}]" for name, count in arrays.items() if count > MANY]
             lines += [f"  {', '.join(many)}: in fits.csv"] if many else []
         if worst := [row for row in self.worst(5) if not row.usable]:
@@ -249,8 +259,6 @@ class Fits(WithStatus):
             rest = sum(not row.usable for row in self.rows) - len(worst)
             lines += [f"  and {rest} more"] if rest else []
         return "\n".join(lines)
-
-    __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown values are null."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from hystfit.batch.fits import Fits
 from hystfit.batch.row import Row
 from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number
+from hystfit.params.units import with_unit
 from hystfit.results.webpage import Markup, Page
 
 _SHOWN = 50  # loops in the list at most, besides those with a report
@@ -18,22 +19,23 @@ _WIDTH, _HEIGHT, _FOOT = 240, 96, 18  # of a histogram
 _FEWEST, _MOST = 5, 30  # bars
 
 
-def overview(fits: Fits, reports: Mapping[str, str] | None = None) -> str:
+def overview(fits: Fits, reports: Mapping[str, str] | None = None, translate: Callable[[str], str] = str) -> str:
     """One self-contained HTML page.
 
     Args:
         reports: address of the report of a loop, by the name of the loop; for some of the loops.
+        translate: from settings as in Python to the options of the reader.
     """
     reports = reports or {}
     listed = [row for k, row in enumerate(fits.worst(len(fits))) if k < _SHOWN or row.name in reports]
     pictures = [_picture(fits, name) for name in (*fits.names, *fits.quantities) if fits.values(name).size]
     counts = ", ".join(f"{count} {status}" for status, count in fits.counts.items())
-    advice = "" if fits.usable else f" {fits.advice[:1].upper()}{fits.advice[1:]}."
+    advice = "" if fits.usable else f" {translate(fits.advice[:1].upper() + fits.advice[1:])}."
     explained = "Bars count loops; the line is the median. Numbers below are the ends of the range."
     omitted = len(fits) - len(listed)
     rest = f"{omitted} more loops with smaller errors are in the table of all fits." if omitted else ""
     shown = [Markup(f'<div class="pictures small">{"".join(pictures)}</div>'), explained, fits.summary()]
-    table = Markup(f'<div class="scroll">{_table(listed, reports)}</div>')
+    table = Markup(f'<div class="scroll">{_table(listed, reports, translate)}</div>')
     sections = [
         ("Distributions over the usable fits", shown if pictures else []),
         (
@@ -48,11 +50,11 @@ def overview(fits: Fits, reports: Mapping[str, str] | None = None) -> str:
 def _picture(fits: Fits, name: str) -> str:
     """Histogram of a parameter or quantity with its heading."""
     values, unit = fits.values(name), fits.unit(name)
-    heading = f"{name} [{unit}]" if unit else name
+    heading = with_unit(name, unit)
     return f"<figure><figcaption>{html.escape(heading)}</figcaption>{histogram(values, heading)}</figure>"
 
 
-def _table(rows: Sequence[Row], reports: Mapping[str, str]) -> str:
+def _table(rows: Sequence[Row], reports: Mapping[str, str], translate: Callable[[str], str]) -> str:
     """The list of loops, each with the address of its report where it has one."""
     columns = [
         Column("loop"),
@@ -60,7 +62,9 @@ def _table(rows: Sequence[Row], reports: Mapping[str, str]) -> str:
         Column("error [%]", form=".3g"),
         Column("largest [%]", form=".3g"),
     ]
-    cells = [[row.name, str(row.status), row.error_percent, row.max_error_percent, row.reason] for row in rows]
+    cells = [
+        [row.name, str(row.status), row.error_percent, row.max_error_percent, translate(row.reason)] for row in rows
+    ]
     links = {row.name: html.escape(reports[row.name], quote=True) for row in rows if row.name in reports}
     return Table([*columns, Column("reason", left=True)], cells).html(links)
 

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
 from hystfit.cli.verbs import as_options
-from hystfit.cli.write import finish, progress
+from hystfit.cli.write import finish, progress, terminal_width
 from hystfit.errors import DataError, HystfitError, ParameterError, optional
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.inference.noise.registry import NOISES
@@ -102,9 +102,9 @@ def batch(
         for ending in (".csv", *(_ENDINGS[form] for form in table or [])):
             fits.save(folder / f"fits{ending}")
         addresses = _write_reports(fits, len(fits) if count is None else count, folder)
-        (folder / "overview.html").write_text(overview(fits, addresses), encoding="utf-8")
+        (folder / "overview.html").write_text(overview(fits, addresses, as_options), encoding="utf-8")
 
-    return finish(str(fits), fits.to_dict(), output, save, status=fits.status)
+    return finish(fits.text(terminal_width()), fits.to_dict(), output, save, status=fits.status)
 
 
 def _count(reports: str) -> int | None:

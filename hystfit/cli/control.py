@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Output, Reading, Trust, input_limits
 from hystfit.cli.records import load_one_sided, open_fit
-from hystfit.cli.write import finish, items, named, progress, write_csv, written
+from hystfit.cli.write import finish, items, named, progress, prose_width, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Status, Table
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import within
 
 if TYPE_CHECKING:
     from hystfit.control.bands import InverseBands
@@ -193,11 +194,15 @@ def export(
     low, high = span or result.input_range
     step = result.data.sampling_interval or 1.0
     values = shlex.join([f"{low:.6g}", *(f"{u:.6g} {step:.6g}" for u in (0.5 * (low + high), high))])
-    print(
+    what = (
         "To try it, give the first input, then an input and a time step in each line; the program prints the outputs:"
     )
+    print(within(what, prose_width()))
     print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")
     print(f"  printf '%s\\n' {values} | ./{name} f")
+    if result.model.obstacle("inverse") is None:
+        what = f"./{name} i reads wanted outputs in place of inputs, and prints the input, the output and the status (0: ok)"
+        print(within(what, prose_width()))
     if s_function:
         print(f"In MATLAB: mex {name}_sfun.c {name}.c")
     return 0

@@ -26,7 +26,7 @@ from hystfit.cli.options import (
 )
 from hystfit.cli.records import train_and_test
 from hystfit.cli.verbs import as_options
-from hystfit.cli.write import finish, progress
+from hystfit.cli.write import finish, progress, prose_width, terminal_width
 from hystfit.errors import ParameterError
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.identify.registry import IDENTIFIERS
@@ -107,7 +107,7 @@ def fit(
     def save(folder: Path) -> None:
         _save_fit(result, folder, test, split, wording)
 
-    return finish(text_report(result, wording), result.to_dict(), output, save)
+    return finish(text_report(result, wording, prose_width()), result.to_dict(), output, save)
 
 
 def _wording(loops: Sequence[str], reading: Reading, split: Split, folder: Path | None) -> Wording:
@@ -178,20 +178,20 @@ def compare(
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]
     train, test = train_and_test(loops, reading, split)
     comparison = compare_models(train, names or None, left_out=left_out, purpose=purpose, seed=seed)
-    text, content, winner = comparison.text(), comparison.to_dict(), comparison.winner
+    content, winner, rest = comparison.to_dict(), comparison.winner, ""
     if test is not None:
         from hystfit.fitting.trial import with_test
         from hystfit.results.report import metrics_words
 
         winner = with_test(winner, test, refit_offset=split.refit_offset)
         content["test"] = winner.test.to_dict() if winner.test else None
-        text += f"\nwinner on the test data, which were not used for the ranking: {metrics_words(winner.test)}"
+        rest += f"\nwinner on the test data, which were not used for the ranking: {metrics_words(winner.test)}"
 
     wording = _wording(loops, reading, split, output.out and output.out / "winner")
-    text += "\n\n" + "\n".join(_after_comparison(winner, wording))
+    rest += "\n\n" + "\n".join(_after_comparison(winner, wording))
 
     def save(folder: Path) -> None:
-        (folder / "comparison.txt").write_text(text + "\n", encoding="utf-8")
+        (folder / "comparison.txt").write_text(f"{comparison.text()}{rest}\n", encoding="utf-8")
         (folder / "winner").mkdir()
         _save_fit(winner, folder / "winner", test, split, wording)
 
@@ -200,4 +200,5 @@ def compare(
 
         return compare_page(dataclasses.replace(comparison, winner=winner), folder)
 
+    text = comparison.text(terminal_width()) + rest
     return finish(text, content, output, save, status=winner.status, page=page)

@@ -12,7 +12,7 @@ from hystfit.outcome import Note, Status, Table
 from hystfit.outcome.table import number
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.report.answer import Wording, loops_of, next_commands, opened
-from hystfit.results.webpage import Block, Page, Picture
+from hystfit.results.webpage import Block, Markup, Page, Picture, link
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +31,7 @@ def page_of(
     title: str,
     status: Status | str,
     verb: str,
-    answer: Sequence[tuple[str, str]],
+    answer: Sequence[tuple[str, str | Markup]],
     sections: Sequence[tuple[str, Sequence[Block]]],
 ) -> Page:
     """A page whose status is explained in the words of its verb."""
@@ -79,7 +79,7 @@ def compare_page(comparison: Comparison, folder: Path) -> Page:
     answer = [
         ("Winner", best.name),
         ("Cross-validation error", f"{number(best.score_percent, '.3g')} % of the range"),
-        ("Full report of its fit", "winner/report.html"),
+        ("Full report of its fit", link("winner/report.html", "winner/report.html")),
         ("Next", "\n".join(next_commands(winner, wording))),
     ]
     errors = Picture(ranking_figure(comparison), "Cross-validation error and error on the fitted samples")
@@ -99,10 +99,12 @@ def compare_page(comparison: Comparison, folder: Path) -> Page:
 
 def sample_page(posterior: Posterior, folder: Path) -> Page:
     """The page of `hystfit sample`, written into a folder: parameters and quantities with intervals, and the pictures of the draws."""
+    from hystfit.sampling.posterior import CHECKS
+
     answer = []
     for row in posterior.derived_rows:
-        interval = f"{number(row['median'])} ({number(row['lower'])} to {number(row['upper'])}) {row['unit']}".rstrip()
-        answer.append((QUANTITIES[row["name"]].label.capitalize(), interval))
+        interval = f"{number(row['median'])} (95 %: {number(row['lower'])} to {number(row['upper'])}) {row['unit']}"
+        answer.append((QUANTITIES[row["name"]].label.capitalize(), interval.rstrip()))
     chains, draws, _ = posterior.draws.shape
     answer += [("Draws", f"{chains} chains of {draws} by {posterior.sampler}, noise {posterior.noise}")]
     at = lambda place: opened(posterior.result, shlex.quote(str(place)))
@@ -116,9 +118,10 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
         "trace": "Draws of each chain",
         "rank": "Ranks of the draws of each chain; flat histograms mean that the chains agree",
     }
-    shown = [Picture(posterior.plot(kind), caption, wide=kind == "corner") for kind, caption in captions.items()]
+    wide = ("corner", "bands")
+    shown = [Picture(posterior.plot(kind), caption, wide=kind in wide) for kind, caption in captions.items()]
     sections = [
-        ("Parameters", [posterior.summary()]),
+        ("Parameters", [posterior.summary(), CHECKS]),
         ("Derived quantities (median and 95 % interval)", [posterior.derived_table()]),
         ("Plots", [shown]),
         ("Notes", [notes_of(posterior.notes)]),
@@ -131,7 +134,7 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
 def profile_page(profiles: Profiles, fit: Path) -> Page:
     """The page of `hystfit profile`."""
     level = f"{100 * profiles.level:.0f} %"
-    answer = [(f"{p.name} ({level} limits)", str(p).partition(": ")[2]) for p in list(profiles.profiles.values())[:12]]
+    answer = [(f"{p.name} ({level} limits)", p.limits) for p in list(profiles.profiles.values())[:12]]
     answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {opened(profiles.result, shlex.quote(str(fit)))}")]
     caption = "Likelihood profiles with confidence limits; dashed: parabola of the standard error"
     sections = [
@@ -145,20 +148,31 @@ def profile_page(profiles: Profiles, fit: Path) -> Page:
 
 def calibrate_page(calibration: Calibration) -> Page:
     """The page of `hystfit calibrate`."""
-    title = str(calibration).partition("\n")[0].rpartition(":")[0]
-    answer = [("Replicates", f"{len(calibration.ranks)}, {len(calibration.failures)} failed")]
-    shown = []
+    answer, explained, shown = [], [], []
     if len(calibration.ranks):
+        covered = dict(zip(calibration.names, calibration.coverage().tolist(), strict=True))
+        least, most = min(covered, key=covered.__getitem__), max(covered, key=covered.__getitem__)
         low, high = calibration.coverage_band()
-        answer += [("Coverage consistent with 95 %", f"{100 * low:.1f} % to {100 * high:.1f} %")]
+        answer += [
+            ("Coverage of the 95 % intervals", f"{covered[least]:.1%} ({least}) to {covered[most]:.1%} ({most})"),
+            ("Coverage consistent with 95 %", f"{low:.1%} to {high:.1%}"),
+        ]
+        answer = [(name, value.replace("%", " %")) for name, value in answer]
+        explained = calibration.explanations()
         caption = "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of chance"
         shown = [[Picture(calibration.plot(), caption, wide=True)]]
+    answer += [
+        ("Simulated data", f"{len(calibration.ranks)} sets, noise {calibration.truth}"),
+        ("Inference", f"{calibration.method}, noise {calibration.assumed}"),
+        ("Failed", str(len(calibration.failures))),
+    ]
     failures = [f"replicate {k} failed: {why}" for k, why in calibration.failures[:10]]
     sections = [
-        ("Coverage", [calibration.table()]),
+        ("Coverage", [calibration.table(), *explained]),
         ("Plots", shown),
         ("Remarks", [[*failures, *calibration.broken]]),
     ]
+    title = f"Test of the confidence intervals of {calibration.model} by simulation"
     return page_of(title, calibration.status, "calibrate", answer, sections)
 
 

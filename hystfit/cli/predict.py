@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, Trust, bounds_of
 from hystfit.cli.records import load, load_one_sided, open_fit
 from hystfit.cli.verbs import as_options
-from hystfit.cli.write import finish, items, named, progress, record_columns, show, write_csv, written
+from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
@@ -36,7 +36,7 @@ def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOU
     with progress("drawing"):
         write(result, target, wording=wording)
     show(
-        text_report(result, wording) + written(target, ["report.html", "report.txt", "pictures"]),
+        text_report(result, wording, prose_width()) + written(target, ["report.html", "report.txt", "pictures"]),
         result.to_dict(),
         output.json,
     )

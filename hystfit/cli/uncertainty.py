@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
-from hystfit.cli.write import finish, named, progress, write_csv
+from hystfit.cli.write import finish, named, progress, terminal_width, write_csv
 from hystfit.errors import ParameterError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.sampling.registry import SAMPLERS
@@ -244,4 +244,4 @@ def design(
     columns = time | {named(record.u_name, record.u_unit): u}
     save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
     page = lambda folder: design_page(proposal, folder)
-    return finish(str(proposal), proposal.to_dict(), output, save, page=page)
+    return finish(proposal.text(terminal_width()), proposal.to_dict(), output, save, page=page)

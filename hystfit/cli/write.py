@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,10 +16,13 @@ from hystfit.errors import DataError, optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
+from hystfit.outcome.wrapping import PROSE, within
 
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
     from hystfit.results.webpage import Page
+
+_NARROW = 40  # columns below which wrapped text is not readable either
 
 
 def finish(
@@ -100,11 +104,25 @@ def written(folder: Path, names: Sequence[str]) -> str:
 
 
 def show(text: str, content: dict[str, Any], as_json: bool) -> None:
-    """Print the text, or the content of result.json alone; a closed pipe (head, less) does not change the exit status."""
+    """Print the text, or the content of result.json alone; a closed pipe (head, less) does not change the exit status.
+
+    On a terminal the prose wraps within its width. Elsewhere each note stays one line, for programs that read lines.
+    """
+    text = as_options(text) if terminal_width() is None else within(as_options(text), prose_width())
     try:
-        print(json.dumps(content, indent=1, allow_nan=False) if as_json else as_options(text), flush=True)
+        print(json.dumps(content, indent=1, allow_nan=False) if as_json else text, flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def terminal_width() -> int | None:
+    """Columns of the terminal that shows stdout; None where stdout is a file or a pipe."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def prose_width() -> int:
+    """Columns in which prose is shown: those of the terminal, within limits; without a terminal the limit."""
+    return max(_NARROW, min(PROSE, terminal_width() or PROSE))
 
 
 def items(notes: Iterable[object]) -> list[str]:

@@ -63,7 +63,8 @@ class Inverse:
         """Warnings, one sentence each."""
         texts = {
             Status.SATURATED: "cannot be reached within the limits of the input: the input stays at its limit there",
-            Status.NOT_MONOTONE: "lie where the output of the model does not rise with its input: the input may jump there",
+            Status.NOT_MONOTONE: "lie where the output of the model does not rise with its input: the input may jump there; "
+            "if rate terms (viscous, saturating-rate) cause this, fit a model with lag+ in place of them",
             Status.OUT_OF_RANGE: "cannot be reached in the range in which the model is known: the nearest input is given",
         }
         places = {kind: np.flatnonzero(self.codes == kind) for kind in texts}

@@ -116,12 +116,16 @@ class Comparison:
         """Why models were left out, or not validated."""
         return [f"{row.name}: {row.note}" for row in self.rows if row.note]
 
-    def text(self) -> str:
-        """The ranking as text."""
+    def text(self, width: int | None = None) -> str:
+        """The ranking as text.
+
+        Args:
+            width: columns of the table; a wider one is shown in parts.
+        """
         purpose = "" if self.purpose == "prediction" else f" (for {self.purpose})"
         remarks = [f"  - {remark}" for remark in self.remarks()]
         winner = f"winner: {self.rows[0].name}{purpose}"
-        return "\n".join([*self.explanations(), *self.table().lines(), *remarks, winner])
+        return "\n".join([*self.explanations(), *self.table().lines(width=width), *remarks, winner])
 
     def __repr__(self) -> str:
         return self.text()

@@ -12,8 +12,8 @@ from typing import Any
 
 
 def number(value: float | None, form: str = ".4g") -> str:
-    """A number as text; "-" where it is unknown."""
-    return "-" if value is None or not math.isfinite(value) else format(value, form)
+    """A number as text, with a space before "%"; "-" where it is unknown."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form).replace("%", " %")
 
 
 def rounded(value: float, stderr: float | None) -> tuple[str, str]:
@@ -78,16 +78,21 @@ class Table:
         """Aligned columns of plain text."""
         return "\n".join(self.lines(indent))
 
-    def lines(self, indent: str = "") -> list[str]:
-        """`text`, line by line."""
+    def lines(self, indent: str = "", width: int | None = None) -> list[str]:
+        """`text`, line by line.
+
+        Args:
+            width: columns of a line: what does not fit follows below, beside the first column again; None: without limit.
+        """
         heads = [column.head for column in self.columns]
         rows = [heads, *self.cells()] if any(heads) else self.cells()
         widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(self.columns))]
         pad = [str.ljust if column.left else str.rjust for column in self.columns]
-        return [
-            (indent + "  ".join(f(cell, w) for f, cell, w in zip(pad, row, widths, strict=True))).rstrip()
-            for row in rows
-        ]
+        lines = []
+        for part in _parts(widths, None if width is None else width - len(indent)):
+            lines += [""] if lines else []
+            lines += [(indent + "  ".join(pad[k](row[k], widths[k]) for k in part)).rstrip() for row in rows]
+        return lines
 
     def html(self, links: Mapping[str, str] | None = None) -> str:
         """An HTML table; numbers are flush right by the class "number", and "long" cells may take several lines.
@@ -116,6 +121,18 @@ class Table:
     def to_list(self) -> list[dict[str, Any]]:
         """Rows for JSON: numbers in full, unknown values null."""
         return [{c.name: _plain(value) for c, value in zip(self.columns, row, strict=True)} for row in self.rows]
+
+
+def _parts(widths: Sequence[int], width: int | None) -> list[list[int]]:
+    """Columns that stand beside each other within a width: the first one, and as many others as fit, at least one."""
+    parts, last = [[0]], widths[0]
+    for k in range(1, len(widths)):
+        if width is not None and len(parts[-1]) > 1 and last + 2 + widths[k] > width:
+            parts.append([0])
+            last = widths[0]
+        parts[-1].append(k)
+        last += 2 + widths[k]
+    return parts
 
 
 def _cell(value: Any, column: Column) -> str:

@@ -81,12 +81,16 @@ class Scales:
 
 def axis_label(name: str, unit: str) -> str:
     """Name and unit of an axis; a unit at the end of the name is removed, and unknown units keep their own brackets."""
+    if not unit or "[" in unit:
+        return with_unit(name, unit)
+    return with_unit(re.sub(rf"[\s_]*[\[(（［]?{re.escape(unit)}[\])）］]?$", "", name) or name, unit)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Name and unit as a heading; unknown units, such as [y]/[u], keep their own brackets."""
     if not unit:
         return name
-    if unit.startswith("["):
-        return f"{name} {unit}"
-    base = re.sub(rf"[\s_]*[\[(（［]?{re.escape(unit)}[\])）］]?$", "", name) or name
-    return f"{base} [{unit}]"
+    return f"{name} {unit}" if "[" in unit else f"{name} [{unit}]"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -73,6 +73,7 @@ def draw_weights(result: FitResult, ax: Axes) -> Axes:
     ax.axhline(0.0, color="black", lw=0.7)
     ax.set(xlabel=axis_label("threshold (half width)", unit["u"]), ylabel=axis_label("weight", unit["y"]))
     ax.legend(frameon=False, fontsize="small", title="open: zero", title_fontsize="small")
+    ax.spines[["top", "right"]].set_visible(False)
     return ax
 
 

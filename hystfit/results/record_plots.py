@@ -147,7 +147,7 @@ def draw_cycle_errors(traces: list[Trace], ax: Axes) -> None:
     ax.axhline(0.0, color="black", lw=0.7)
     column_label(ax, "x", *trace.columns["u"])
     ax.set_ylabel(trace.residual_label)
-    ax.legend(frameon=False, fontsize="small")
+    _legend_above(ax)
 
 
 def draw_worst(traces: list[Trace], ax: Axes) -> None:
@@ -165,6 +165,11 @@ def draw_worst(traces: list[Trace], ax: Axes) -> None:
     column_label(ax, "y", *trace.columns["y"])
     ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)
+    _legend_above(ax)
+
+
+def _legend_above(ax: Axes) -> None:
+    """A legend that covers no curve."""
     ax.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
 
 
@@ -179,7 +184,7 @@ def draw_series(traces: list[Trace], ax: Axes) -> None:
     column_label(ax, "y", *traces[0].columns["y"])
     ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)
-    ax.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    _legend_above(ax)
 
 
 def _axis(traces: list[Trace]) -> str:
@@ -196,7 +201,7 @@ def draw_residuals(traces: list[Trace], ax: Axes) -> None:
             _line(ax, trace.axis[at], np.where(mask, trace.residual, np.nan)[at], label, color, 0.8)
     ax.axhline(0.0, color="black", lw=0.7)
     if any(trace.held.any() for trace in traces) and any(trace.seen.any() for trace in traces):
-        ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        _legend_above(ax)
     ax.set(xlabel=_axis(traces), ylabel=traces[0].residual_label)
     ax.margins(x=0.01)
     _frame(ax, traces)
@@ -207,13 +212,16 @@ def draw_residuals_over_input(traces: list[Trace], ax: Axes) -> None:
     share = max(1, _POINTS // len(traces))
     for trace in traces:
         at = thin(share, trace.u, trace.residual)
-        for mask, color in ((trace.held, HELD_OUT), (trace.seen, MODEL)):
+        for mask, label, color in ((trace.held, "not fitted", HELD_OUT), (trace.seen, "fitted", MODEL)):
             y = np.where(mask, trace.residual, np.nan)[at]
             if np.isfinite(y).any():
-                ax.plot(trace.u[at], y, ".", ms=2, color=color, rasterized=True)
+                label = None if label in ax.get_legend_handles_labels()[1] else label
+                ax.plot(trace.u[at], y, ".", ms=2, color=color, label=label, rasterized=True)
     ax.axhline(0.0, color="black", lw=0.7)
     column_label(ax, "x", *traces[0].columns["u"])
     ax.set_ylabel(traces[0].residual_label)
+    if len(ax.get_legend_handles_labels()[1]) > 1:
+        _legend_above(ax)
     _frame(ax, traces)
 
 

@@ -9,6 +9,7 @@ import html
 import io
 import json
 import math
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -69,14 +70,14 @@ class Page:
         title: one line.
         status: a sentence on whether the result can be used.
         good: whether it can.
-        answer: what a reader came for, as names and values.
+        answer: what a reader came for, as names and values; "Next" holds commands.
         sections: heading and blocks of each: paragraphs, tables, lists of notes, pictures; empty ones are skipped.
     """
 
     title: str
     status: str
     good: bool
-    answer: Sequence[tuple[str, str]]
+    answer: Sequence[tuple[str, str | Markup]]
     sections: Sequence[tuple[str, Sequence[Block]]]
 
     def render(self) -> str:
@@ -89,7 +90,11 @@ class Page:
         shown = [(heading, [block_html(block) for block in blocks if block]) for heading, blocks in self.sections]
         kept = [(heading, blocks) for heading, blocks in shown if blocks]
         enlarges = any("<img" in block for _, blocks in kept for block in blocks)
-        return environment.get_template("page.html").render(page=self, sections=kept, enlarges=enlarges)
+        answer = [
+            (name, value.html if isinstance(value, Markup) else html.escape(value)) for name, value in self.answer
+        ]
+        parts = {"status": words_html(self.status), "answer": answer, "sections": kept, "enlarges": enlarges}
+        return environment.get_template("page.html").render(page=self, **parts)
 
 
 def block_html(block: Block) -> str:
@@ -99,10 +104,23 @@ def block_html(block: Block) -> str:
     if isinstance(block, Markup):
         return block.html
     if isinstance(block, str):
-        return f"<p>{html.escape(block)}</p>"
+        return f"<p>{words_html(block)}</p>"
     if isinstance(block[0], Picture):
         return '<div class="pictures">' + "".join(one.html() for one in block if isinstance(one, Picture)) + "</div>"
-    return "<ul>" + "".join(f"<li>{html.escape(str(item))}</li>" for item in block if str(item)) + "</ul>"
+    return "<ul>" + "".join(f"<li>{words_html(str(item))}</li>" for item in block if str(item)) + "</ul>"
+
+
+_OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*(?: \w+)?")
+
+
+def words_html(text: str) -> str:
+    """Text as HTML; no line ends within an option, or between it and its value."""
+    return _OPTION.sub(r'<span class="option">\g<0></span>', html.escape(text))
+
+
+def link(address: str, text: str) -> Markup:
+    """A link to a page beside this one."""
+    return Markup(f'<a href="{html.escape(address, quote=True)}">{html.escape(text)}</a>')
 
 
 def svg(figure: Figure) -> bytes:

@@ -23,6 +23,7 @@ from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 
 SCHEMA = "hystfit.sample/3"
+CHECKS = "sd: standard deviation. R-hat: 1 where the chains agree. bulk, tail: effective numbers of draws."
 
 
 def _finite(value: Any) -> float | None:
@@ -98,18 +99,18 @@ class Posterior(WithStatus):
 
     def summary(self) -> Table:
         """`table` for people."""
-        numbers = [Column(head, form=".5g") for head in ("mean", "sd", "2.5 %", "97.5 %")]
+        numbers = [Column("mean"), Column("sd", form=".3g"), Column("2.5 %"), Column("97.5 %")]
         checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
-        columns = [Column(""), *numbers, *checks, Column("", key="unit", left=True)]
-        keys = ("name", "mean", "sd", "lower", "upper", "rhat", "bulk", "tail", "unit")
+        columns = [Column("parameter"), *numbers, Column("unit", left=True), *checks]
+        keys = ("name", "mean", "sd", "lower", "upper", "unit", "rhat", "bulk", "tail")
         return Table(columns, [[row[key] for key in keys] for row in self.table()])
 
     def derived_table(self) -> Table:
         """Derived quantities for people."""
-        numbers = [Column(head, form=".5g") for head in ("median", "2.5 %", "97.5 %")]
-        columns = [Column(""), *numbers, Column("", "unit", left=True)]
-        keys = ("name", "median", "lower", "upper", "unit")
-        return Table(columns, [[row[key] for key in keys] for row in self.derived_rows])
+        numbers = [Column(head) for head in ("median", "2.5 %", "97.5 %")]
+        columns = [Column("quantity"), *numbers, Column("unit", left=True)]
+        keys = ("median", "lower", "upper", "unit")
+        return Table(columns, [[QUANTITIES[row["name"]].label, *(row[k] for k in keys)] for row in self.derived_rows])
 
     def _headline(self) -> str:
         chains, draws, _ = self.draws.shape
@@ -125,7 +126,7 @@ class Posterior(WithStatus):
         return f"log evidence: {log_z:.2f} +- {error:.2f} (nats; comparable for the same data only)"
 
     def __str__(self) -> str:
-        lines = [self._headline(), *self.summary().lines()]
+        lines = [self._headline(), *self.summary().lines(), CHECKS]
         if evidence := self._evidence_words():
             lines.append(evidence)
         lines += self.derived_table().lines()
@@ -135,7 +136,7 @@ class Posterior(WithStatus):
 
     def _repr_html_(self) -> str:
         priors = Table(["parameter", Column("prior", left=True)], list(self.priors.items()))
-        parts = (self.summary(), self._evidence_words(), self.derived_table(), self.notes, priors)
+        parts = (self.summary(), CHECKS, self._evidence_words(), self.derived_table(), self.notes, priors)
         return fragment(self._headline(), parts)
 
     def to_dict(self) -> dict[str, Any]:

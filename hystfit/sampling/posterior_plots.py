@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,17 @@ from scipy.stats import rankdata
 from hystfit.errors import ParameterError, optional
 from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
+from hystfit.results.colors import HELD_OUT, MODEL, THIRD
 from hystfit.results.labels import column_label, use_available_fonts
 from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
 _LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
+_FEW = 3  # parameters up to which a corner plot has no room at its upper right
+_TICKS = 0.8  # room for the tick labels of a corner plot [inches]
+_POINTS = 72  # in an inch
 _BINS = 20
+_CHAINS = (MODEL, HELD_OUT, THIRD, "#cc79a7")
 _KINDS = ("corner", "trace", "rank", "bands")
 
 
@@ -34,7 +40,9 @@ def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
 
 
 def _labels(posterior: Posterior) -> list[str]:
-    return [axis_label(name, unit) for name, unit in zip(posterior.names, posterior.units, strict=True)]
+    """Names of the parameters, with their units in a second line."""
+    named = zip(posterior.names, posterior.units, strict=True)
+    return [f"{name}\n{axis_label('', unit).strip()}".rstrip() for name, unit in named]
 
 
 def _corner(posterior: Posterior) -> Any:
@@ -59,10 +67,19 @@ def _corner(posterior: Posterior) -> Any:
         ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=size)
     for ax in panels.ravel():
         ax.tick_params(labelsize=0.8 * size)
-    part = f"{len(at)} of {len(labels)} parameters; " if len(at) < len(labels) else ""
-    text = "median +- standard deviation; dashed: median and 95 % interval; contours: 50 and 90 %"
-    figure.suptitle(part + text, fontsize=size, x=0.98, ha="right")
+    words = ["median +- standard deviation", "dashed: median and 95 % interval", "contours: 50 and 90 %"]
+    words = [f"{len(at)} of {len(labels)} parameters", *words] if len(at) < len(labels) else words
+    beside = len(at) > _FEW  # the explanation stands beside the first title, where there is room, else above it
+    figure.suptitle(("; " if beside else "\n").join(words), fontsize=size, x=0.98, ha="right")
+    _widen_margins(figure, size, above=2 if beside else 3 + len(words))
     return figure
+
+
+def _widen_margins(figure: Any, size: float, above: int) -> None:
+    """Make room in a corner plot for labels of two lines of this size [points], and for as many lines `above` as given."""
+    line, (wide, high) = 1.3 * size / _POINTS, figure.get_size_inches()
+    side = _TICKS + 2 * line
+    figure.subplots_adjust(left=side / wide, bottom=side / high, top=1 - (0.1 + above * line) / high)
 
 
 def _of_corner(posterior: Posterior, flat: np.ndarray) -> list[int]:
@@ -78,15 +95,15 @@ def _panels(posterior: Posterior) -> Any:
     import matplotlib.pyplot as plt
 
     count = len(posterior.names)
-    return plt.subplots(count, 1, figsize=(7, 1.4 * count), layout="constrained", squeeze=False)
+    return plt.subplots(count, 1, figsize=(5.6, 0.9 + count), layout="constrained", squeeze=False, sharex=True)
 
 
 def _trace(posterior: Posterior) -> Any:
     figure, axes = _panels(posterior)
     for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
-        for chain in posterior.draws[:_SHOWN, :, k]:
-            ax.plot(chain, lw=0.4)
-        ax.set_ylabel(label.replace(" [", "\n["), fontsize=8)
+        for chain, color in zip(posterior.draws[:_SHOWN, :, k], itertools.cycle(_CHAINS)):
+            ax.plot(chain, lw=0.4, color=color)
+        ax.set_ylabel(label, fontsize=8)
     axes[0, 0].set_title(_shown(posterior), fontsize=9)
     axes[-1, 0].set_xlabel("draw")
     return figure
@@ -97,10 +114,10 @@ def _rank(posterior: Posterior) -> Any:
     for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
         draws = posterior.draws[:, :, k]
         ranks = rankdata(draws).reshape(draws.shape)
-        for chain in ranks[:_SHOWN]:
-            ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step")
+        for chain, color in zip(ranks[:_SHOWN], itertools.cycle(_CHAINS)):
+            ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step", color=color)
         ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
-        ax.set_ylabel(label.replace(" [", "\n["), fontsize=8)
+        ax.set_ylabel(label, fontsize=8)
     axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected for converged chains", fontsize=9)
     axes[-1, 0].set_xlabel("rank over all chains")
     return figure
@@ -114,7 +131,7 @@ def _shown(posterior: Posterior) -> str:
 
 
 def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
-    """The loop, and below it the deviations from the median of the draws over time, which are too small to be seen in the loop."""
+    """The loop, and beside it the deviations from the median of the draws over time, which are too small to be seen in the loop."""
     import matplotlib.pyplot as plt
 
     record = posterior.result.data[0]
@@ -122,7 +139,7 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     low, _, high = posterior.bands(record, level, count)
     inner = posterior.bands(record, level, count, kind="credible")
     middle = inner[1]
-    figure, (loop, rest) = plt.subplots(2, 1, figsize=(7, 7), layout="constrained")
+    figure, (loop, rest) = plt.subplots(1, 2, figsize=(10.6, 4.0), layout="constrained")
     axis = np.arange(len(record)) if record.t is None else record.t
     loop.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
     loop.plot(record.u[on], middle[on], color="#0072b2", lw=0.8, label="median of the draws")
@@ -138,5 +155,5 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     if len(posterior.result.data) > 1:
         loop.set_title(f"{record.name}, the first of {len(posterior.result.data)} records", fontsize=9)
     rest.set_title(f"{100 * level:.0f} % bands: of the model output (blue), of a measurement (orange)", fontsize=9)
-    loop.legend(frameon=False)
+    loop.legend(frameon=False, markerscale=4)
     return figure

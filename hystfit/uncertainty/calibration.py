@@ -101,8 +101,21 @@ class Calibration(WithStatus):
         known = len(self.ranks) > 0
         p = self.p_values().tolist() if known else [None] * len(self.names)
         covered = self.coverage().tolist() if known else [None] * len(self.names)
-        columns = [Column("", key="name"), Column("p", form=".4f"), Column("coverage", key="coverage95", form=".1%")]
+        columns = [
+            Column("parameter", key="name"),
+            Column("p", form=".4f"),
+            Column("coverage", key="coverage95", form=".1%"),
+        ]
         return Table(columns, list(zip(self.names, p, covered, strict=True)))
+
+    def explanations(self) -> list[str]:
+        """What the columns of the table mean."""
+        low, high = self.coverage_band()
+        return [
+            f"coverage: share of the 95 % intervals that hold the true value; with {len(self.ranks)} replicates, "
+            f"{100 * low:.1f} % to {100 * high:.1f} % is consistent with 95 %",
+            "p: probability of ranks of the true values as uneven as these, where the errors are right",
+        ]
 
     def __str__(self) -> str:
         lines = [
@@ -110,14 +123,7 @@ class Calibration(WithStatus):
             f"{len(self.ranks)} replicates, {len(self.failures)} failed: {self.status}"
         ]
         if len(self.ranks):
-            low, high = self.coverage_band()
-            count = len(self.ranks)
-            lines.append(
-                f"coverage: share of the 95 % intervals that hold the true value; with {count} replicates, {100 * low:.1f} % to "
-                f"{100 * high:.1f} % is consistent with 95 %"
-            )
-            lines.append("p: probability of ranks of the true values as uneven as these, where the errors are right")
-            lines += self.table().lines()
+            lines += [*self.explanations(), *self.table().lines()]
         lines += [f"replicate {k} failed: {why}" for k, why in self.failures[:10]]
         if not self.usable:
             lines.append(self.advice)

@@ -21,6 +21,7 @@ from hystfit.inference.information import Moments
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
+from hystfit.params.units import with_unit
 from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
 from hystfit.results.estimates import grouped
@@ -118,19 +119,28 @@ class Design(WithStatus):
         columns, families = [Column("")], self.families(tuple(self.present))
         for name, members in families.items():
             unit, head = self.result[members[0]].unit, name if len(members) == 1 else f"{name} median"
-            columns.append(Column(f"{head} [{unit}]" if unit else head, key=name, form=".3g"))
+            columns.append(Column(with_unit(head, unit), key=name, form=".3g"))
         rows = [("present", self.present)] + [(c.name, c.stderr) for c in self.candidates]
         return Table(columns, [[label, *(self.median(errors, m) for m in families.values())] for label, errors in rows])
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.result.name}: next input for {', '.join(self.families(self.aim))}",
-            "predicted standard errors, present data and the new input:",
-            *self.table().lines(),
-        ]
-        return "\n".join(lines + [f"note: {note}" for note in self.notes])
+        return self.text()
 
     __repr__ = __str__
+
+    def text(self, width: int | None = None) -> str:
+        """The proposed input, and the predicted standard errors with all inputs.
+
+        Args:
+            width: columns of the table; a wider one is shown in parts.
+        """
+        lines = [
+            f"{self.result.name}: next input for {', '.join(self.families(self.aim))}",
+            f"proposed input: {self.best.name}",
+            "predicted standard errors, with the present data alone and with one more record of each input, best first:",
+            *self.table().lines(width=width),
+        ]
+        return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""

@@ -24,6 +24,7 @@ from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
 from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import has, warn
+from hystfit.outcome.table import rounded
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
 from hystfit.results.agreement import differences
@@ -62,16 +63,28 @@ class Profile:
         """Both limits exist."""
         return self.lower is not None and self.upper is not None
 
+    @property
+    def limits(self) -> str:
+        """The confidence limits with their unit, and which sides have none."""
+        lower, upper = (
+            None if end is None else f"{self._words(end)} {self.unit}".rstrip() for end in (self.lower, self.upper)
+        )
+        if self.lower is not None and upper is not None:
+            return f"{self._words(self.lower)} to {upper}"
+        if lower is not None:
+            return f"at least {lower}, no upper limit (up to {self.open_upper})"
+        if upper is not None:
+            return f"at most {upper}, no lower limit (down to {self.open_lower})"
+        return "not bounded by the data on either side"
+
+    def _words(self, value: float) -> str:
+        """A value with the digits that the width of the interval leaves; five where there is no interval."""
+        if self.lower is None or self.upper is None:
+            return f"{value:.5g}"
+        return rounded(value, (self.upper - self.lower) / 4)[0]
+
     def __str__(self) -> str:
-        if self.lower is not None and self.upper is not None:
-            limits = f"{self.lower:.5g} to {self.upper:.5g}"
-        elif self.lower is not None:
-            limits = f"at least {self.lower:.5g}, no upper limit (up to {self.open_upper})"
-        elif self.upper is not None:
-            limits = f"at most {self.upper:.5g}, no lower limit (down to {self.open_lower})"
-        else:
-            limits = "not bounded by the data on either side"
-        return f"{self.name} = {self.value:.5g} {self.unit}: {limits}".replace(" :", ":")
+        return f"{self.name} = {self._words(self.value)}: {self.limits}"
 
     __repr__ = __str__
 
@@ -148,8 +161,8 @@ class Profiles(WithStatus):
                 if limit is not None:
                     ax.axvline(limit, color="#009e73", lw=0.9, label="limits" if limit == p.lower else None)
             if not p.closed:
-                ends = [end for end in (p.open_lower, p.open_upper) if end is not None]
-                ax.set_title(f"open to {' and '.join(ends)}", fontsize=8)
+                sides = {"lower": p.open_lower, "upper": p.open_upper}
+                ax.set_title(" and ".join(f"no {side} limit" for side, end in sides.items() if end), fontsize=8)
             ax.locator_params(axis="x", nbins=4)
             ax.set(xlabel=axis_label(p.name, p.unit), ylim=(0, 2.5 * chi2.ppf(self.level, 1)))
         for row in axes:

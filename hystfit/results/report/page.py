@@ -15,7 +15,7 @@ from hystfit.results.estimates import grouped
 from hystfit.results.plots import fit as draw
 from hystfit.results.record_plots import selects_cycles
 from hystfit.results.report.answer import Wording, answer
-from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
 from hystfit.results.result import FitResult
 from hystfit.results.webpage import Page, Picture
@@ -92,7 +92,7 @@ def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str
         ("Plots", [list(shown.values())]),
         (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
         (ERRORS, [metrics_table(result)]),
-        ("Parameters", [parameter_table(result, meaning=True), fixed_words(result)]),
+        ("Parameters", [parameter_table(result, meaning=True), fixed_words(result), unit_words(result)]),
         ("Notes", [in_words(remarks(result))]),
         *((heading, [items]) for heading, items in facts(result).items()),
     ]
@@ -159,7 +159,7 @@ def write_into(
     """Write the files of `write` into an existing folder, with its arguments."""
     wording = wording or Wording()
     shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
-    (folder / "report.txt").write_text(wording.translate(text_report(result, wording)), encoding="utf-8")
+    (folder / "report.txt").write_text(text_report(result, wording), encoding="utf-8")
     for name, picture in shown.items():
         (folder / f"{name}.png").write_bytes(_png(picture.figure))
         picture.figure.set_layout_engine("none")  # as laid out for the PNG

@@ -78,6 +78,16 @@ def fixed_words(result: FitResult) -> str:
     return f"Fixed: {', '.join(parts)}" if parts else ""
 
 
+def unit_words(result: FitResult) -> str:
+    """What [u] and [y] in the units of parameters mean; "" where the data name their units."""
+    unknown = [f"[{side}]" for side in ("u", "y") if any(f"[{side}]" in p.unit for p in result.parameters)]
+    sides = {"[u]": "input", "[y]": "output"}
+    if not unknown:
+        return ""
+    what = " and ".join(sides[mark] for mark in unknown)
+    return f"{' and '.join(unknown)}: unit of the {what}, which the data do not name (units='V,um' names both)"
+
+
 def metrics_table(result: FitResult) -> Table:
     """Errors on the training and the test data; percentages are of the output range."""
     unit = result.data.units["y"]

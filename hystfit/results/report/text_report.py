@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable
 
 import numpy as np
@@ -10,13 +9,14 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.table import number
+from hystfit.outcome.wrapping import PROSE, within
 from hystfit.results.report.answer import Wording, answer
-from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table
+from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
-_WIDTH, _MOST_ITEMS = 100, 16  # of a page, characters; of a list
+_MOST_ITEMS = 16  # of a list
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are allowed"}
 _VERDICT = frozenset(
     {
@@ -34,14 +34,8 @@ _VERDICT = frozenset(
 )
 
 
-def _filled(text: str, first: str = "", rest: str = "") -> str:
-    return textwrap.fill(
-        text, _WIDTH, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
-    )
-
-
 def _section(heading: str, items: Iterable[object]) -> list[str]:
-    return ["", heading, *(_filled(str(item), "  - ", "    ") for item in items if str(item))]
+    return ["", heading, *(f"  - {item}" for item in items if str(item))]
 
 
 def headline(result: FitResult) -> str:
@@ -119,12 +113,17 @@ def _shortened(items: list[str]) -> list[str]:
     return items if more <= 0 else [*items[:_MOST_ITEMS], f"and {more} more (result.json and records.npz)"]
 
 
-def text_report(result: FitResult, wording: Wording | None = None) -> str:
-    """The report as text, at most about 100 columns wide."""
+def text_report(result: FitResult, wording: Wording | None = None, width: int = PROSE) -> str:
+    """The report as text.
+
+    Args:
+        width: columns of a line; only commands, and tables of many numbers, may be wider.
+    """
+    wording = wording or Wording()
     title = headline(result)
-    lines = [title, "=" * len(title)]
+    lines = [title, "=" * min(len(title), width)]
     if not result.usable:
-        lines.append(_filled(result.advice))
+        lines.append(result.advice)
     *values, (following, commands) = answer(result, wording)
     lines += _section("Answer", (f"{name}: {value}" for name, value in values))
     lines += [f"  - {following}:", *(f"      {command}" for command in commands.splitlines())]  # whole, to be copied
@@ -132,10 +131,9 @@ def text_report(result: FitResult, wording: Wording | None = None) -> str:
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
     lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
     lines += ["", "Parameters", *parameter_table(result).lines("  ")]
-    if fixed := fixed_words(result):
-        lines.append(_filled(fixed, "  ", "  "))
+    lines += [f"  {words}" for words in (fixed_words(result), unit_words(result)) if words]
     if notes := remarks(result):
         lines += _section("Notes", notes)
     for heading, items in facts(result).items():
         lines += _section(heading, items)
-    return "\n".join(lines) + "\n"
+    return within(wording.translate("\n".join(lines)), width) + "\n"

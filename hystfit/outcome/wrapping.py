@@ -1,0 +1,44 @@
+"""Text within a number of columns: prose wraps below its own beginning, and commands stay whole."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+
+PROSE = 100  # columns from which a line of prose is hard to read
+_LAST_COLUMN = re.compile(r"^.*\S {2,}(?=\S)")
+_HANG = 0.7  # part of the width behind which the last column of a table is no prose that could wrap
+_COMMAND = re.compile(r"\s*(?:\$ )?hystfit ")  # whole, to be copied
+
+
+def within(text: str, width: int) -> str:
+    """The text with lines of at most `width` columns.
+
+    A longer line goes on below the beginning of its bullet or of its last column. Commands, and rows of numbers that are too wide,
+    stay as they are.
+    """
+    return "\n".join(_wrapped(line, width) for line in text.split("\n"))
+
+
+def _wrapped(line: str, width: int) -> str:
+    if len(line) <= width or _COMMAND.match(line):
+        return line
+    hang = _hang(line)
+    if hang > _HANG * width:
+        return line
+    return textwrap.fill(
+        line,
+        width,
+        subsequent_indent=" " * hang,
+        break_long_words=False,
+        break_on_hyphens=False,
+        replace_whitespace=False,
+        drop_whitespace=True,
+    )
+
+
+def _hang(line: str) -> int:
+    """Where the second line begins."""
+    if column := _LAST_COLUMN.match(line):
+        return column.end()
+    return len(line) - len(line.lstrip()) + 2
