@@ -875,3 +875,53 @@ def test_measured_ferroelectric(measured: Path) -> None:
     both = np.concatenate([np.column_stack([record.u, record.y, record.t]) for record in data])  # type: ignore[arg-type]
     np.testing.assert_array_equal(both, np.array(told, dtype=float)[:, :3])
     assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 4  # kinds of lines, and unused columns
+
+
+# -- matrices of loops ---------------------------------------------------------------------------------------------------
+
+
+def _matrices() -> tuple[np.ndarray, np.ndarray]:
+    """Inputs and outputs of three loops, a column each."""
+    H = np.outer(np.sin(np.linspace(0, 7, 40)), [1.0, 2.0, 3.0])
+    return H, np.tanh(H) + np.outer(np.cos(np.linspace(0, 7, 40)), [0.1, 0.2, 0.3])
+
+
+def _check_loops(data: Record | Dataset, H: np.ndarray, B: np.ndarray) -> None:
+    assert isinstance(data, Dataset)
+    assert len(data) == H.shape[1]
+    for k, record in enumerate(data):
+        np.testing.assert_array_equal(record.u, H[:, k])
+        np.testing.assert_array_equal(record.y, B[:, k])
+        assert record.t is None
+
+
+def test_a_matrix_of_inputs_and_one_of_outputs_are_loops_column_by_column(tmp_path: Path) -> None:
+    H, B = _matrices()
+    scipy.io.savemat(tmp_path / "both.mat", {"H": H, "B": B})
+    _check_loops(read(tmp_path / "both.mat"), H, B)
+    for name, matrix in (("H", H), ("B", B)):
+        scipy.io.savemat(tmp_path / f"{name}.mat", {name: matrix})
+        np.savetxt(tmp_path / f"{name}.csv", matrix, delimiter=",", fmt="%.17g")
+    for suffix in ("mat", "csv"):
+        _check_loops(read(f"{tmp_path}/H.{suffix}+{tmp_path}/B.{suffix}"), H, B)
+    names = [f"{symbol}{k} ({unit})" for symbol, unit in (("H", "A/m"), ("B", "T")) for k in (1, 2, 3)]
+    np.savetxt(
+        tmp_path / "wide.csv", np.hstack([H, B]), delimiter=",", fmt="%.17g", header=",".join(names), comments=""
+    )
+    _check_loops(read(tmp_path / "wide.csv"), H, B)
+
+
+def test_matrices_with_a_time_are_the_channels_of_one_record(tmp_path: Path) -> None:
+    """Two oscilloscope channels, each a matrix of time and voltage; two files of time and signal without names."""
+    H, B = _matrices()
+    t = np.arange(40) / 100
+    scipy.io.savemat(
+        tmp_path / "scope.mat", {"CH1": np.column_stack([t, H[:, 0]]), "CH2": np.column_stack([t, B[:, 0]])}
+    )
+    assert isinstance(read(tmp_path / "scope.mat"), Record)
+    for name, matrix in (("u", H), ("y", B)):
+        np.savetxt(tmp_path / f"{name}.csv", np.column_stack([t, matrix[:, 0]]), delimiter=",", fmt="%.17g")
+    record = read(f"{tmp_path}/u.csv+{tmp_path}/y.csv")
+    assert isinstance(record, Record)
+    np.testing.assert_array_equal(record.u, H[:, 0])
+    np.testing.assert_array_equal(record.y, B[:, 0])

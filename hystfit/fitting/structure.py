@@ -31,6 +31,7 @@ from hystfit.models.simulation import simulate
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
+from hystfit.quality.baselines import rounding_error
 from hystfit.quality.determination import delayed, falling
 from hystfit.quality.summary import summarize
 
@@ -148,7 +149,9 @@ def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
     options = terms.options()
     structure, score = min(((s, terms.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
     trail: list[str] = []
-    while True:
+    # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on left-out cycles.
+    rounding = rounding_error(data)
+    while score > rounding:
         changes = [
             changed
             for field, values in options.items()
@@ -162,7 +165,7 @@ def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
         structure, score = best, terms.score(best)
     tried, chosen = len(terms.scores), terms.plays
-    for other in _OTHER_PLAYS if plays is None else ():
+    for other in _OTHER_PLAYS if plays is None and score > rounding else ():
         resized = Terms(data, other)
         if other > most or other == terms.plays or not resized.served(structure):
             continue
