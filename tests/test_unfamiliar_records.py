@@ -114,6 +114,50 @@ def test_a_named_model_without_a_delay_gets_a_note_on_it() -> None:
     assert not make_model("lag+prandtl-ishlinskii").delays
 
 
+def _late(samples: float, saturating: bool = True) -> hf.Record:
+    """Plays behind two first-order lags, of a slow wave with a fast one on it, and a curve that saturates."""
+    t = np.arange(1600) / 200
+    u = 100 * np.sin(np.pi / 2 * t) * (1 - 0.03 * t) + 20 * np.sin(1.8 * np.pi * t)
+    behind, keep = u.copy(), np.exp(-2 / samples) if samples else 0.0
+    for _ in range(2):
+        for k in range(1, u.size):
+            behind[k] = keep * behind[k - 1] + (1 - keep) * behind[k]
+    y = plays(behind, np.linspace(0, 40, 8)) / 300
+    y = np.tanh(y) if saturating else y
+    return hf.Record(u, y + 0.002 * np.ptp(y) * NOISE[:1600], t)
+
+
+@pytest.mark.parametrize("saturating", [True, False])
+def test_a_lag_of_many_samples_is_found_and_modeled(saturating: bool) -> None:
+    record = _late(14.0, saturating)
+    found = summarize(record)
+    assert found.slow_lag == pytest.approx(14.0, rel=0.25)
+    report = hf.check(record)
+    assert has(report.findings, Code.LAG)
+    assert report.advice is not None
+    assert report.advice.model.startswith("lag+")
+    assert "lag+preisach" in candidates(hf.Dataset.of(record)).names
+    if not saturating:
+        assert search_structure(hf.Dataset.of(record), plays=8).structure.lag == pytest.approx(14.0, rel=0.2)
+
+
+@pytest.mark.parametrize("other", [{"delay": 12}, {"viscosity": 3.0}, {}])
+def test_a_delay_viscosity_and_hysteresis_alone_are_no_lag_of_many_samples(other: dict[str, float]) -> None:
+    assert summarize(_timed(**other)).slow_lag is None
+    assert summarize(_late(0.0)).slow_lag is None
+
+
+def test_a_force_that_relaxes_is_compared_with_relaxation() -> None:
+    """A Maxwell element beside yielding ones, at two frequencies: the area of the loop changes with the speed."""
+    t = np.arange(4000) / 100
+    u = np.sin(2 * np.pi * np.cumsum(np.where(t < 20, 0.2, 1.0)) / 100)
+    maxwell = np.zeros(u.size)
+    for k in range(1, u.size):
+        maxwell[k] = (maxwell[k - 1] + 8 * (u[k] - u[k - 1])) * np.exp(-1 / 30)
+    record = hf.Record(u, 5 * u + maxwell + 3 * u - plays(u, np.array([0.1, 0.4, 0.9])) + 0.05 * NOISE[:4000], t)
+    assert "bouc-wen-force+relaxation" in candidates(hf.Dataset.of(record)).names
+
+
 def test_a_loop_after_first_magnetization_has_a_shape() -> None:
     """From zero to saturation, then once around: the outer loop closes, and the first curve is none of its branches."""
     u = np.concatenate([np.linspace(0, 5, 60), np.linspace(5, -5, 120)[1:], np.linspace(-5, 5, 120)[1:]])

@@ -155,12 +155,19 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
         yield warn(Code.DRIFT, text + more)
-    if lag is not None and record.lags and not record.dynamic:
+    if lag is not None and record.lags and record.slow_lag is None and not record.dynamic:
         clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
         yield warn(
             Code.LAG,
             f"the output lags the input by {lag.samples:.1f} +- {lag.stderr:.1f} samples{clock} at the reversals: a delay, a "
             "fast lag or creep, not hysteresis",
+        )
+    if record.slow_lag is not None:
+        clock = f"{record.slow_lag / (record.sampling.rate or 1.0):.3g} {record.units['t']}".rstrip()
+        yield warn(
+            Code.LAG,
+            f"the output follows the input with a lag of about {record.slow_lag:.2g} samples ({clock}), which widens the loop: model it "
+            "(lag) or measure at a lower frequency",
         )
     if record.speed_dependent:
         reason = "the area of the loop changes with frequency"

@@ -17,6 +17,7 @@ from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, r
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left, unloading_left
+from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
 _BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
@@ -107,6 +108,7 @@ class RecordQuality:
     """Everything measured on one record; None where it is unknown.
 
     Attributes:
+        slow_lag: of the output, where it is longer than the turns of the loops show [samples].
         delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
         correlation: of output and input; 0 where one of them is constant.
@@ -131,6 +133,7 @@ class RecordQuality:
     dynamics: Dynamics | None
     clipped: int
     spikes: int
+    slow_lag: float | None = None
     delay: PureDelay | None = None
 
     @property
@@ -178,6 +181,8 @@ class RecordQuality:
     def lags(self) -> bool:
         """Whether the output keeps moving after the input has turned."""
         least = 0.0 if self.delay is None else _BESIDE_DELAY
+        if self.slow_lag is not None:
+            return True
         return self.lag is not None and self.lag.samples > max(2 * self.lag.stderr, least)
 
     @property
@@ -235,10 +240,14 @@ def _summarize(record: Record) -> RecordQuality:
     motion, turns, cycles, loops = _motion(record, u_column)
     moving = np.ptp(u) > 0
     sampling, interval = _sampling(record), record.sampling_interval
-    lag = gain = dynamics = None
+    lag = gain = dynamics = slow_lag = None
+    shape = loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0)
     if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
         lag = estimate_lag(u, y, interval, turns, u_noise=u_column.known_noise)
         dynamics = estimate_dynamics(u, y, interval)
+        short = lag is not None and lag.samples + 2 * lag.stderr < SHORT
+        if not (short or (dynamics is not None and dynamics.resonant)) and shape is not None and not shape.crossing:
+            slow_lag = estimate_slow_lag(u, y, turns)
         if motion.cycles >= 1:
             late = max(0, round(lag.samples)) if lag else 0
             gain = velocity_gain(u[: u.size - late], y[late:], t[: u.size - late])
@@ -251,7 +260,7 @@ def _summarize(record: Record) -> RecordQuality:
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
         correlation=_correlation(u[record.used], y[record.used]),
-        shape=loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0),
+        shape=shape,
         drift=drift(u, y, t, cycles) if moving else None,
         lag=lag,
         velocity_gain=gain,
@@ -262,6 +271,7 @@ def _summarize(record: Record) -> RecordQuality:
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),
+        slow_lag=slow_lag,
     )
 
 
