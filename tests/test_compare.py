@@ -420,6 +420,12 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
     assert [r.name for r in _ranked(rows, "prediction", 0.11)] == ["worse", "small", "large", "stuck"]
 
 
+def test_a_model_that_was_stopped_ranks_below_those_that_found_no_loop():
+    row = lambda name, score, status: Row(name, name, score, 1.0, 1.0, 5, 0.0, status)
+    rows = [row("stopped", None, Status.UNTESTED), row("curve", 0.5, Status.NO_LOOP), row("poor", 0.4, Status.NO_LOOP)]
+    assert [r.name for r in _ranked(rows, "prediction")] == ["poor", "curve", "stopped"]
+
+
 def test_rounding_errors_that_recur_every_cycle_are_not_described_by_terms():
     """Ten equal cycles of plays, rounded to 255 levels: errors on left-out cycles below that of rounding take no forces of the rate."""
     t = np.arange(2000) / 100

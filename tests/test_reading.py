@@ -877,6 +877,53 @@ def test_measured_ferroelectric(measured: Path) -> None:
     assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 4  # kinds of lines, and unused columns
 
 
+# -- numbered curves -----------------------------------------------------------------------------------------------------
+
+
+def _numbered(title: str, clock: bool, apart: bool) -> str:
+    """Four loops of growing amplitude with their numbers; those that are not apart go on as one signal."""
+    rows, time = [f"{'t_s,' * clock}{title},H (A/m),B (T)"], 0.0
+    for number in range(4):
+        phase = np.linspace(0, 2 * np.pi, 60) + (0.5 * np.pi * number if apart else 0.0)
+        for H in (1 + number) * np.sin(phase):
+            time += 0.01
+            rows.append(f"{f'{time:.2f},' * clock}{number + 1},{H:.6f},{H**3 if apart else H + 0.2 * time:.6f}")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize("title", ["curve", "Loop", "Schleife", "FORC"])
+@pytest.mark.parametrize("clock", [True, False])
+def test_numbered_curves_that_jump_are_records_of_their_own(title: str, clock: bool, tmp_path: Path) -> None:
+    data = read(_write(tmp_path, _numbered(title, clock, apart=True)))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == [f"{title}={k}" for k in (1, 2, 3, 4)]
+    assert has(data[0].notes, Code.CURVES)
+
+
+def test_numbered_cycles_of_one_experiment_stay_one_record(tmp_path: Path) -> None:
+    for clock in (True, False):
+        record = read(_write(tmp_path, _numbered("cycle", clock, apart=False)))
+        assert isinstance(record, Record)
+        assert any(note.option == ("by", "cycle") for note in record.notes)
+
+
+def test_closed_loops_of_different_strokes_without_time_are_records_of_their_own(tmp_path: Path) -> None:
+    phase = np.linspace(0, 2 * np.pi, 81)
+    rows = [f"{a},{a * np.sin(p):.5f},{np.sin(p - 0.3):.5f}" for a in (1, 2, 3) for p in phase]
+    data = read(_write(tmp_path, "loop,H,B\n" + "\n".join(rows) + "\n"))
+    assert isinstance(data, Dataset)
+    assert len(data) == 3
+
+
+def test_a_column_set_to_levels_is_named(tmp_path: Path) -> None:
+    t = np.arange(400) / 100
+    rows = [f"{a:.2f},{1.5 * (a // 2):g},{np.sin(9 * a):.5f},{np.cos(9 * a) * (1 + a // 2):.5f}" for a in t]
+    record = read(_write(tmp_path, "t_s,current_A,x_mm,F_N\n" + "\n".join(rows) + "\n"))
+    assert isinstance(record, Record)
+    assert any(note.code is Code.CURVES and note.severity is Severity.WARNING for note in record.notes)
+    assert len(read(tmp_path / "file.csv", where="current_A=1.5")) == 200
+
+
 # -- matrices of loops ---------------------------------------------------------------------------------------------------
 
 

@@ -164,9 +164,10 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0) -> list[R
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
-    """Fitted models first, then those that serve the purpose, then the smallest error on left-out data."""
+    """Validated models first, then those that serve the purpose, then the smallest error on left-out data."""
     return (
         row.in_sample_percent is None,
+        row.status is Status.UNTESTED,
         row.status is Status.NO_LOOP,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,

@@ -24,8 +24,10 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
     Equal notes are merged; a note names its records where it does not hold for all.
     """
     names: dict[Note, list[str]] = {}
+    span = max((record.y.range for record in records), default=0.0)
     for record in records:
-        for note in itertools.chain(*(about(record) for about in (_faults, _response, _loops, _changes))):
+        parts = (_faults(record), _noise(record, span), _response(record), _loops(record), _changes(record))
+        for note in itertools.chain(*parts):
             names.setdefault(note, []).append(record.name)
     merged = []
     for note, of in names.items():
@@ -38,7 +40,7 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
 
 def _faults(record: RecordQuality) -> Iterator[Note]:
     """Faults of single samples and of the time axis."""
-    sampling, unit = record.sampling, record.units["y"]
+    sampling = record.sampling
     if sampling.rate is None:
         yield warn(Code.NO_TIME, f"no usable time: lag and creep are unknown, and {WITHOUT_TIME}")
     elif not sampling.uniform:
@@ -71,7 +73,11 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
             f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and models produce "
             f"loops from them: {remedy}",
         )
-    noise, span = record.y.known_noise, record.y.range
+
+
+def _noise(record: RecordQuality, span: float) -> Iterator[Note]:
+    """Noise of the output beside the largest range of the records, of which small loops and reversal curves are parts [y]."""
+    noise, unit = record.y.known_noise, record.units["y"]
     if noise and span > 0 and noise > 0.02 * span:
         size = f"{noise:.3g} {unit}".rstrip()
         yield warn(Code.OUTPUT_NOISE, f"output noise: {size} rms, {100 * noise / span:.1f} % of the output range")
