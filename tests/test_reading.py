@@ -877,6 +877,24 @@ def test_measured_ferroelectric(measured: Path) -> None:
     assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 4  # kinds of lines, and unused columns
 
 
+def test_the_temperature_of_a_shape_memory_alloy_is_the_input(tmp_path: Path) -> None:
+    """Beside its strain and resistance; not a room temperature, and not beside a drive."""
+    k = np.arange(60)
+    heat, room = 60 + 40 * np.sin(0.2 * k), 21 + 0.01 * k
+    strain, ohm = np.cos(0.2 * k), 1 + 0.1 * np.cos(0.2 * k)
+
+    def chosen(header: str, *columns: np.ndarray) -> tuple[str, str]:
+        text = header + "\n" + "".join(",".join(f"{v:.5f}" for v in row) + "\n" for row in zip(*columns, strict=True))
+        record = read(_write(tmp_path, text))
+        assert isinstance(record, Record)
+        return record.u_name, record.y_name
+
+    assert chosen("T_degC,R_ohm,Strain_percent", heat, ohm, strain) == ("T_degC", "Strain_percent")
+    assert chosen("T_degC,R_ohm,Strain_percent", room, ohm, strain)[0] != "T_degC"
+    assert chosen("T_degC,Strain_percent,Stress_MPa", heat, strain, ohm) == ("Strain_percent", "Stress_MPa")
+    assert chosen("T_degC,V,Strain_percent", heat, ohm, strain)[0] == "V"
+
+
 # -- numbered curves -----------------------------------------------------------------------------------------------------
 
 

@@ -12,6 +12,7 @@ from hystfit.quality.determination import few_samples
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.summary import RecordQuality
 
+_ABOVE_NOISE = 6.0  # gap between the ends of a loop over the noise, above which the loop does not close
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
     "the time of evenly spaced samples"
@@ -123,7 +124,8 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
     elif shape.circulation is None:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
-    if shape.closure_percent is not None and abs(shape.closure_percent) > 2:
+    chance = 0.0 if record.y.range == 0 else 100 * _ABOVE_NOISE * (record.y.known_noise or 0.0) / record.y.range
+    if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
     if record.degrading:
         pinched = (
@@ -131,14 +133,17 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
         yield warn(
             Code.DEGRADING,
-            f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles before "
-            "the damage (window=)",
+            f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
+            f"{'after the largest stroke' if record.softens_with_stroke else 'before the damage'} (window=)",
         )
 
 
 def _loss(record: RecordQuality) -> str:
     """What a damaged device loses, and how much of it is left."""
     percent = lambda part: f"{100 * (part or 0.0):.0f} %"
+    if record.softens_with_stroke:
+        left = percent(record.softening_left)
+        return f"stiffness with the largest stroke so far (Mullins effect): later branches reach {left} of the output of earlier ones"
     if record.weakens:
         left = percent(record.strength_left)
         return f"strength (damage): late loops reach {left} of the output of shorter ones before"
@@ -161,6 +166,14 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
         yield warn(Code.DRIFT, text + more)
+    if record.trend is not None:
+        share = 100 * abs(record.trend) / record.y.range
+        size = f"{record.trend:.3g} {record.units['y']}".rstrip()
+        yield warn(
+            Code.DRIFT,
+            f"the output drifts by {size} over the record ({share:.2g} % of its range), apart from the loops: models have no steady "
+            "drift, subtract it before the fit",
+        )
     if lag is not None and record.lags and record.slow_lag is None and not record.dynamic:
         clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
         yield warn(

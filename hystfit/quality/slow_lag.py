@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.baselines import play_positions
 from hystfit.quality.lag import unexplained
 from hystfit.quality.resonance import lagged
+from hystfit.quality.trend import rate_independent_columns
 
 SHORT = 6.0  # samples up to which a lag is short
 _MOST = 4000  # samples used
@@ -15,13 +15,12 @@ _LAGS = 10  # that are tried
 _LONGEST = 0.25  # of a branch
 _VISIBLE = 0.005  # rms error without a lag, as a fraction of the range of y, below which none is sought
 _BETTER = 0.5, 0.7  # error with the lag over that without one, and over that with a short one, below which it is found
-_RADII = np.geomspace(0.03, 1.0, 8)
 
 
 def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | None:
     """Lag of the output behind the input [samples] where it is longer than `SHORT`; None without one.
 
-    A flexible rate-independent model (polynomials of the input, of plays and of their positions) is fitted behind lags of the input.
+    A flexible rate-independent model is fitted behind lags of the input.
 
     Args:
         u: input of evenly spaced samples, shape (T,).
@@ -39,11 +38,9 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
 
     def error(lag: float) -> float:
         behind = lagged(lagged(u[:, None], lag / 2), lag / 2)[:, 0] if lag else u
-        x = (2 * (behind - behind.min()) / np.ptp(behind) - 1)[::stride]
-        plays = play_positions(x, _RADII)
-        columns = np.column_stack([np.ones_like(x), x, x**2, x**3, x**5, plays, plays**2, plays**3])
         rows = used[::stride]
-        return float(np.sqrt(unexplained(columns[rows], y[::stride][rows], 1e-7))) / span
+        columns = rate_independent_columns(behind)[::stride][rows]
+        return float(np.sqrt(unexplained(columns, y[::stride][rows], 1e-7))) / span
 
     without = error(0.0)
     if without < _VISIBLE:
