@@ -417,6 +417,29 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
     ]
     assert [r.name for r in _ranked(rows, "prediction")] == ["small", "large", "stuck", "worse"]
     assert [r.name for r in _ranked(rows[:2], "prediction")] == ["large", "stuck"]
+    assert [r.name for r in _ranked(rows, "prediction", 0.11)] == ["worse", "small", "large", "stuck"]
+
+
+def test_a_model_that_was_stopped_ranks_below_those_that_found_no_loop():
+    row = lambda name, score, status: Row(name, name, score, 1.0, 1.0, 5, 0.0, status)
+    rows = [row("stopped", None, Status.UNTESTED), row("curve", 0.5, Status.NO_LOOP), row("poor", 0.4, Status.NO_LOOP)]
+    assert [r.name for r in _ranked(rows, "prediction")] == ["poor", "curve", "stopped"]
+
+
+def test_rounding_errors_that_recur_every_cycle_are_not_described_by_terms():
+    """Ten equal cycles of plays, rounded to 255 levels: errors on left-out cycles below that of rounding take no forces of the rate."""
+    t = np.arange(2000) / 100
+    u = 50 - 45 * np.cos(np.pi * t)
+    positions, y = np.full(10, 5.0), []
+    for x in u:
+        positions = np.clip(positions, x - np.linspace(0, 30, 10), x + np.linspace(0, 30, 10))
+        y.append(positions @ (0.05 * np.exp(-np.arange(10) / 3)))
+    step = np.ptp(y) / 255
+    found = search_structure(hf.Dataset.of(hf.Record(u, np.round(np.array(y) / step) * step, t)))
+    assert found.structure.rate == 0
+    assert found.structure.lag == 0
+    assert not found.structure.creep
+    assert found.score < 1.05 * step / np.sqrt(12)
 
 
 # -- measured loops ---------------------------------------------------------------------------------------------------------

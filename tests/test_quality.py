@@ -168,6 +168,20 @@ def test_noise_of_a_rounded_slow_signal_is_its_rounding():
     assert small.resolution(y) == pytest.approx(0.01)
 
 
+def test_noise_of_printed_numbers_is_that_of_the_sensor_and_not_of_the_digits():
+    """A rounded signal in steps that six digits do not hold, and an even ramp in seven digits."""
+    step = 12.4023 / 200
+    for radians in (15, 60):
+        levels = np.round(6 * np.sin(np.linspace(0, radians, 2000)) / step)
+        y = np.array([float(f"{level * step:.6g}") for level in levels])
+        assert small.noise_rms(y)[0] == pytest.approx(step / math.sqrt(12), rel=0.2)
+        assert small.rounding_rms(y) == pytest.approx(step / math.sqrt(12), rel=1e-3)
+    ramp = np.array([float(f"{value:.7g}") for value in np.linspace(0, 100, 300)])
+    assert small.noise_rms(ramp)[0] < 1e-5
+    noisy = y + 0.5 * step * np.random.default_rng(1).normal(size=y.size)
+    assert small.rounding_rms(ramp) == small.rounding_rms(noisy) == 0.0
+
+
 def test_jumps_are_not_noise():
     for name in ("staircase", "step"):
         found, _ = small.noise_rms(signals.make(name)[1])

@@ -875,3 +875,118 @@ def test_measured_ferroelectric(measured: Path) -> None:
     both = np.concatenate([np.column_stack([record.u, record.y, record.t]) for record in data])  # type: ignore[arg-type]
     np.testing.assert_array_equal(both, np.array(told, dtype=float)[:, :3])
     assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 4  # kinds of lines, and unused columns
+
+
+def test_the_temperature_of_a_shape_memory_alloy_is_the_input(tmp_path: Path) -> None:
+    """Beside its strain and resistance; not a room temperature, and not beside a drive."""
+    k = np.arange(60)
+    heat, room = 60 + 40 * np.sin(0.2 * k), 21 + 0.01 * k
+    strain, ohm = np.cos(0.2 * k), 1 + 0.1 * np.cos(0.2 * k)
+
+    def chosen(header: str, *columns: np.ndarray) -> tuple[str, str]:
+        text = header + "\n" + "".join(",".join(f"{v:.5f}" for v in row) + "\n" for row in zip(*columns, strict=True))
+        record = read(_write(tmp_path, text))
+        assert isinstance(record, Record)
+        return record.u_name, record.y_name
+
+    assert chosen("T_degC,R_ohm,Strain_percent", heat, ohm, strain) == ("T_degC", "Strain_percent")
+    assert chosen("T_degC,R_ohm,Strain_percent", room, ohm, strain)[0] != "T_degC"
+    assert chosen("T_degC,Strain_percent,Stress_MPa", heat, strain, ohm) == ("Strain_percent", "Stress_MPa")
+    assert chosen("T_degC,V,Strain_percent", heat, ohm, strain)[0] == "V"
+
+
+# -- numbered curves -----------------------------------------------------------------------------------------------------
+
+
+def _numbered(title: str, clock: bool, apart: bool) -> str:
+    """Four loops of growing amplitude with their numbers; those that are not apart go on as one signal."""
+    rows, time = [f"{'t_s,' * clock}{title},H (A/m),B (T)"], 0.0
+    for number in range(4):
+        phase = np.linspace(0, 2 * np.pi, 60) + (0.5 * np.pi * number if apart else 0.0)
+        for H in (1 + number) * np.sin(phase):
+            time += 0.01
+            rows.append(f"{f'{time:.2f},' * clock}{number + 1},{H:.6f},{H**3 if apart else H + 0.2 * time:.6f}")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize("title", ["curve", "Loop", "Schleife", "FORC"])
+@pytest.mark.parametrize("clock", [True, False])
+def test_numbered_curves_that_jump_are_records_of_their_own(title: str, clock: bool, tmp_path: Path) -> None:
+    data = read(_write(tmp_path, _numbered(title, clock, apart=True)))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == [f"{title}={k}" for k in (1, 2, 3, 4)]
+    assert has(data[0].notes, Code.CURVES)
+
+
+def test_numbered_cycles_of_one_experiment_stay_one_record(tmp_path: Path) -> None:
+    for clock in (True, False):
+        record = read(_write(tmp_path, _numbered("cycle", clock, apart=False)))
+        assert isinstance(record, Record)
+        assert any(note.option == ("by", "cycle") for note in record.notes)
+
+
+def test_closed_loops_of_different_strokes_without_time_are_records_of_their_own(tmp_path: Path) -> None:
+    phase = np.linspace(0, 2 * np.pi, 81)
+    rows = [f"{a},{a * np.sin(p):.5f},{np.sin(p - 0.3):.5f}" for a in (1, 2, 3) for p in phase]
+    data = read(_write(tmp_path, "loop,H,B\n" + "\n".join(rows) + "\n"))
+    assert isinstance(data, Dataset)
+    assert len(data) == 3
+
+
+def test_a_column_set_to_levels_is_named(tmp_path: Path) -> None:
+    t = np.arange(400) / 100
+    rows = [f"{a:.2f},{1.5 * (a // 2):g},{np.sin(9 * a):.5f},{np.cos(9 * a) * (1 + a // 2):.5f}" for a in t]
+    record = read(_write(tmp_path, "t_s,current_A,x_mm,F_N\n" + "\n".join(rows) + "\n"))
+    assert isinstance(record, Record)
+    assert any(note.code is Code.CURVES and note.severity is Severity.WARNING for note in record.notes)
+    assert len(read(tmp_path / "file.csv", where="current_A=1.5")) == 200
+
+
+# -- matrices of loops ---------------------------------------------------------------------------------------------------
+
+
+def _matrices() -> tuple[np.ndarray, np.ndarray]:
+    """Inputs and outputs of three loops, a column each."""
+    H = np.outer(np.sin(np.linspace(0, 7, 40)), [1.0, 2.0, 3.0])
+    return H, np.tanh(H) + np.outer(np.cos(np.linspace(0, 7, 40)), [0.1, 0.2, 0.3])
+
+
+def _check_loops(data: Record | Dataset, H: np.ndarray, B: np.ndarray) -> None:
+    assert isinstance(data, Dataset)
+    assert len(data) == H.shape[1]
+    for k, record in enumerate(data):
+        np.testing.assert_array_equal(record.u, H[:, k])
+        np.testing.assert_array_equal(record.y, B[:, k])
+        assert record.t is None
+
+
+def test_a_matrix_of_inputs_and_one_of_outputs_are_loops_column_by_column(tmp_path: Path) -> None:
+    H, B = _matrices()
+    scipy.io.savemat(tmp_path / "both.mat", {"H": H, "B": B})
+    _check_loops(read(tmp_path / "both.mat"), H, B)
+    for name, matrix in (("H", H), ("B", B)):
+        scipy.io.savemat(tmp_path / f"{name}.mat", {name: matrix})
+        np.savetxt(tmp_path / f"{name}.csv", matrix, delimiter=",", fmt="%.17g")
+    for suffix in ("mat", "csv"):
+        _check_loops(read(f"{tmp_path}/H.{suffix}+{tmp_path}/B.{suffix}"), H, B)
+    names = [f"{symbol}{k} ({unit})" for symbol, unit in (("H", "A/m"), ("B", "T")) for k in (1, 2, 3)]
+    np.savetxt(
+        tmp_path / "wide.csv", np.hstack([H, B]), delimiter=",", fmt="%.17g", header=",".join(names), comments=""
+    )
+    _check_loops(read(tmp_path / "wide.csv"), H, B)
+
+
+def test_matrices_with_a_time_are_the_channels_of_one_record(tmp_path: Path) -> None:
+    """Two oscilloscope channels, each a matrix of time and voltage; two files of time and signal without names."""
+    H, B = _matrices()
+    t = np.arange(40) / 100
+    scipy.io.savemat(
+        tmp_path / "scope.mat", {"CH1": np.column_stack([t, H[:, 0]]), "CH2": np.column_stack([t, B[:, 0]])}
+    )
+    assert isinstance(read(tmp_path / "scope.mat"), Record)
+    for name, matrix in (("u", H), ("y", B)):
+        np.savetxt(tmp_path / f"{name}.csv", np.column_stack([t, matrix[:, 0]]), delimiter=",", fmt="%.17g")
+    record = read(f"{tmp_path}/u.csv+{tmp_path}/y.csv")
+    assert isinstance(record, Record)
+    np.testing.assert_array_equal(record.u, H[:, 0])
+    np.testing.assert_array_equal(record.y, B[:, 0])

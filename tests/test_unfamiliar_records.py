@@ -1,6 +1,7 @@
 """Records of kinds that the bundled data do not have, simulated here: falling loops, butterflies, chirps, counts, sensor calibrations."""
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,108 @@ def test_a_named_model_without_a_delay_gets_a_note_on_it() -> None:
     assert has(hf.fit("prandtl-ishlinskii:plays=6", _timed(35), noise="iid").notes, Code.DELAY)
     assert make_model("delay+prandtl-ishlinskii").delays
     assert not make_model("lag+prandtl-ishlinskii").delays
+
+
+def _late(samples: float, saturating: bool = True) -> hf.Record:
+    """Plays behind two first-order lags, of a slow wave with a fast one on it, and a curve that saturates."""
+    t = np.arange(1600) / 200
+    u = 100 * np.sin(np.pi / 2 * t) * (1 - 0.03 * t) + 20 * np.sin(1.8 * np.pi * t)
+    behind, keep = u.copy(), np.exp(-2 / samples) if samples else 0.0
+    for _ in range(2):
+        for k in range(1, u.size):
+            behind[k] = keep * behind[k - 1] + (1 - keep) * behind[k]
+    y = plays(behind, np.linspace(0, 40, 8)) / 300
+    y = np.tanh(y) if saturating else y
+    return hf.Record(u, y + 0.002 * np.ptp(y) * NOISE[:1600], t)
+
+
+@pytest.mark.parametrize("saturating", [True, False])
+def test_a_lag_of_many_samples_is_found_and_modeled(saturating: bool) -> None:
+    record = _late(14.0, saturating)
+    found = summarize(record)
+    assert found.slow_lag == pytest.approx(14.0, rel=0.25)
+    report = hf.check(record)
+    assert has(report.findings, Code.LAG)
+    assert report.advice is not None
+    assert report.advice.model.startswith("lag+")
+    assert "lag+preisach" in candidates(hf.Dataset.of(record)).names
+    if not saturating:
+        assert search_structure(hf.Dataset.of(record), plays=8).structure.lag == pytest.approx(14.0, rel=0.2)
+
+
+@pytest.mark.parametrize("other", [{"delay": 12}, {"viscosity": 3.0}, {}])
+def test_a_delay_viscosity_and_hysteresis_alone_are_no_lag_of_many_samples(other: dict[str, float]) -> None:
+    assert summarize(_timed(**other)).slow_lag is None
+    assert summarize(_late(0.0)).slow_lag is None
+
+
+def test_a_force_that_relaxes_is_compared_with_relaxation() -> None:
+    """A Maxwell element beside yielding ones, at two frequencies: the area of the loop changes with the speed."""
+    t = np.arange(4000) / 100
+    u = np.sin(2 * np.pi * np.cumsum(np.where(t < 20, 0.2, 1.0)) / 100)
+    maxwell = np.zeros(u.size)
+    for k in range(1, u.size):
+        maxwell[k] = (maxwell[k - 1] + 8 * (u[k] - u[k - 1])) * np.exp(-1 / 30)
+    record = hf.Record(u, 5 * u + maxwell + 3 * u - plays(u, np.array([0.1, 0.4, 0.9])) + 0.05 * NOISE[:4000], t)
+    assert "bouc-wen-force+relaxation" in candidates(hf.Dataset.of(record)).names
+
+
+def _beating(count: int = 1500) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Plays of a wave whose amplitude beats, so that no cycles are alike: time, input, output with noise."""
+    t = np.arange(count) / 50
+    u = 30 * np.sin(0.4 * np.pi * t) * (0.6 + 0.4 * np.cos(0.1 * np.pi * t))
+    y = plays(u, np.linspace(0, 20, 10))
+    return t, u, y + 0.002 * np.ptp(y) * NOISE[:count]
+
+
+def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None:
+    t, u, y = _beating()
+    drift = 0.05 * np.ptp(y) * t / t[-1]
+    assert summarize(hf.Record(u, y, t)).trend is None
+    drifting = hf.Record(u, y + drift, t)
+    assert summarize(drifting).trend == pytest.approx(drift[-1], rel=0.1)
+    assert has(hf.check(drifting).findings, Code.DRIFT)
+    assert has(hf.fit("prandtl-ishlinskii", drifting).notes, Code.DRIFT)
+    assert not has(hf.fit("prandtl-ishlinskii", hf.Record(u, y, t)).notes, Code.DRIFT)
+
+
+def test_noise_alone_is_no_butterfly_no_damage_and_no_creep() -> None:
+    t = np.arange(1000) / 100
+    for seed in range(3):
+        noise = np.random.default_rng(24 + seed).normal(size=1000)
+        report = hf.check(hf.Record(10 * np.sin(2 * np.pi * t), noise, t))
+        assert has(report.findings, Code.SINGLE_VALUED)
+        assert not has(report.findings, Code.CROSSING, Code.DEGRADING, Code.DRIFT, Code.NOT_CLOSED)
+        assert report.verdict("creep").verdict != "yes"
+        assert report.advice is None
+    butterfly = hf.Record(
+        u := 10 * np.sin(2 * np.pi * t), np.tanh(u - 4 * np.cos(2 * np.pi * t)) ** 2 + 0.01 * noise, t
+    )
+    assert has(hf.check(butterfly).findings, Code.CROSSING)
+
+
+def _growing_from_rest() -> np.ndarray:
+    """Three cycles from zero to each of four growing strokes."""
+    ends = [0.0]
+    for stroke in (0.3, 0.6, 0.9, 1.2):
+        ends += [stroke, 0.0] * 3
+    return np.concatenate([np.linspace(a, b, 60)[:-1] for a, b in itertools.pairwise(ends)])
+
+
+def test_softening_with_the_largest_stroke_is_found_and_is_no_hysteresis() -> None:
+    """Mullins effect (Ogden and Roxburgh 1999): a stiffness that falls with the distance to the largest stretch so far."""
+    u = _growing_from_rest()
+    elements = 5 * u - plays(u, np.array([0.03, 0.1, 0.2, 0.4, 0.8]))
+    softer = 1 - 0.35 * np.tanh(3 * (np.maximum.accumulate(u) - u))
+    rubber = hf.Record(u, softer * u + 0.2 * (2 * u - plays(u, np.array([0.03, 0.1]))) + 0.002 * NOISE[: u.size])
+    report = hf.check(rubber)
+    assert has(report.findings, Code.DEGRADING)
+    assert summarize(rubber).softens_with_stroke
+    assert has(hf.fit("prandtl-ishlinskii-stop", rubber).notes, Code.MODEL_MISMATCH)
+    for y in (elements, plays(u, np.array([0.03, 0.1, 0.2, 0.4])), -elements, u**3 + elements):
+        found = summarize(hf.Record(u, y + 0.002 * NOISE[: u.size]))
+        assert found.softening_left == pytest.approx(1.0, abs=0.05)
+        assert not found.degrading
 
 
 def test_a_loop_after_first_magnetization_has_a_shape() -> None:

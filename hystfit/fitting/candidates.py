@@ -15,6 +15,7 @@ _WORDS: dict[DataKind, str] = {
     "leading": "clockwise loops (a force that leads)",
     "leading-with-rate": "an output that depends on the rate of the input",
     "lagging-timed": "counter-clockwise loops (an output that lags) with time",
+    "lagging-late": "a lag of many samples",
     "lagging-untimed": "counter-clockwise loops (an output that lags) without time",
     "point-symmetric": "loops symmetric about their center",
     "dynamic": "a resonance",

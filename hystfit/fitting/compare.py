@@ -30,6 +30,7 @@ from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
+from hystfit.quality.baselines import rounding_error
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
@@ -92,7 +93,7 @@ def compare(
     judge = _Judge(data, left_out, purpose, seed, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
         judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
-    rows = _ranked(judge.rows, purpose)
+    rows = _ranked(judge.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
     if not judge.fits:
         raise judge.refusal(rows)
     best = rows[0]
@@ -147,22 +148,27 @@ class _Shown:
             self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
 
 
-def _ranked(rows: Sequence[Row], purpose: Purpose) -> list[Row]:
-    """From best to worst. Of models whose errors are within 2 % of the smallest, converged fits and fewer parameters come first."""
+def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0) -> list[Row]:
+    """From best to worst. Of models whose errors are within 2 % of the smallest, converged fits and fewer parameters come first.
+
+    `floor`: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
+    """
     ranked = sorted(rows, key=lambda row: _rank(row, purpose))
     least = ranked[0].score_percent if ranked else None
     if least is None:
         return ranked
     kind = _rank(ranked[0], purpose)[:-1]
-    equal = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) <= _EQUAL * least]
+    most = max(_EQUAL * least, floor)
+    equal = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) <= most]
     simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, row.parameters or 0, row.score_percent))
     return simple + ranked[len(equal) :]
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
-    """Fitted models first, then those that serve the purpose, then the smallest error on left-out data."""
+    """Validated models first, then those that serve the purpose, then the smallest error on left-out data."""
     return (
         row.in_sample_percent is None,
+        row.status is Status.UNTESTED,
         row.status is Status.NO_LOOP,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,

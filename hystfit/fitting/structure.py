@@ -31,7 +31,9 @@ from hystfit.models.simulation import simulate
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.sum import Sum
 from hystfit.outcome import Code, Note
+from hystfit.quality.baselines import rounding_error
 from hystfit.quality.determination import delayed, falling
+from hystfit.quality.slow_lag import SHORT
 from hystfit.quality.summary import summarize
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
@@ -47,6 +49,7 @@ _BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
     "viscous": (Viscous, "c"),
     "saturating": (SaturatingRate, "F"),
 }
+_ABOUT = np.geomspace(0.7, 1.4, 5)  # lags that are tried, over that which the records show
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 
@@ -127,28 +130,33 @@ class Found:
 def search_structure(data: Dataset, *, plays: int | None = None) -> Found:
     """Search for the terms of a model: on the delayed or negated input where the output has a delay or falls as the input rises."""
     records = [summarize(record) for record in data]
+    lag = max(record.slow_lag or 0.0 for record in records)
     before = [Delay().start(list(data))] * delayed(records) + [Negate()] * falling(records)
     if not before:
-        return search_rising(data, plays=plays)
+        return search_rising(data, plays=plays, lag=lag)
     for part in before:
         data = data.map(lambda record, part=part: record.replace(u=_output(part, record)))
-    found = search_rising(data, plays=plays)
+    found = search_rising(data, plays=plays, lag=lag)
     parts = found.model.parts if isinstance(found.model, Series) else (found.model,)
     return dataclasses.replace(found, model=Series(*before, *parts))
 
 
-def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
+def search_rising(data: Dataset, *, plays: int | None = None, lag: float = 0.0) -> Found:
     """Greedy search from plays with one envelope: repeat the single change that lowers the cross-validation error most.
 
-    `plays` is the number of thresholds; by default blocks left out choose it among those that the data can determine.
+    Args:
+        plays: number of thresholds; by default blocks left out choose it among those that the data can determine.
+        lag: about which lags are tried too, where the records have one longer than those tried on all [samples].
     """
     check_fittable(PrandtlIshlinskii.of(1), data)
     most = max_plays(data)
     terms = Terms(data, min(_PLAYS, most) if plays is None else plays)
-    options = terms.options()
+    options = terms.options(lag)
     structure, score = min(((s, terms.score(s)) for s in map(Structure, get_args(Operator))), key=lambda pair: pair[1])
     trail: list[str] = []
-    while True:
+    # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on left-out cycles.
+    rounding = rounding_error(data)
+    while score > rounding:
         changes = [
             changed
             for field, values in options.items()
@@ -162,7 +170,7 @@ def search_rising(data: Dataset, *, plays: int | None = None) -> Found:
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
         structure, score = best, terms.score(best)
     tried, chosen = len(terms.scores), terms.plays
-    for other in _OTHER_PLAYS if plays is None else ():
+    for other in _OTHER_PLAYS if plays is None and score > rounding else ():
         resized = Terms(data, other)
         if other > most or other == terms.plays or not resized.served(structure):
             continue
@@ -254,15 +262,16 @@ class Terms:
         """Whether there are two samples for each weight."""
         return 2 * structure.columns(self.plays, len(self.data)) <= self.samples
 
-    def options(self) -> dict[str, tuple[Any, ...]]:
-        """Values of each field that these data allow."""
+    def options(self, lag: float = 0.0) -> dict[str, tuple[Any, ...]]:
+        """Values of each field that these data allow; for `lag` see `search_rising`."""
         options: dict[str, tuple[Any, ...]] = {"operator": ("play", "stop"), "envelopes": (1, 3), "degree": _DEGREES}
         span = max(float(np.ptp(record.u)) for record in self.data)
         if any(abs(record.u[0]) > 1e-3 * span for record in self.data):
             options["rest"] = ("level", "first")
         if self.timed:
-            # Lags up to six samples; hardening would stand in for what creep and rate describe.
-            return {**options, "lag": (0.0, *np.arange(1.0, 6.1, 0.5)), "creep": (False, True), "rate": (0, 1, 2)}
+            # Hardening would stand in for what creep and rate describe.
+            lags = (0.0, *np.arange(1.0, SHORT + 0.1, 0.5), *(np.round(_ABOUT * lag, 1) if lag else ()))
+            return {**options, "lag": lags, "creep": (False, True), "rate": (0, 1, 2)}
         if max(float(np.abs(np.diff(record.u)).sum()) for record in self.data) < _FEWEST_RANGES * span:
             return options
         return {**options, "hardening": (0, 1, 3, 10)}

@@ -13,7 +13,7 @@ from hystfit.inference.autocorrelation import is_correlated
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples, saturated_samples
@@ -37,7 +37,6 @@ _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
 _FEWEST = 10  # samples, below which no fit is usable
 _BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_DAMAGED = "the loop loses stiffness or strength from cycle to cycle (damage)"
 _VISIBLE_DELAY = 0.3  # percent of range, below which a delay does not matter
 _VISIBLE = 1.0  # percent of range, below which it does not matter
 
@@ -111,6 +110,7 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         _clipped(fitted.data),
         _outliers(fitted.data),
         _delayed(fitted),
+        _drifting(fitted),
     )
     notes += [note for note in found if note is not None]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
@@ -162,6 +162,22 @@ def _delayed(fitted: Fitted) -> Note | None:
     )
 
 
+def _drifting(fitted: Fitted) -> Note | None:
+    """A warning where the output drifts steadily, which no model describes."""
+    if fitted.percent < _VISIBLE or is_noise(fitted.train.rmse, fitted.baselines):
+        return None
+    found = [(record, trend) for record in fitted.data if (trend := summarize(record).trend) is not None]
+    if not found:
+        return None
+    record, trend = found[0]
+    size = f"{trend:.3g} {record.y_unit}".rstrip()
+    return warn(
+        Code.DRIFT,
+        f"the output of {record.name!r} drifts by {size} over the record, apart from its loops: models have no steady drift, subtract it "
+        "before the fit",
+    )
+
+
 def _error(code: Code, text: str) -> list[Note]:
     return [Note(code, text, Severity.ERROR)]
 
@@ -188,15 +204,15 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
-        return poor
+        status, reasons = poor
+        return status, [*reasons, *([] if has(reasons, Code.MODEL_MISMATCH) else _damaged(data))]
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if white:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, fitted.rows, baselines)]
-    if rough and _degrading(data):
-        rough.append(warn(Code.MODEL_MISMATCH, f"{_DAMAGED}: the model has no term for damage (see hystfit check)"))
-    return (Status.ROUGH if rough else Status.OK), rough
+    status = Status.ROUGH if rough else Status.OK
+    return status, [*rough, *(_damaged(data) if rough or percent > _VISIBLE else [])]
 
 
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
@@ -218,7 +234,7 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
         text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
     elif percent > _ROUGH and _degrading(fitted.data):
         code = Code.MODEL_MISMATCH
-        text = f"{_DAMAGED}, and the error is {percent:.3g} % of the range: the model has no term for damage (see hystfit check)"
+        text = f"{_damage(fitted.data)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
     if not text:
         return None
     if fitted.method != fitted.usual:
@@ -226,6 +242,20 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
         if not fitted.estimate.converged:
             return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}: {text}")
     return Status.POOR, _error(code, text)
+
+
+def _damaged(data: Dataset) -> list[Note]:
+    """A warning where the device degrades, which no model describes."""
+    if not _degrading(data):
+        return []
+    return [warn(Code.MODEL_MISMATCH, f"{_damage(data)}: the model has no term for it (see hystfit check)")]
+
+
+def _damage(data: Dataset) -> str:
+    """What a degrading device loses, in words."""
+    if any(summarize(record).softens_with_stroke for record in data):
+        return "the loop softens with the largest stroke so far (Mullins effect)"
+    return "the loop loses stiffness or strength from cycle to cycle (damage)"
 
 
 def _degrading(data: Dataset) -> bool:

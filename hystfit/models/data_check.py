@@ -55,6 +55,8 @@ def data_kinds(records: Sequence[RecordQuality]) -> tuple[DataKind, ...]:
             kinds.append("leading-with-rate")
     else:
         kinds.append("lagging-timed" if timed else "lagging-untimed")
+        if any(record.slow_lag is not None for record in records):
+            kinds.append("lagging-late")
         if all(_point_symmetric(record) for record in records):
             kinds.append("point-symmetric")
     if any(record.dynamic for record in records):

@@ -17,7 +17,14 @@ if TYPE_CHECKING:
 # (piezo actuators) or without, loops that are symmetric about zero input (magnetic materials), force that leads, force that depends
 # on the rate, resonances, and first-order reversal curves.
 DataKind = Literal[
-    "lagging-timed", "lagging-untimed", "point-symmetric", "leading", "leading-with-rate", "dynamic", "reversal-curves"
+    "lagging-timed",
+    "lagging-late",
+    "lagging-untimed",
+    "point-symmetric",
+    "leading",
+    "leading-with-rate",
+    "dynamic",
+    "reversal-curves",
 ]
 _LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
 
@@ -36,7 +43,7 @@ class Entry:
         doc: what it is for, one line.
         variant: whether a model of this class is this variant; the last entry that fits gives its name.
         compared_on: kinds of data on which `compare` tries it by default.
-        compared_as: the expressions that are tried; the name by default.
+        compared_as: the expressions that are tried on a kind of data; the name by default.
         preset: settings of this name.
     """
 
@@ -45,7 +52,7 @@ class Entry:
     doc: str
     variant: Callable[[Any], bool] = lambda model: True
     compared_on: tuple[DataKind, ...] = ()
-    compared_as: tuple[str, ...] = ()
+    compared_as: Mapping[DataKind, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     preset: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -108,7 +115,8 @@ MODELS: dict[str, Entry] = {
         "preisach.model:Preisach.of",
         "core",
         "Preisach with cells; weights >= 0 and smooth by a convex solve",
-        compared_on=_LAGGING,
+        compared_on=(*_LAGGING, "lagging-late"),
+        compared_as={"lagging-late": ("lag+preisach",)},
         preset={"n": 30, "spacing": "quantile"},
     ),
     "preisach-magnetic": Entry(
@@ -183,14 +191,14 @@ MODELS: dict[str, Entry] = {
         "after",
         "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time",
         compared_on=("lagging-timed",),
-        compared_as=("bouc-wen+log-creep",),
+        compared_as={"lagging-timed": ("bouc-wen+log-creep",)},
     ),
     "viscous": Entry(
         "rate:Viscous",
         "beside",
         "force proportional to the rate of the input; needs time",
         compared_on=("leading-with-rate",),
-        compared_as=("bouc-wen-force+viscous",),
+        compared_as={"leading-with-rate": ("bouc-wen-force+viscous",)},
     ),
     "saturating-rate": Entry("rate:SaturatingRate", "beside", "force that saturates in the input's rate; needs time"),
     "offset": Entry("offset:Offset", "beside", "a constant for each record"),
@@ -198,14 +206,14 @@ MODELS: dict[str, Entry] = {
         "relaxation:Relaxation",
         "after",
         "a part of the output follows slowly (curved actuators); needs time",
-        compared_on=("lagging-timed",),
-        compared_as=("bouc-wen+relaxation",),
+        compared_on=("lagging-timed", "leading-with-rate"),
+        compared_as={"lagging-timed": ("bouc-wen+relaxation",), "leading-with-rate": ("bouc-wen-force+relaxation",)},
     ),
     "second-order": Entry(
         "dynamics:SecondOrder",
         "after",
         "a resonance; needs time",
         compared_on=("dynamic",),
-        compared_as=("bouc-wen+second-order", "prandtl-ishlinskii+second-order"),
+        compared_as={"dynamic": ("bouc-wen+second-order", "prandtl-ishlinskii+second-order")},
     ),
 }

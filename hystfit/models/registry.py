@@ -123,8 +123,9 @@ def _kinds() -> dict[str, type[AbstractHysteresis]]:
 
 def compared(*kinds: DataKind) -> tuple[str, ...]:
     """Models that a comparison tries on data of these kinds unless others are named."""
-    chosen = (item for item in MODELS.items() if set(kinds) & set(item[1].compared_on))
-    return tuple(expression for name, entry in chosen for expression in entry.compared_as or (name,))
+    pairs = ((name, entry, kind) for name, entry in MODELS.items() for kind in kinds if kind in entry.compared_on)
+    tried = (expression for name, entry, kind in pairs for expression in entry.compared_as.get(kind, (name,)))
+    return tuple(dict.fromkeys(tried))
 
 
 def judged() -> dict[str, Needs]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.quality.faults import noise_rms
+from hystfit.quality.faults import noise_rms, rounding_rms
 
 _DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
@@ -177,3 +177,10 @@ def _noise(records: Sequence[Record]) -> float | None:
             return None
         squares, count = squares + rms**2 * y.size, count + y.size
     return float(np.sqrt(squares / count))
+
+
+def rounding_error(records: Iterable[Record]) -> float:
+    """Pooled rms error by the rounding of outputs whose noise is that alone [y]; the least error that a model can have there."""
+    outputs = [record.y[record.used] for record in records]
+    squares = sum(rounding_rms(y) ** 2 * y.size for y in outputs)
+    return float(np.sqrt(squares / sum(y.size for y in outputs)))

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 _LIKE = 0.03  # difference of the turning levels of like cycles, as a fraction of the range of u
+_ABOVE_NOISE = 6.0  # least drift, as a multiple of the standard error of the mean of a cycle
 _VISIBLE = 1e-4  # least drift, as a fraction of the range of y
 
 
@@ -21,7 +22,7 @@ class Drift:
         per_decade: slope against log10 of the time since the record began [unit of y per decade]; None without time.
         r2_log: share of the variance that it explains.
         law: "linear", "logarithmic" or "none" (neither explains half of the variance, nine tenths where there are fewer than
-            eight cycles, or the drift is below a ten-thousandth of the range of y).
+            eight cycles, or the drift is below a ten-thousandth of the range of y or within the noise).
         skipped: cycles omitted at the start, as a transient, in both fits.
         total: change of the fitted law over the cycles compared [unit of y].
     """
@@ -58,7 +59,7 @@ def like_cycles(u: np.ndarray, cycles: np.ndarray, y: np.ndarray | None = None) 
     return like[np.array([np.isfinite(y[start : stop + 1]).all() for start, _, stop in like], dtype=bool)]
 
 
-def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> Drift | None:
+def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray, noise: float = 0.0) -> Drift | None:
     """Drift of the cycle mean.
 
     Args:
@@ -66,6 +67,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         y: output, shape (T,); cycles with missing values are omitted.
         t: time, shape (T,), or None.
         cycles: see `loops.cycles`, shape (C, 3).
+        noise: rms of white noise in the output [unit of y]; a drift that it explains has no law.
 
     Returns:
         None with fewer than four similar cycles.
@@ -81,7 +83,8 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         linear = _line(number[skip:], means[skip:])
         log = None if moment is None else _line(np.log10(moment[skip:]), means[skip:])
         fits.append((max(linear[1], log[1] if log else 0.0), -skip, linear, log))
-    least = _VISIBLE * float(np.nanmax(y) - np.nanmin(y))
+    samples = float(np.median(cycles[:, 2] - cycles[:, 0]))
+    least = max(_VISIBLE * float(np.nanmax(y) - np.nanmin(y)), _ABOVE_NOISE * noise / np.sqrt(samples))
     best, minus_skip, linear, log = max(fits)
     skip = -minus_skip
     law, total = "none", 0.0

@@ -8,6 +8,9 @@ import math
 import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
+_PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
+_COARSE = 0.02  # part of the range from which levels are those of a signal with steps
+_ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
 _ABOUT = 2  # samples on each side of an outlier that must be smooth without it
 _ROUGH = 0.5  # their largest second difference, as a part of its height
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
@@ -37,14 +40,28 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
     for order in range(2, 7):
         differences = np.diff(differences)
         sizes.append(MAD_TO_RMS * float(np.median(np.abs(differences))) / math.sqrt(math.comb(2 * order, order)))
-    floor = float(np.finfo(float).eps * np.max(np.abs(values)))
-    least = min(sizes)
+    step, least = resolution(values) or 0.0, min(sizes)
+    floor = max(float(np.finfo(float).eps * np.max(np.abs(values))), _PRINTED * step)
     if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one with jumps
-        step, moves = resolution(values) or 0.0, np.concatenate([[False], np.diff(values) != 0, [False]])
+        moves = np.concatenate([[False], np.diff(values) != 0, [False]])
         isolated = moves[1:-1] & ~moves[:-2] & ~moves[2:]
         rounded = sizes[-1] > floor or (isolated.sum() > 0.5 * moves.sum() and moves.mean() < 0.75)
-        return (step / math.sqrt(12) if rounded and step < 0.02 * np.ptp(values) else least), False
+        return (step / math.sqrt(12) if rounded and step < _COARSE * np.ptp(values) else least), False
     return least, sizes[-1] < 0.8 * sizes[1]
+
+
+def rounding_rms(values: np.ndarray) -> float:
+    """RMS error by the rounding of a column whose noise is that alone [unit of the values]; 0 elsewhere.
+
+    Args:
+        values: shape (T,); non-finite values are omitted.
+    """
+    noise, is_bound = noise_rms(values)
+    step = resolution(values) or 0.0
+    error = step / math.sqrt(12)
+    if noise is None or is_bound or step >= _COARSE * np.ptp(values[np.isfinite(values)]):
+        return 0.0
+    return error if _ROUNDING[0] * error <= noise <= _ROUNDING[1] * error else 0.0
 
 
 def resolution(values: np.ndarray) -> float | None:

@@ -12,6 +12,7 @@ from hystfit.quality.determination import few_samples
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.summary import RecordQuality
 
+_ABOVE_NOISE = 6.0  # gap between the ends of a loop over the noise, above which the loop does not close
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
     "the time of evenly spaced samples"
@@ -24,8 +25,10 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
     Equal notes are merged; a note names its records where it does not hold for all.
     """
     names: dict[Note, list[str]] = {}
+    span = max((record.y.range for record in records), default=0.0)
     for record in records:
-        for note in itertools.chain(*(about(record) for about in (_faults, _response, _loops, _changes))):
+        parts = (_faults(record), _noise(record, span), _response(record), _loops(record), _changes(record))
+        for note in itertools.chain(*parts):
             names.setdefault(note, []).append(record.name)
     merged = []
     for note, of in names.items():
@@ -38,7 +41,7 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
 
 def _faults(record: RecordQuality) -> Iterator[Note]:
     """Faults of single samples and of the time axis."""
-    sampling, unit = record.sampling, record.units["y"]
+    sampling = record.sampling
     if sampling.rate is None:
         yield warn(Code.NO_TIME, f"no usable time: lag and creep are unknown, and {WITHOUT_TIME}")
     elif not sampling.uniform:
@@ -71,7 +74,11 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
             f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and models produce "
             f"loops from them: {remedy}",
         )
-    noise, span = record.y.known_noise, record.y.range
+
+
+def _noise(record: RecordQuality, span: float) -> Iterator[Note]:
+    """Noise of the output beside the largest range of the records, of which small loops and reversal curves are parts [y]."""
+    noise, unit = record.y.known_noise, record.units["y"]
     if noise and span > 0 and noise > 0.02 * span:
         size = f"{noise:.3g} {unit}".rstrip()
         yield warn(Code.OUTPUT_NOISE, f"output noise: {size} rms, {100 * noise / span:.1f} % of the output range")
@@ -117,7 +124,8 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
     elif shape.circulation is None:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
-    if shape.closure_percent is not None and abs(shape.closure_percent) > 2:
+    chance = 0.0 if record.y.range == 0 else 100 * _ABOVE_NOISE * (record.y.known_noise or 0.0) / record.y.range
+    if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
     if record.degrading:
         pinched = (
@@ -125,14 +133,17 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
         yield warn(
             Code.DEGRADING,
-            f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles before "
-            "the damage (window=)",
+            f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
+            f"{'after the largest stroke' if record.softens_with_stroke else 'before the damage'} (window=)",
         )
 
 
 def _loss(record: RecordQuality) -> str:
     """What a damaged device loses, and how much of it is left."""
     percent = lambda part: f"{100 * (part or 0.0):.0f} %"
+    if record.softens_with_stroke:
+        left = percent(record.softening_left)
+        return f"stiffness with the largest stroke so far (Mullins effect): later branches reach {left} of the output of earlier ones"
     if record.weakens:
         left = percent(record.strength_left)
         return f"strength (damage): late loops reach {left} of the output of shorter ones before"
@@ -155,12 +166,27 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
         yield warn(Code.DRIFT, text + more)
-    if lag is not None and record.lags and not record.dynamic:
+    if record.trend is not None:
+        share = 100 * abs(record.trend) / record.y.range
+        size = f"{record.trend:.3g} {record.units['y']}".rstrip()
+        yield warn(
+            Code.DRIFT,
+            f"the output drifts by {size} over the record ({share:.2g} % of its range), apart from the loops: models have no steady "
+            "drift, subtract it before the fit",
+        )
+    if lag is not None and record.lags and record.slow_lag is None and not record.dynamic:
         clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
         yield warn(
             Code.LAG,
             f"the output lags the input by {lag.samples:.1f} +- {lag.stderr:.1f} samples{clock} at the reversals: a delay, a "
             "fast lag or creep, not hysteresis",
+        )
+    if record.slow_lag is not None:
+        clock = f"{record.slow_lag / (record.sampling.rate or 1.0):.3g} {record.units['t']}".rstrip()
+        yield warn(
+            Code.LAG,
+            f"the output follows the input with a lag of about {record.slow_lag:.2g} samples ({clock}), which widens the loop: model it "
+            "(lag) or measure at a lower frequency",
         )
     if record.speed_dependent:
         reason = "the area of the loop changes with frequency"

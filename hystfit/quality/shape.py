@@ -17,6 +17,7 @@ _CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction 
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _CROSSING = 0.3  # net area over that between the branches below which these cross
+_LOBES = 2.3  # mean distance of crossing branches over the noise: twice that of two noisy samples
 _APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
 
 
@@ -79,7 +80,8 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     fullness = 100 * abs(area) / (stroke * largest)
     chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b in chosen]) / len(chosen))
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
-    crossing = bool(abs(area) < _CROSSING * between and between > max(0.01 * stroke * largest, 3 * _CHANCE * chance))
+    lobes = max(0.01 * stroke * largest, 3 * _CHANCE * chance, _LOBES * noise * largest)
+    crossing = bool(abs(area) < _CROSSING * between and between > lobes)
     is_open = fullness > 0.3 and abs(area) > _CHANCE * chance
     is_open = is_open or (fullness > 0.03 and 0 < 3 * _CHANCE * chance < abs(area))
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None

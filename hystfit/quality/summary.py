@@ -17,10 +17,16 @@ from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, r
 from hystfit.quality.lag import Lag, estimate_lag, velocity_gain
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import Shape, loop_shape, rate_effect, stiffness_left, strength_left, unloading_left
+from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
+from hystfit.quality.softening import softening_left
+from hystfit.quality.trend import linear_trend
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
 _BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
 _SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
+# Part of the output on branches from the outermost level, below which larger strokes have softened the device.
+_FEWEST_CYCLES = 3  # in which a trend of the output is sought
+_MULLINS = 0.9
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
@@ -107,6 +113,9 @@ class RecordQuality:
     """Everything measured on one record; None where it is unknown.
 
     Attributes:
+        trend: change of the output over the record apart from its loops, where neither a drift of like cycles nor a lag is found
+            [unit of y].
+        slow_lag: of the output, where it is longer than the turns of the loops show [samples].
         delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
         correlation: of output and input; 0 where one of them is constant.
@@ -128,9 +137,12 @@ class RecordQuality:
     stiffness_left: float | None
     strength_left: float | None
     unloading_left: float | None
+    softening_left: float | None
     dynamics: Dynamics | None
     clipped: int
     spikes: int
+    trend: float | None = None
+    slow_lag: float | None = None
     delay: PureDelay | None = None
 
     @property
@@ -158,16 +170,27 @@ class RecordQuality:
     @property
     def degrading(self) -> bool:
         """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance or of a switch."""
-        if self.shape is None or self.dynamic or self.shape.crossing or self.switches:
+        if self.shape is None or self.dynamic or self.switches or self.shape.circulation is None:
             return False
         left = 1.0 if self.stiffness_left is None else self.stiffness_left
-        return self.weakens or self.softens or left < 0.88 or (left < 0.95 and self.shape.pinching < 0.6)
+        return (
+            self.weakens
+            or self.softens
+            or self.softens_with_stroke
+            or left < 0.88
+            or (left < 0.95 and self.shape.pinching < 0.6)
+        )
 
     @property
     def softens(self) -> bool:
         """Whether a force unloads with less stiffness the later it is, at growing strokes."""
         late = self.unloading_left
         return late is not None and late < _SOFTER and self.circulation == "clockwise" and not self.dynamic
+
+    @property
+    def softens_with_stroke(self) -> bool:
+        """Whether branches from the outermost level are softer after larger strokes (Mullins effect)."""
+        return self.softening_left is not None and self.softening_left < _MULLINS
 
     @property
     def weakens(self) -> bool:
@@ -178,6 +201,8 @@ class RecordQuality:
     def lags(self) -> bool:
         """Whether the output keeps moving after the input has turned."""
         least = 0.0 if self.delay is None else _BESIDE_DELAY
+        if self.slow_lag is not None:
+            return True
         return self.lag is not None and self.lag.samples > max(2 * self.lag.stderr, least)
 
     @property
@@ -235,13 +260,21 @@ def _summarize(record: Record) -> RecordQuality:
     motion, turns, cycles, loops = _motion(record, u_column)
     moving = np.ptp(u) > 0
     sampling, interval = _sampling(record), record.sampling_interval
-    lag = gain = dynamics = None
+    lag = gain = dynamics = slow_lag = None
+    shape = loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0)
     if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
         lag = estimate_lag(u, y, interval, turns, u_noise=u_column.known_noise)
         dynamics = estimate_dynamics(u, y, interval)
+        short = lag is not None and lag.samples + 2 * lag.stderr < SHORT
+        if not (short or (dynamics is not None and dynamics.resonant)) and shape is not None and not shape.crossing:
+            slow_lag = estimate_slow_lag(u, y, turns)
         if motion.cycles >= 1:
             late = max(0, round(lag.samples)) if lag else 0
             gain = velocity_gain(u[: u.size - late], y[late:], t[: u.size - late])
+    drifts = drift(u, y, t, cycles, y_column.known_noise or 0.0) if moving else None
+    known = slow_lag is not None or (drifts is not None and drifts.law != "none")
+    resonates = dynamics is not None and dynamics.resonant
+    trend = None if t is None or known or resonates or motion.cycles < _FEWEST_CYCLES else linear_trend(u, y, t)
     return RecordQuality(
         name=record.name,
         units={"u": record.u_unit, "y": record.y_unit, "t": record.t_unit},
@@ -251,17 +284,20 @@ def _summarize(record: Record) -> RecordQuality:
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
         correlation=_correlation(u[record.used], y[record.used]),
-        shape=loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0),
-        drift=drift(u, y, t, cycles) if moving else None,
+        shape=shape,
+        drift=drifts,
         lag=lag,
         velocity_gain=gain,
         rate_effect=rate_effect(u, y, t, cycles),
         stiffness_left=stiffness_left(u, y, t, cycles),
         strength_left=strength_left(u, y, cycles),
         unloading_left=unloading_left(u, y, cycles),
+        softening_left=softening_left(u, y, turns),
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),
+        slow_lag=slow_lag,
+        trend=trend,
     )
 
 

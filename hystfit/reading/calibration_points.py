@@ -11,7 +11,10 @@ from hystfit.outcome import Code, Note
 from hystfit.reading.columns import Choice
 from hystfit.reading.raw_table import Table
 
-CURVE_NAMES = ("curve", "loop", "cycle", "segment", "run")
+CURVE_NAMES = (
+    *("curve", "loop", "cycle", "segment", "run", "sweep", "forc"),
+    *("kurve", "schleife", "zyklus", "lauf", "courbe", "boucle", "curva", "ciclo"),
+)
 _KIND = re.compile(r"cal(?:ib(?:ration)?)?(?:[ _-]?p(?:oin)?t)?|sat(?:uration)?", re.IGNORECASE)
 _FLAG = re.compile(r"(?:is_?)?cal(?:ib(?:ration)?)?", re.IGNORECASE)
 _NEAR = 0.05  # spread of the inputs at calibration points, as a fraction of the input's range

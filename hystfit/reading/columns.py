@@ -55,6 +55,7 @@ _COMMON = (
     *(("temperature", output) for output in ("displacement", "strain", "force", "stress", "current", "", "output")),
 )
 _EITHER = {"voltage", "current"}  # quantities of which either may drive the other
+_HEATED = 10.0  # degrees, range from which a temperature may be the input
 _PLAINER = 2.0  # ratio of overtones from which a wave is the plainer one
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
@@ -208,7 +209,8 @@ def _guess_pair(
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     _find_velocities(table, free, kinds)
     others = [k for k in free if kinds[k] != "temperature"]
-    candidates = _candidates(table, others if len(others) + len(given) >= 2 else free, kinds, clock)
+    heated = not given and _is_driven_by_temperature(table, free, kinds)
+    candidates = _candidates(table, others if len(others) + len(given) >= 2 and not heated else free, kinds, clock)
     inputs, outputs = ([given[role]] if role in given else candidates for role in ("input", "output"))
     pairs = [(i, o) for i in inputs for o in outputs if i != o]
     best = min(pairs, key=lambda pair: _preference(table, kinds, *pair))
@@ -237,6 +239,18 @@ def _guess_pair(
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _is_driven_by_temperature(table: Table, free: list[int], kinds: dict[int, str]) -> bool:
+    """Whether a temperature is the input, as that of a shape-memory alloy: it varies, and no other column drives the deformation."""
+    others = {kinds[k] for k in free} - {"temperature"}
+    driven = others & {"output", *_DRIVES} or any(
+        pair in _SPECIFIC + _COMMON for pair in itertools.permutations(others, 2)
+    )
+    varies = any(
+        np.ptp(table.columns[k][np.isfinite(table.columns[k])]) > _HEATED for k in free if kinds[k] == "temperature"
+    )
+    return varies and bool(others & {"strain", "displacement"}) and not driven
 
 
 def _by_wave(table: Table, i: int, o: int) -> tuple[tuple[int, int], Note]:

@@ -11,13 +11,16 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.outcome.note import has
+from hystfit.outcome.note import has, warn
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
 _MOST_CURVES = 10_000
+_FEWEST_ROWS = 4  # of a curve, on average
+_JUMP = 5.0  # step to the next curve over the steps around it
+_MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in turn: their number, and rows of each
 _NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
 
@@ -57,6 +60,11 @@ def split_curves(
         return calibrated_curves(table, choice, table.calibration, notes), True
     number = _numbers_of_curves(table, choice, notes)
     if number[-1] == 0:
+        if (numbering := _numbering_apart(table, choice)) is not None:
+            curves = _of_several_rows(_by_column(table, numbering, notes), table, choice, notes)
+            text = f"{len(curves)} curves, numbered by column {table.names[numbering]!r}: the samples jump from each to the next"
+            notes.append(Note(Code.CURVES, text))
+            return curves, True
         _suggest(table, choice, notes)
         return [("", np.arange(table.rows))], False
     if number[-1] > _MOST_CURVES:
@@ -147,14 +155,79 @@ def _of_several_rows(
     return kept
 
 
+def _numbering_apart(table: Table, choice: Choice) -> int | None:
+    """Position of a column that numbers curves which do not follow each other; None without one.
+
+    At half of its changes or more, the time runs back, or the input or the output makes a step that is large beside those around it; or
+    the curves are closed loops of different strokes without time. A column that numbers the cycles of one experiment changes while the
+    samples go on.
+    """
+    chosen = (choice.time, choice.input, choice.output)
+    u, y = table.columns[choice.input], table.columns[choice.output]
+    for position, name in enumerate(table.names):
+        numbers = table.columns[position]
+        if position in chosen or _plain(name) not in CURVE_NAMES or not np.isfinite(numbers).all():
+            continue
+        changes = np.flatnonzero(np.diff(numbers))
+        if (
+            not changes.size
+            or np.unique(numbers).size <= changes.size
+            or table.rows < _FEWEST_ROWS * (changes.size + 1)
+        ):
+            continue
+        apart = _jumps(u, changes) | _jumps(y, changes)
+        if choice.time is not None:
+            apart |= np.diff(table.columns[choice.time])[changes] < 0
+        if apart.mean() >= 0.5 or (choice.time is None and _closed_loops(u, y, changes)):
+            return position
+    return None
+
+
+def _jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Whether steps after these rows are large beside the three before and the three after them, shape of `at`, bool."""
+    steps = np.abs(np.diff(values))
+    padded = np.pad(np.nan_to_num(steps), 3)
+    around = np.max([padded[at + 3 + k] for k in (-3, -2, -1, 1, 2, 3)], axis=0)
+    return (steps[at] > _JUMP * around) & (steps[at] > _NEAR * np.ptp(values[np.isfinite(values)]))
+
+
+def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
+    """Whether each block of rows up to these is a closed loop, of another stroke than the one before."""
+    blocks = [[np.nan_to_num(part) for part in np.split(values, changes + 1)] for values in (u, y)]
+    if any(abs(part[-1] - part[0]) > _NEAR * np.ptp(part) for side in blocks for part in side):
+        return False
+    strokes = np.array([np.ptp(part) for part in blocks[0]])
+    return bool((np.abs(np.diff(strokes)) > _NEAR * strokes.max()).all())
+
+
+def _plain(name: str) -> str:
+    """A name without its unit, in lower case."""
+    return split_unit(name)[0].strip(" .:#").lower()
+
+
 def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
     for position, name in enumerate(table.names):
-        if position in (choice.time, choice.input, choice.output) or name.lower() not in CURVE_NAMES:
+        if position in (choice.time, choice.input, choice.output):
             continue
         count = len(set(labels_of(table, position).tolist()))
-        if 1 < count <= table.rows / 2:
+        if _plain(name) in CURVE_NAMES and 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
+        elif position not in table.labels and (levels := _levels(table.columns[position])):
+            shown_levels = ", ".join(f"{level:g}" for level in levels)
+            text = (
+                f"column {name!r} is set to {len(levels)} levels ({shown_levels}), and a model has one input: "
+                f"where='{name}={levels[-1]:g}' reads the samples of one level"
+            )
+            notes.append(warn(Code.CURVES, text))
+
+
+def _levels(values: np.ndarray) -> list[float]:
+    """Levels to which a column is set in turn while others are measured; none for a column of another kind."""
+    levels = np.unique(values)
+    runs = 1 + np.count_nonzero(np.diff(values))
+    few = 1 < levels.size <= _MOST_LEVELS and np.isfinite(levels).all()
+    return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 
 
 def divider_of(table: Table, line: np.ndarray, begins: np.ndarray) -> str | None:

@@ -19,6 +19,7 @@ from hystfit.params.units import conversion
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.file_bytes import exists
 from hystfit.reading.raw_table import Table
+from hystfit.reading.side_by_side import stacked_files
 
 PAIR = "+"
 
@@ -101,6 +102,11 @@ def pair_table(
         clocks[1] = None  # a number is a position in the first file
     if isinstance(clock, str) and clock.lower() != "none" and clocks == [None, None]:
         find(first, clock, "time")
+    both = _side_by_side(tables, paths)
+    taken = Note(Code.PREPARED, f"input from {paths[0]}, output from {paths[1]}")
+    chosen = columns.get("input") is not None or columns.get("output") is not None or clock not in (None, False)
+    if not chosen and (loops := stacked_files(both, len(first.names))) is not None:
+        return dataclasses.replace(loops, notes=(*loops.notes, taken)), {"time": False, "input": 0, "output": 1}
     drive = one_sided(first, "output", time=clocks[0], input=columns.get("input"))
     sensor = one_sided(second, "input", time=clocks[1], output=columns.get("output"))
     time, shift = drive.time, len(first.names)
@@ -108,20 +114,26 @@ def pair_table(
         time = shift + sensor.time
     elif time is not None and sensor.time is not None:
         _check_clocks(paths, tables, (time, sensor.time))
-    notes = [*first.notes, *second.notes, *drive.notes, *sensor.notes]
-    notes.append(Note(Code.PREPARED, f"input from {paths[0]}, output from {paths[1]}"))
-    both = dataclasses.replace(
+    both = dataclasses.replace(both, notes=tuple(dict.fromkeys([*both.notes, *drive.notes, *sensor.notes, taken])))
+    return both, {"time": False if time is None else time, "input": drive.input, "output": shift + sensor.output}
+
+
+def _side_by_side(tables: tuple[Table, Table], paths: tuple[str, str]) -> Table:
+    """The columns of two tables of equally many rows as those of one."""
+    first, second = tables
+    shift = len(first.names)
+    return dataclasses.replace(
         first,
         names=(*first.names, *second.names),
         units=(*first.units, *second.units),
         columns=(*first.columns, *second.columns),
         labels=first.labels | {shift + k: label for k, label in second.labels.items()},
         stamps=first.stamps | {shift + k for k in second.stamps},
+        named=first.named and second.named,
         source=PAIR.join(paths),
         sha256=PAIR.join(str(table.sha256) for table in tables),
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(dict.fromkeys([*first.notes, *second.notes])),
     )
-    return both, {"time": False if time is None else time, "input": drive.input, "output": shift + sensor.output}
 
 
 def _has(table: Table, name: str) -> bool:
