@@ -24,12 +24,12 @@ from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, Terms, build, max_plays, search_structure
 from hystfit.fitting.thinning import thinned
-from hystfit.fitting.workers import Stopped, Workers
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
 from hystfit.params.space import ParameterSpace
+from hystfit.runs.threads import Stopped, Workers
 
 T = np.arange(0.0, 6.0, 0.02)
 U = 4 * (0.4 + 0.6 * np.abs(np.sin(np.pi * T / 6))) * np.sin(2 * np.pi * 0.7 * T)

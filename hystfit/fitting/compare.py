@@ -24,7 +24,6 @@ from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
-from hystfit.fitting.workers import Workers
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
@@ -34,6 +33,7 @@ from hystfit.quality.baselines import rounding_error
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading.in_memory import records_of
 from hystfit.results.result import FitResult
+from hystfit.runs.threads import Workers
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)

@@ -18,16 +18,6 @@ _CHUNK = 2**20
 _DOUBLE = 8  # bytes that every number takes in the end
 
 
-def arrays_in(raw: bytes, suffix: str) -> dict[str, np.ndarray]:
-    """The arrays in a file, by name.
-
-    Raises:
-        DataError: the arrays are too large for the file, or lie outside it.
-        Exception: of the libraries, for damaged files.
-    """
-    return KINDS[suffix](raw)
-
-
 def check_size(size: int, raw: bytes) -> None:
     """Refuse numbers that would take many times the size of their file.
 

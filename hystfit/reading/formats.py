@@ -16,7 +16,7 @@ import numpy as np
 from hystfit.errors import DataError, MissingExtraError, optional
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
-from hystfit.reading.array_files import KINDS, arrays_in, check_members
+from hystfit.reading.array_files import KINDS, check_members
 from hystfit.reading.file_bytes import FileBytes, inner_name, load
 from hystfit.reading.header import split_unit
 from hystfit.reading.layout import Text, layout_of
@@ -47,7 +47,7 @@ def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
     if sheet is not None:
         raise DataError(f"{path} has no sheets; leave out sheet=")
     try:
-        arrays = arrays_in(file.raw, suffix)
+        arrays = KINDS[suffix](file.raw)
     except MissingExtraError:
         raise
     except DataError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,12 +23,6 @@ from hystfit.reading.treatment import Treatment
 TEXT_SUFFIXES = frozenset(
     {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
 )
-# Options of `read` that say how the file is read, with their defaults.
-_OPTIONS: dict[str, Any] = {
-    **dict.fromkeys(("time", "input", "output", "sigma", "rate", "dt", "units")), "integrate": False, "smooth": None,
-    **dict.fromkeys(("by", "only", "where")), "gaps": "error",
-    **dict.fromkeys(("sheet", "delimiter", "decimal", "encoding")),
-}  # fmt: skip
 
 
 def read(
@@ -178,7 +173,10 @@ def as_texts(options: Mapping[str, Any]) -> dict[str, str]:
     Args:
         options: of `read`, and others, which are left out.
     """
-    changed = {name: options[name] for name in _OPTIONS if options.get(name) not in (None, _OPTIONS[name])}
+    defaults = {
+        name: parameter.default for name, parameter in inspect.signature(read).parameters.items() if name != "name"
+    }
+    changed = {name: options[name] for name in defaults if options.get(name) not in (None, defaults[name])}
     return {name: _as_text(value) for name, value in changed.items()}
 
 

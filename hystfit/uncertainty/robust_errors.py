@@ -223,7 +223,7 @@ def covariance(
     if kind == "sandwich":
         robust, factor = blocks.sandwich(back)
     elif kind == "bootstrap":
-        robust, factor = blocks.bootstrap(back, seed)
+        robust, factor = blocks.bootstrap(back, _DRAWS, seed)
     else:
         robust, factor = plain, np.full(len(plain), scipy.stats.t.ppf(0.975, freedom))
     matrix, ratio, factors = np.full((x.size, x.size), np.nan), np.full(x.size, np.nan), np.full(x.size, np.nan)
@@ -296,9 +296,9 @@ class _Blocks:
         moved = self.corrected @ back.T
         return moved.T @ moved, scipy.stats.t.ppf(0.975, trace**2 / square)
 
-    def bootstrap(self, back: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def bootstrap(self, back: np.ndarray, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Covariance of the parameters `back` q over draws, and half a 95 % interval of the studentized draws over its root."""
-        weights = np.random.default_rng(seed).choice(_WEBB.ravel(), (_DRAWS, len(self.scores)))
+        weights = np.random.default_rng(seed).choice(_WEBB.ravel(), (draws, len(self.scores)))
         shifts, factor = weights @ self.corrected, np.empty(len(back))
         robust = np.cov((shifts @ back.T).T).reshape(len(back), len(back))
         for k, row in enumerate(back):
