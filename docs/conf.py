@@ -5,10 +5,17 @@ from pathlib import Path
 
 import hystfit
 
+HERE = Path(__file__).resolve().parent
 DOCS = Path(hystfit.__file__).resolve().parents[1] / "docs"
 sys.path.insert(0, str(DOCS))  # for `generate`
 
 from generate.docstrings import escape_marks  # noqa: E402
+
+WIDE = ["guide/calibration", "guide/beside"] + [
+    path.relative_to(HERE).with_suffix("").as_posix()
+    for pattern in ("notebooks/*.ipynb", "results/*/index.md")
+    for path in HERE.glob(pattern)
+]
 
 project = "hystfit"
 author = "the hystfit developers"
@@ -73,7 +80,7 @@ html_theme_options = {
     # pages with wide tables and long lines use the space of the list of headings
     "secondary_sidebar_items": {
         "**": ["page-toc"],
-        **{pages: [] for pages in ("guide/calibration", "guide/beside", "notebooks/*", "results/**")},
+        **{page: [] for page in WIDE},
     },
     "navigation_with_keys": False,
     "footer_start": ["copyright"],

@@ -53,12 +53,11 @@ def _draw(runs: dict[str, dict[str, Any]]) -> Figure:
             ax.plot(u[at], y[at], color="#9aa0a6", lw=2.6, label=None if k else "measured")
             ax.plot(u[at], model[at], color="#2f86c9", lw=0.9, label=None if k else "model")
         error = (result.metrics(run["later"]) if "later" in run else result.train).nrmse_percent
-        ax.set_title(title, fontsize=11)
+        ax.set_title(f"{title}\nrms error {error:.2g} %", fontsize=11)
         ax.tick_params(labelsize=10)
         ax.locator_params(axis="x", nbins=4)
         ax.set_xlabel(axis_label(record.u_name or "input", record.u_unit), fontsize=11)
         ax.set_ylabel(axis_label(record.y_name or "output", record.y_unit), fontsize=11)
-        ax.text(0.97, 0.03, f"rms error {error:.2g} %", ha="right", transform=ax.transAxes, fontsize=10)
     axes[0].legend(loc="upper left", fontsize=10, borderaxespad=0.1, handlelength=1.2)
     return figure
 

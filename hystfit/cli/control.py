@@ -195,14 +195,15 @@ def export(
     step = result.data.sampling_interval or 1.0
     values = shlex.join([f"{low:.6g}", *(f"{u:.6g} {step:.6g}" for u in (0.5 * (low + high), high))])
     what = (
-        "To try it, give the first input, then an input and a time step in each line; the program prints the outputs:"
+        "To try it, give the first input, then an input and a time step in each line; the program prints the outputs."
     )
+    if result.model.obstacle("inverse") is None:
+        what += (
+            " With i in place of f it reads wanted outputs, and prints the input, the output and the status (0: ok)."
+        )
     print(within(what, prose_width()))
     print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")
     print(f"  printf '%s\\n' {values} | ./{name} f")
-    if result.model.obstacle("inverse") is None:
-        what = f"./{name} i reads wanted outputs in place of inputs, and prints the input, the output and the status (0: ok)"
-        print(within(what, prose_width()))
     if s_function:
         print(f"In MATLAB: mex {name}_sfun.c {name}.c")
     return 0
