@@ -9,6 +9,7 @@ import numpy as np
 _LEVEL = 0.02  # distance from the outermost turning level, as a fraction of the range of u, up to which a branch begins there
 _LARGER = 1.1  # ratio of the largest strokes so far between which branches are compared
 _FEWEST = 2  # branches on each side of the comparison
+_VISIBLE = 0.02  # least rise along a branch, as a fraction of the range of y
 _GRID = np.linspace(0.3, 0.9, 25)  # part of the common range that is compared
 
 
@@ -47,7 +48,7 @@ def _from_lowest(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | Non
     late = [
         _rise(u, y, a, b, lowest, common) for a, b, stroke in branches if stroke > max(_LARGER * least, 0.9 * largest)
     ]
-    if min(len(first), len(late)) < _FEWEST or not np.median(first) > 0:
+    if min(len(first), len(late)) < _FEWEST or abs(np.median(first)) < _VISIBLE * np.ptp(y[np.isfinite(y)]):
         return None
     return float(np.median(late) / np.median(first))
 
