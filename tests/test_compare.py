@@ -133,6 +133,20 @@ def test_columns_of_a_structure_are_the_derivatives_of_its_model(structure):
         np.testing.assert_allclose(getattr(got, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.parametrize(("rate", "finite"), [(0.02, True), (-0.02, False)])
+def test_no_force_against_the_rate_is_taken_beside_plays(rate, finite):
+    """It describes a lag, but an output that falls as the input jumps up has no inverse."""
+    t = np.arange(1500) * 0.01
+    u = np.sin(2 * np.pi * 0.4 * t) * (0.6 + 0.4 * np.sin(0.3 * t))
+    play = [0.0]
+    for x in u:
+        play.append(min(max(play[-1], x - 0.2), x + 0.2))
+    y = 0.7 * u + 0.5 * np.array(play[1:]) + rate * np.gradient(u, t)
+    terms = Terms(hf.Dataset.of(hf.Record(u, y, t)), 8)
+    assert np.isfinite(terms.score(Structure(rate=1))) == finite
+    assert np.isfinite(terms.score(Structure(lag=2.0)))
+
+
 def test_columns_of_a_search_are_freed_with_it():
     terms = Terms(hf.Dataset.of(hf.Record(U[:60], U[:60] ** 2, T[:60])), 4)
     assert terms.score(Structure()) > 0

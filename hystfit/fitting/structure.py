@@ -277,9 +277,15 @@ class Terms:
         return {**options, "hardening": (0, 1, 3, 10)}
 
     def score(self, structure: Structure) -> float:
-        """Root mean square error on blocks left out, output units."""
+        """Root mean square error on blocks left out, output units; infinite where plays have a force against the rate beside them.
+
+        Such a force describes a lag by an output that falls as the input jumps up, which has no inverse; `lag` describes it with one.
+        """
         if structure not in self.scores:
-            self.scores[structure] = fit_ridge(self.system(structure), _COARSE).score
+            fitted = fit_ridge(self.system(structure), _COARSE)
+            forces = fitted.weights[fitted.weights.size - structure.rate :]
+            against = structure.operator == "play" and bool((forces < 0).any())
+            self.scores[structure] = np.inf if against else fitted.score
         return self.scores[structure]
 
     def system(self, s: Structure) -> LinearSystem:
