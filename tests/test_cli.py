@@ -351,8 +351,9 @@ def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, cap
 
 
 def test_check_proposes_to_read_each_curve_as_a_record(tmp_path, capsys):
+    """Loops of one stroke may be cycles of one experiment; those of different strokes are read as records by themselves."""
     u = 5 * np.sin(np.linspace(0, 2 * np.pi, 60))
-    rows = [f"{k},{k * a:.4f},{k * bouc:.4f}" for k in (1, 2) for a, bouc in zip(u, bouc_wen(u), strict=True)]
+    rows = [f"{k},{a:.4f},{bouc:.4f}" for k in (1, 2) for a, bouc in zip(u, bouc_wen(u), strict=True)]
     (tmp_path / "two.txt").write_text("loop;H_A_per_m;B_T\n" + "\n".join(rows).replace(",", ";") + "\n")
     assert run(["check", str(tmp_path / "two.txt"), "--delimiter=;"]) == 0
     command = capsys.readouterr().out.strip().splitlines()[-1]

@@ -67,7 +67,7 @@ def test_the_options_of_every_fit_are_those_of_the_public_function():
         for name, p in public.items()
         if name not in ("model", "data", "y", "t", "u", "test", "settings")
     }
-    assert FitOptions(fix=[], free={}, seed=3).changed() == []
+    assert FitOptions(fix=[], free=[], seed=3).changed() == []
     assert FitOptions(fix={"c": 1.0}, starts=1).changed() == ["fix", "starts"]
 
 

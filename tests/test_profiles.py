@@ -491,9 +491,9 @@ def test_coefficients_are_no_weights():
 @pytest.mark.parametrize(
     ("lower", "upper", "said"),
     [
-        (0.5, 2.0, "n = 1 V: 0.5 to 2"),
-        (0.5, None, "n = 1 V: at least 0.5, no upper limit (up to +infinity)"),
-        (None, 2.0, "n = 1 V: at most 2, no lower limit (down to its bound 0)"),
+        (0.5, 2.0, "n = 1.00 V: 0.50 to 2.00 V"),
+        (0.5, None, "n = 1 V: at least 0.5 V, no upper limit (up to +infinity)"),
+        (None, 2.0, "n = 1 V: at most 2 V, no lower limit (down to its bound 0)"),
         (None, None, "n = 1 V: not bounded by the data on either side"),
     ],
 )

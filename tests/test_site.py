@@ -42,7 +42,7 @@ from .conftest import ROOT
 DOCS = ROOT / "docs"
 SOURCES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), ROOT / "paper" / "paper.md"]
 OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
-OTHERS = {"std", "quick"}  # options of a C compiler, and of programs beside the command line
+OTHERS = {"std", "quick", "kinds"}  # options of a C compiler, and of programs beside the command line
 
 
 def known_options() -> set[str]:

@@ -21,6 +21,8 @@ _MOST_CURVES = 10_000
 _FEWEST_ROWS = 4  # of a curve, on average
 _JUMP = 5.0  # step to the next curve over the steps around it
 _MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in turn: their number, and rows of each
+_APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
+_STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
 
@@ -213,7 +215,7 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
         if _plain(name) in CURVE_NAMES and 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
-        elif position not in table.labels and (levels := _levels(table.columns[position])):
+        elif position not in table.labels and not _STATE.search(name) and (levels := _levels(table.columns[position])):
             shown_levels = ", ".join(f"{level:g}" for level in levels)
             text = (
                 f"column {name!r} is set to {len(levels)} levels ({shown_levels}), and a model has one input: "
@@ -226,7 +228,9 @@ def _levels(values: np.ndarray) -> list[float]:
     """Levels to which a column is set in turn while others are measured; none for a column of another kind."""
     levels = np.unique(values)
     runs = 1 + np.count_nonzero(np.diff(values))
-    few = 1 < levels.size <= _MOST_LEVELS and np.isfinite(levels).all()
+    few = (
+        1 < levels.size <= _MOST_LEVELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
+    )
     return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 
 

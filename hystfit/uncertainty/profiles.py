@@ -84,7 +84,7 @@ class Profile:
         return rounded(value, (self.upper - self.lower) / 4)[0]
 
     def __str__(self) -> str:
-        return f"{self.name} = {self._words(self.value)}: {self.limits}"
+        return f"{self.name} = {self._words(self.value)} {self.unit}".rstrip() + f": {self.limits}"
 
     __repr__ = __str__
 
