@@ -91,10 +91,10 @@ def fit(
     elif purpose != "prediction":
         raise ParameterError("--for chooses among models: it has no effect with --model or a sequential method")
     else:
-        from hystfit.fitting.fit import fit as fit_model
+        from hystfit.fitting.fit import fit as fit_loops
 
         with progress(f"fitting {model}"):
-            result = fit_model(model, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
+            result = fit_loops(model, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
     if test is not None:
         from hystfit.fitting.trial import with_test
 

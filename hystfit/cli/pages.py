@@ -153,11 +153,11 @@ def calibrate_page(calibration: Calibration) -> Page:
         covered = dict(zip(calibration.names, calibration.coverage().tolist(), strict=True))
         least, most = min(covered, key=covered.__getitem__), max(covered, key=covered.__getitem__)
         low, high = calibration.coverage_band()
+        share = lambda part: number(part, ".1%")
         answer += [
-            ("Coverage of the 95 % intervals", f"{covered[least]:.1%} ({least}) to {covered[most]:.1%} ({most})"),
-            ("Coverage consistent with 95 %", f"{low:.1%} to {high:.1%}"),
+            ("Coverage of the 95 % intervals", f"{share(covered[least])} ({least}) to {share(covered[most])} ({most})"),
+            ("Coverage consistent with 95 %", f"{share(low)} to {share(high)}"),
         ]
-        answer = [(name, value.replace("%", " %")) for name, value in answer]
         explained = calibration.explanations()
         caption = "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of chance"
         shown = [[Picture(calibration.plot(), caption, wide=True)]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,7 +20,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.loops import reversals
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.summary import delay_of, outliers_of, summarize
+from hystfit.quality.summary import RecordQuality, delay_of, may_change, outliers_of, summarize
 from hystfit.results.accuracy import (
     accuracy_note,
     better_family_warning,
@@ -73,6 +74,16 @@ class Fitted:
     def percent(self) -> float:
         """RMS error in percent of the output's range."""
         return np.inf if self.train.nrmse_percent is None else self.train.nrmse_percent
+
+    @functools.cached_property
+    def qualities(self) -> tuple[RecordQuality, ...]:
+        """What is measured on each record; it takes longer than many a fit."""
+        return tuple(summarize(record) for record in self.data)
+
+    @functools.cached_property
+    def may_change(self) -> bool:
+        """Whether some output may drift or some device degrade, so that `qualities` are worth their time."""
+        return any(may_change(record) for record in self.data)
 
 
 def turns_back(data: Dataset) -> bool:
@@ -164,16 +175,15 @@ def _delayed(fitted: Fitted) -> Note | None:
 
 def _drifting(fitted: Fitted) -> Note | None:
     """A warning where the output drifts steadily, which no model describes."""
-    if fitted.percent < _VISIBLE or is_noise(fitted.train.rmse, fitted.baselines):
+    if fitted.percent < _VISIBLE or is_noise(fitted.train.rmse, fitted.baselines) or not fitted.may_change:
         return None
-    found = [(record, trend) for record in fitted.data if (trend := summarize(record).trend) is not None]
-    if not found:
+    drifting = next((quality for quality in fitted.qualities if quality.trend is not None), None)
+    if drifting is None:
         return None
-    record, trend = found[0]
-    size = f"{trend:.3g} {record.y_unit}".rstrip()
+    size = f"{drifting.trend:.3g} {drifting.units['y']}".rstrip()
     return warn(
         Code.DRIFT,
-        f"the output of {record.name!r} drifts by {size} over the record, apart from its loops: models have no steady drift, subtract it "
+        f"the output of {drifting.name!r} drifts by {size} over the record, apart from its loops: models have no steady drift, subtract it "
         "before the fit",
     )
 
@@ -205,14 +215,14 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
         status, reasons = poor
-        return status, [*reasons, *([] if has(reasons, Code.MODEL_MISMATCH) else _damaged(data))]
+        return status, [*reasons, *([] if has(reasons, Code.MODEL_MISMATCH) else _damaged(fitted))]
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if white:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, fitted.rows, baselines)]
     status = Status.ROUGH if rough else Status.OK
-    return status, [*rough, *(_damaged(data) if rough or percent > _VISIBLE else [])]
+    return status, [*rough, *(_damaged(fitted) if rough or (percent > _VISIBLE and fitted.may_change) else [])]
 
 
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
@@ -232,9 +242,9 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
     elif percent > _ROUGH and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
         text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
-    elif percent > _ROUGH and _degrading(fitted.data):
+    elif percent > _ROUGH and _degrading(fitted):
         code = Code.MODEL_MISMATCH
-        text = f"{_damage(fitted.data)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
+        text = f"{_damage(fitted)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
     if not text:
         return None
     if fitted.method != fitted.usual:
@@ -244,22 +254,22 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
     return Status.POOR, _error(code, text)
 
 
-def _damaged(data: Dataset) -> list[Note]:
+def _damaged(fitted: Fitted) -> list[Note]:
     """A warning where the device degrades, which no model describes."""
-    if not _degrading(data):
+    if not _degrading(fitted):
         return []
-    return [warn(Code.MODEL_MISMATCH, f"{_damage(data)}: the model has no term for it (see hystfit check)")]
+    return [warn(Code.MODEL_MISMATCH, f"{_damage(fitted)}: the model has no term for it (see hystfit check)")]
 
 
-def _damage(data: Dataset) -> str:
+def _damage(fitted: Fitted) -> str:
     """What a degrading device loses, in words."""
-    if any(summarize(record).softens_with_stroke for record in data):
+    if any(quality.softens_with_stroke for quality in fitted.qualities):
         return "the loop softens with the largest stroke so far (Mullins effect)"
     return "the loop loses stiffness or strength from cycle to cycle (damage)"
 
 
-def _degrading(data: Dataset) -> bool:
-    return any(summarize(record).degrading for record in data)
+def _degrading(fitted: Fitted) -> bool:
+    return any(quality.degrading for quality in fitted.qualities)
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:

@@ -51,10 +51,10 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         return programs.setdefault(structure, jax.jit(of_leaves))
 
     @functools.wraps(function)
-    def call(*trees: _P.args, **none: _P.kwargs) -> _R:
+    def call(*trees: Any) -> _R:
         leaves, structure = jax.tree_util.tree_flatten(trees)
         if not all(isinstance(leaf, _ARRAYS) for leaf in leaves):
-            return of_any(*trees, **none)
+            return of_any(*trees)
         # JAX would flatten the trees once more: half the time of a short simulation.
         return (programs.get(structure) or program_for(structure))(*leaves)
 

@@ -24,9 +24,12 @@ from hystfit.quality.trend import linear_trend
 LONG_HOLD = 50  # samples of a hold in which creep would show
 _BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
 _SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
-# Part of the output on branches from the outermost level, below which larger strokes have softened the device.
 _FEWEST_CYCLES = 3  # in which a trend of the output is sought
-_MULLINS = 0.9
+_MULLINS = (
+    0.9  # part of the output on branches from the outermost level, below which larger strokes have softened the device
+)
+_WHOLE = 0.95  # part of the stiffness from which a device is whole
+_WEAKER = 0.85  # part of the output of shorter branches, below which that of longer ones shows damage
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
@@ -178,7 +181,7 @@ class RecordQuality:
             or self.softens
             or self.softens_with_stroke
             or left < 0.88
-            or (left < 0.95 and self.shape.pinching < 0.6)
+            or (left < _WHOLE and self.shape.pinching < 0.6)
         )
 
     @property
@@ -195,7 +198,7 @@ class RecordQuality:
     @property
     def weakens(self) -> bool:
         """Whether longer branches reach less output than shorter ones before did; unknown in a resonance."""
-        return self.strength_left is not None and self.strength_left < 0.85 and not self.dynamic
+        return self.strength_left is not None and self.strength_left < _WEAKER and not self.dynamic
 
     @property
     def lags(self) -> bool:
@@ -236,6 +239,21 @@ def summarize(record: Record) -> RecordQuality:
     return dataclasses.replace(_summarize(record), delay=delay)
 
 
+def may_change(record: Record) -> bool:
+    """Whether the output may drift or the device degrade: a first look, in a fraction of the time of `summarize`."""
+    u, y, t = record.u, record.y, record.t
+    _, turns, cycles, _ = _motion(record, _column(u))
+    parts = (
+        (stiffness_left(u, y, t, cycles), _WHOLE),
+        (strength_left(u, y, cycles), _WEAKER),
+        (unloading_left(u, y, cycles), _SOFTER),
+        (softening_left(u, y, turns), _MULLINS),
+    )
+    if any(left is not None and left < whole for left, whole in parts):
+        return True
+    return t is not None and linear_trend(u, y, t) is not None
+
+
 def delay_of(record: Record) -> PureDelay | None:
     """Pure delay of the output; None without one or without even time steps."""
     interval = record.sampling_interval
@@ -261,19 +279,20 @@ def _summarize(record: Record) -> RecordQuality:
     moving = np.ptp(u) > 0
     sampling, interval = _sampling(record), record.sampling_interval
     lag = gain = dynamics = slow_lag = None
+    resonates = False
     shape = loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0)
     if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
         lag = estimate_lag(u, y, interval, turns, u_noise=u_column.known_noise)
         dynamics = estimate_dynamics(u, y, interval)
+        resonates = dynamics is not None and dynamics.resonant
         short = lag is not None and lag.samples + 2 * lag.stderr < SHORT
-        if not (short or (dynamics is not None and dynamics.resonant)) and shape is not None and not shape.crossing:
+        if not (short or resonates) and shape is not None and not shape.crossing:
             slow_lag = estimate_slow_lag(u, y, turns)
         if motion.cycles >= 1:
             late = max(0, round(lag.samples)) if lag else 0
             gain = velocity_gain(u[: u.size - late], y[late:], t[: u.size - late])
     drifts = drift(u, y, t, cycles, y_column.known_noise or 0.0) if moving else None
     known = slow_lag is not None or (drifts is not None and drifts.law != "none")
-    resonates = dynamics is not None and dynamics.resonant
     trend = None if t is None or known or resonates or motion.cycles < _FEWEST_CYCLES else linear_trend(u, y, t)
     return RecordQuality(
         name=record.name,
