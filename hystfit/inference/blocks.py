@@ -59,7 +59,7 @@ def _tall(n: int, p: int) -> list[slice]:
     return blocks
 
 
-def triangle(blocks: Iterable[Float[np.ndarray, "n p"]], size: int) -> Float[np.ndarray, "p p"]:
+def triangle(blocks: Iterable[Float[np.ndarray, "_ p"]], size: int) -> Float[np.ndarray, "p p"]:
     """R of a matrix Q R of which blocks of rows come one after another, each eliminated below the factor of those before it.
 
     The cost is that of one factorization of the whole, however small the blocks are. `size` is p. Least squares needs no more of a
