@@ -333,7 +333,7 @@ class _Judge:
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):
             result = with_left_out(result, float(score))
-        obstacles = {use: text for use in ("inverse", "export") if (text := result.model.obstacle(use))}
+        obstacles = {use: text for use in ("inverse", "export") if (text := result.obstacle(use))}
         one.result = result
         one.row = Row(
             name=name if ".py:" in name else result.name,
