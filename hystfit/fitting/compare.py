@@ -68,7 +68,8 @@ def compare(
             None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit has
             more than twice the cross-validation error of the best model. A first fit starts from two points and is judged on the
             fitted samples; that of a model with elements has its default size, is judged by cross-validation, and may have three
-            times the error.
+            times the error. On records with a resonance, models without one follow only where the search, which has none, has at most
+            twice the error of the best.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
