@@ -492,3 +492,63 @@ def test_reversal_curves_of_a_raw_file_by_the_bare_search(measured):
     assert found.fits[inverse.asked].metrics(held).nrmse_percent <= 0.1
     # The error on left-out curves is that of weights inside their bounds, however many they are.
     assert inverse.score_percent >= 0.9 * inverse.in_sample_percent
+
+
+def ringing(u: np.ndarray, interval: float, frequency: float, damping: float, noise: float) -> hf.Record:
+    """Eight plays, then an oscillator: by plain loops, RK4 with 20 steps in each sample and a linear input between samples."""
+    widths, play, hysteresis = np.linspace(0.1, 2.5, 8), np.zeros(8), np.empty(u.size)
+    for k, value in enumerate(u):
+        play = np.clip(play, value - widths, value + widths)
+        hysteresis[k] = value + 0.25 * np.exp(-widths) @ play
+    omega, state, y = 2 * np.pi * frequency, np.array([hysteresis[0], 0.0]), hysteresis.copy()
+    law = lambda s, x: np.array([s[1], omega**2 * (x - s[0]) - 2 * damping * omega * s[1]])
+    h = interval / 20
+    for k in range(1, u.size):
+        before, step = hysteresis[k - 1], (hysteresis[k] - hysteresis[k - 1]) / 20
+        for j in range(20):
+            first, last = before + j * step, before + (j + 1) * step
+            middle = 0.5 * (first + last)
+            k1 = law(state, first)
+            k2 = law(state + 0.5 * h * k1, middle)
+            k3 = law(state + 0.5 * h * k2, middle)
+            k4 = law(state + h * k3, last)
+            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        y[k] = state[0]
+    y = y + noise * np.ptp(y) * np.random.default_rng(5).standard_normal(u.size)
+    return hf.Record(u, y, interval * np.arange(u.size), y_unit="um", u_unit="V")
+
+
+def chirp_of(samples: int, interval: float, last: float) -> np.ndarray:
+    """A sine whose frequency rises from 5 Hz to the last one."""
+    t = interval * np.arange(samples)
+    return 4 * np.sin(2 * np.pi * (5 * t + (last - 5) * t**2 / (2 * t[-1])))
+
+
+def triangles(samples: int, interval: float, frequency: float) -> np.ndarray:
+    """Triangular cycles of four amplitudes."""
+    t = interval * np.arange(samples)
+    wave = 2 * np.abs(2 * ((t * frequency + 0.25) % 1) - 1) - 1
+    return np.repeat([1.0, 2.0, 3.0, 4.0], samples // 4) * wave
+
+
+def test_resonance_starts_where_the_record_shows_it():
+    record = ringing(chirp_of(2000, 2e-4, 500.0), 2e-4, 400.0, 0.03, 0.005)
+    started = hf.SecondOrder().start([record])
+    assert abs(started.omega / (2 * np.pi * 400.0) - 1) < 0.02
+    assert abs(started.zeta / 0.03 - 1) < 0.3
+
+
+@pytest.mark.slow
+def test_resonant_stage_gets_its_resonance_and_no_fit_of_models_without_one():
+    record = ringing(triangles(4000, 1.25e-4, 41.0), 1.25e-4, 500.0, 0.02, 0.003)
+    comparison = hf.compare(record, progress=lambda *_: None)
+    best = comparison.rows[0]
+    assert best.name == "prandtl-ishlinskii+second-order"
+    assert best.status is Status.OK
+    assert best.in_sample_percent < 0.33  # noise of 0.3 %
+    values = comparison.winner.values
+    omega = next(value for name, value in values.items() if name.endswith("omega"))
+    assert abs(omega / (2 * np.pi * 500.0) - 1) < 0.005
+    static = {row.asked for row in comparison.rows if row.status is Status.UNTESTED}
+    assert {"duhem", "bouc-wen", "bouc-wen+relaxation", "preisach"} <= static
+    assert not static & set(comparison.fits)

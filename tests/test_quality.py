@@ -28,6 +28,7 @@ from hystfit.quality.determination import Verdict
 from hystfit.quality.needs import Needs
 from hystfit.quality.shape import loop_shape, strength_left
 from hystfit.quality.spline import cubic_spline
+from hystfit.quality.summary import outliers_of
 
 SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (SHARED / "piezo_dbo").is_dir(), reason="no measured data: set HYSTFIT_DATA")
@@ -211,6 +212,20 @@ def test_spikes_missing_samples_and_clipping_are_counted():
     clipped = check(Record(u, top, t=t))
     assert clipped.records[0].clipped == (piezo(u) >= 1.2).sum()
     assert has(clipped.findings, Code.CLIPPED)
+
+
+def test_an_outlier_beside_a_reversal_is_one_and_a_sharp_peak_of_the_output_there_is_not():
+    phase = np.arange(600) / 50
+    u = 2 * np.abs(2 * (phase % 1) - 1) - 1  # triangular: the output has a corner at each reversal
+    y = u + 0.2 * np.sign(np.gradient(u)) * (1 - u**2) + 1e-3 * np.random.default_rng(2).standard_normal(600)
+    assert not outliers_of(Record(u, y)).size
+    for beside in (-1, 0, 1):
+        faulty = y.copy()
+        faulty[250 + beside] += 0.6
+        assert outliers_of(Record(u, faulty)).tolist() == [250 + beside]
+    peaks = y.copy()
+    peaks[::50] += 0.1  # no farther beyond its neighbors than twice their steps
+    assert not outliers_of(Record(u, peaks)).size
 
 
 def test_sampling_tells_uneven_repeated_and_missing_time():

@@ -224,3 +224,24 @@ def test_a_sequential_result_is_judged_by_the_same_limits():
     assert has(fit.notes, Code.ACCURACY)
     assert fit.baselines.noise == pytest.approx(0.05, rel=0.1)
     assert dataclasses.replace(fit, status=Status.ROUGH).usable is False
+
+
+@pytest.mark.parametrize("shape", ["noise", "shift"])
+def test_a_disturbed_stretch_is_named_and_the_robust_loss_restores_the_parameters(shape):
+    clean = output() + 0.01 * WHITE
+    first, count = 310, 16
+    disturbed = clean.copy()
+    step = np.random.default_rng(4).normal(size=count) if shape == "noise" else np.ones(count)
+    disturbed[first : first + count] += 0.1 * np.ptp(clean) * step
+    named = lambda result: [note for note in result.notes if note.code is Code.SPIKES and "samples" in note.text]
+    assert not named(hf.fit("bouc-wen", made(clean), starts=2))
+    plain = hf.fit("bouc-wen", made(disturbed), starts=2)
+    text = named(plain)[-1].text
+    start, end = (int(word) for word in text.split("samples ")[1].split(" of ")[0].split(" to "))
+    assert first <= start < end < first + count
+    if shape == "shift":
+        assert end - start >= count - 4
+    robust = hf.fit("bouc-wen", made(disturbed), starts=2, loss="huber")
+    for row in robust.parameters:
+        if row.stderr:
+            assert abs(row.value - TRUTH[row.name]) < 3 * row.stderr

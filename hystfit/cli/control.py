@@ -197,7 +197,7 @@ def export(
     what = (
         "To try it, give the first input, then an input and a time step in each line; the program prints the outputs."
     )
-    if result.model.obstacle("inverse") is None:
+    if result.obstacle("inverse") is None:
         what += (
             " With i in place of f it reads wanted outputs, and prints the input, the output and the status (0: ok)."
         )

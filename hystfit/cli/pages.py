@@ -109,7 +109,7 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
     answer += [("Draws", f"{chains} chains of {draws} by {posterior.sampler}, noise {posterior.noise}")]
     at = lambda place: opened(posterior.result, shlex.quote(str(place)))
     commands = [f"hystfit profile {at(folder / 'fit')}"]
-    if posterior.result.model.obstacle("inverse") is None:
+    if posterior.result.obstacle("inverse") is None:
         commands.insert(0, f"hystfit invert {at(folder)} REFERENCE")
     answer += [("Next", "\n".join(commands))]
     captions = {

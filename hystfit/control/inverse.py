@@ -33,6 +33,7 @@ class Inverse:
         codes: `Status` of every sample as a number, shape (T,).
         start: state and input before the first sample: `simulate(model, u, dt, resume=start)` gives y.
         state: state and input after the last sample, from which another call continues.
+        obstacle: why the fitted model has no inverse over the whole range of its data; None where it has, and of a model that is given.
     """
 
     u: np.ndarray
@@ -40,6 +41,7 @@ class Inverse:
     codes: np.ndarray
     start: Resume
     state: Resume
+    obstacle: str | None = None
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{many} {label}" for label, many in self.counts().items() if many)
@@ -68,7 +70,8 @@ class Inverse:
             Status.OUT_OF_RANGE: "cannot be reached in the range in which the model is known: the nearest input is given",
         }
         places = {kind: np.flatnonzero(self.codes == kind) for kind in texts}
-        return tuple(
+        whole = () if self.obstacle is None else (f"the model has no inverse over its whole range: {self.obstacle}",)
+        return whole + tuple(
             f"{at.size} of {self.codes.size} samples (first: sample {at[0]}) {texts[kind]}"
             for kind, at in places.items()
             if at.size
@@ -101,10 +104,11 @@ def invert(
         PrecisionError: double precision is off.
     """
     task = prepare(model, reference, dt, resume=resume, limits=limits)
+    obstacle = None if isinstance(model, AbstractHysteresis) else model.obstacle("inverse")
     if task.inverse is None:
-        return _invert_resonant(model, task, resume, limits)
+        return dataclasses.replace(_invert_resonant(model, task, resume, limits), obstacle=obstacle)
     end, answer = task.inverse.run(task.start, task.wanted, task.steps)
-    return Inverse(np.asarray(answer.u), np.asarray(answer.y), np.asarray(answer.status), task.start, end)
+    return Inverse(np.asarray(answer.u), np.asarray(answer.y), np.asarray(answer.status), task.start, end, obstacle)
 
 
 class Task(NamedTuple):

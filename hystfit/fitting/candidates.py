@@ -29,10 +29,12 @@ class Candidates:
     Attributes:
         names: expressions; those whose weights follow from a linear solve come first, because they take seconds.
         reason: what was found about the data.
+        without_resonance: of records with a resonance, models that do not have one, which are tried only where it is in doubt.
     """
 
     names: tuple[str, ...]
     reason: str
+    without_resonance: tuple[str, ...] = ()
 
 
 def candidates(data: Dataset) -> Candidates:
@@ -45,6 +47,12 @@ def candidates(data: Dataset) -> Candidates:
     found = (
         [_WORDS[kind] for kind in kinds] + ["a pure delay"] * late + ["an output that falls as the input rises"] * falls
     )
-    names = (SEARCH, *(before + name for name in compared(*kinds)))
-    linear = lambda name: name == SEARCH or make_model(name).estimator is not None
-    return Candidates(tuple(sorted(names, key=linear, reverse=True)), "the data have " + ", ".join(found))
+    resonant = [before + name for name in compared(*(kind for kind in kinds if kind == "dynamic"))]
+    others = [before + name for name in compared(*(kind for kind in kinds if kind != "dynamic"))]
+    names, without = (resonant, others) if resonant else (others, [])
+    reason = "the data have " + ", ".join(found)
+    return Candidates((SEARCH, *_linear_first(names)), reason, tuple(_linear_first(without)))
+
+
+def _linear_first(names: list[str]) -> list[str]:
+    return sorted(names, key=lambda name: make_model(name).estimator is not None, reverse=True)

@@ -21,6 +21,7 @@ from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem, without_faults
 from hystfit.fitting.left_out import SCHEMES, Scheme, bic, left_out_error
+from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
@@ -67,7 +68,8 @@ def compare(
             None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit has
             more than twice the cross-validation error of the best model. A first fit starts from two points and is judged on the
             fitted samples; that of a model with elements has its default size, is judged by cross-validation, and may have three
-            times the error.
+            times the error. On records with a resonance, models without one follow only where the search, which has none, has at most
+            twice the error of the best.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -92,7 +94,7 @@ def compare(
     data = without_faults(data)
     judge = _Judge(data, left_out, purpose, seed, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
-        judge.run(chosen.names, _Shown(update, chosen.names), Workers(workers))
+        judge.search(chosen, _Shown(update, (*chosen.names, *chosen.without_resonance)), Workers(workers))
     rows = _ranked(judge.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
     if not judge.fits:
         raise judge.refusal(rows)
@@ -205,15 +207,13 @@ class _Candidate:
     seconds: float = 0.0
 
 
-def _contenders(waiting: Sequence[_Candidate], alone: bool) -> list[_Candidate]:
-    """The models to validate next: of those with elements the ones whose first fit is near the best, because they may stop the others.
+def _contenders(waiting: Sequence[_Candidate]) -> list[_Candidate]:
+    """The models to validate next: those whose first fit is near the best, because they may stop the others.
 
-    `alone`: no model has been validated yet, so that the others wait for those whose first fit is near the best.
+    Of models with elements, which take longest, first.
     """
     firsts = [(one, one.first) for one in waiting if one.first is not None]
     sized = [(one, first) for one, first in firsts if first.limit == _HOPELESS_SIZE]
-    if not sized and not alone:
-        return list(waiting)
     least = min((first.error for _, first in sized or firsts), default=0.0)
     return [one for one, first in sized or firsts if first.error <= first.limit * least]
 
@@ -234,6 +234,30 @@ class _Judge:
         self.fits: dict[str, FitResult] = {}
         self.errors: list[Exception] = []
 
+    def search(self, chosen: Candidates, shown: _Shown, workers: Workers) -> None:
+        """Run the candidates; models without a resonance only where the search, which has none, errs about as little as the best."""
+        names = (*chosen.names, *chosen.without_resonance)
+        self.run(chosen.names, shown, workers)
+        if chosen.without_resonance:
+            rows = self._rows_without_resonance(chosen.without_resonance)
+            if rows is None:
+                self.run(chosen.without_resonance, shown, workers)
+            else:
+                self.rows += rows
+        self.rows.sort(key=lambda row: names.index(row.asked) if row.asked in names else -1)
+
+    def _rows_without_resonance(self, names: Sequence[str]) -> list[Row] | None:
+        """Rows of models that are not tried, because a resonance is needed; None where that is in doubt."""
+        best = self._best()
+        search = next((row.score_percent for row in self.rows if row.asked == SEARCH), None)
+        if best is None or search is None or search <= _HOPELESS * best:
+            return None
+        note = (
+            f"not tried: without a resonance the cross-validation error is {search:.2g} %, with one {best:.2g} % "
+            "(hystfit compare --models NAME tries a model)"
+        )
+        return [Row(name, name, None, None, None, None, 0.0, Status.UNTESTED, note) for name in names]
+
     def run(self, names: Sequence[str], shown: _Shown, workers: Workers) -> None:
         """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
 
@@ -246,9 +270,8 @@ class _Judge:
         while waiting:
             for one in waiting:
                 one.row = self._excluded_row(one)
-            each(self._validate, _contenders([one for one in waiting if one.row is None], self._best() is None))
+            each(self._validate, _contenders([one for one in waiting if one.row is None]))
             waiting = self._keep_finished(waiting, shown)
-        self.rows.sort(key=lambda row: names.index(row.asked) if row.asked in names else -1)
 
     def _timed(
         self,
@@ -311,7 +334,7 @@ class _Judge:
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):
             result = with_left_out(result, float(score))
-        obstacles = {use: text for use in ("inverse", "export") if (text := result.model.obstacle(use))}
+        obstacles = {use: text for use in ("inverse", "export") if (text := result.obstacle(use))}
         one.result = result
         one.row = Row(
             name=name if ".py:" in name else result.name,
@@ -335,14 +358,15 @@ class _Judge:
         progress("first fit")
         if (error := first_error(model, self.data)) is not None:
             one.first = _First(error, _HOPELESS_SIZE)
-        elif model.estimator is not None:
-            self._validate(one, progress)
         else:
             problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
-            estimate = solve(problem, choose_method(problem), _FIRST_STARTS, self.seed, points)
+            method = ESTIMATORS.make(choose_method(problem)).quick()
+            # Points that a model reads off the records are sorted, the best first.
+            starts = 1 if len(points) > 1 else _FIRST_STARTS
+            estimate = solve(problem, method, starts, self.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = _First(rms, _HOPELESS, estimate.x.size)
+            one.first = _First(rms if np.isfinite(rms) else np.inf, _HOPELESS, estimate.x.size)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""

@@ -21,6 +21,7 @@ from hystfit.outcome import Code, Note
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 0))
 _BLOCKS = 5
+_QUICK = 15  # evaluations of the outer search of a first look
 
 
 @dataclasses.dataclass(frozen=True)
@@ -244,6 +245,10 @@ class Convex(AbstractEstimator):
     needs_starts: ClassVar[bool] = False
     strengths: tuple[float, ...] = eqx.field(static=True, default=STRENGTHS)
     max_evaluations: int = eqx.field(static=True, default=80)
+
+    def quick(self) -> Convex:
+        """See the base class."""
+        return dataclasses.replace(self, max_evaluations=_QUICK)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.

@@ -62,3 +62,7 @@ class AbstractEstimator(eqx.Module):
     @abc.abstractmethod
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """Fit from starts of shape (S, p) in unconstrained coordinates; the first is the data-driven one."""
+
+    def quick(self) -> AbstractEstimator:
+        """The same with tolerances for a first look at a model; by default as it is."""
+        return self

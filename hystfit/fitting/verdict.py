@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.fitting.disturbance import disturbance_note
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.inference.problem import Problem
@@ -120,6 +121,7 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         _at_an_end(fitted),
         _clipped(fitted.data),
         _outliers(fitted.data),
+        disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
         _drifting(fitted),
     )

@@ -19,6 +19,7 @@ from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.simulation import AbstractDynamics, drive, run
+from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import leaves_of
@@ -218,6 +219,21 @@ class AbstractHysteresis(AbstractDynamics):
         except ModelError as error:
             return str(error)
         return None
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """Change of the output by a small step of the input on every branch within a range; None where it is not known.
+
+        By default known of linear filters, whose gain over one sample does not depend on the branch.
+
+        Args:
+            low, high: inputs.
+            dt: time between samples; None without time.
+        """
+        if not self.linear_in_input or (dt is None and not self.rate_independent):
+            return None
+        zero, step = jnp.zeros(()), jnp.asarray(0.0 if dt is None else dt)
+        response = lambda u: self.step(self.init(zero), zero, u, step)[1]
+        return Slopes.of(float(response(zero + 1.0) - response(zero)))
 
     def c_part(self) -> CPart:
         """The model's part of the exported C code.

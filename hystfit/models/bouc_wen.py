@@ -28,6 +28,7 @@ from hystfit.models.bouc_wen_steps import (
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import compiled
@@ -128,6 +129,16 @@ class BoucWen(AbstractHysteresis):
         """A grid over (tau, rho), for each of which c, mu c and the offset follow by linear least squares."""
         values, _ = grid_start(records, 0)
         return dataclasses.replace(self, **values)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
+        """Flattest and steepest where |h| is largest: after the whole range from rest, which no other path within it exceeds."""
+        c, m, tau, rho = (float(value) for value in (self.c, self.mu * self.c, self.tau, self.rho))
+        up, down = tau * (1 + rho), tau * (1 - rho)
+        if m == 0:
+            return Slopes.of(c)
+        h = m / up * -np.expm1(-np.linspace(0.0, 30.0, 1000))  # up to its bound
+        reached = float(np.interp(high - low, -np.log1p(-up * h / m) / up, h))
+        return Slopes.of(c - m + up * reached, c - m, c - m - down * reached)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `BoucWenStep`."""

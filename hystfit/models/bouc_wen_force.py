@@ -19,6 +19,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import power_of, rate_integral, semi_implicit
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -90,6 +91,16 @@ class BoucWenForce(AbstractHysteresis):
             f"{_TRUSTED * self.substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
             "the model's name)",
         )
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
+        """Flattest and steepest where |w| is largest: after the whole range from rest, which no other path within it exceeds."""
+        rho, down, n = float(self.rho), 2.0 * float(self.sigma) - 1.0, float(self.n)
+        w = -np.expm1(-np.linspace(0.0, 20.0, 1000))
+        slowness = 1 / (1 - w**n)
+        travel = np.append(0.0, np.cumsum(0.5 * (slowness[1:] + slowness[:-1]) * np.diff(w))) / rho
+        reached = float(np.interp(high - low, travel, w)) ** n
+        ends = np.array([1.0, 1 - reached, 1 + down * reached])
+        return Slopes.of(float(self.kappa_x) + float(self.kappa_w) * rho * ends)
 
     def c_part(self) -> CPart:
         """One state; the substeps of `step`."""

@@ -21,6 +21,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
@@ -231,6 +232,13 @@ class LinearCreep(AbstractHysteresis):
     def without_creep(self) -> LinearCreep:
         """See the base class."""
         return dataclasses.replace(self, a=jnp.zeros_like(self.a))
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """What relaxes within one sample."""
+        if dt is None:
+            return None
+        shares = -np.expm1(-dt / np.asarray(self.tau)) * np.asarray(self.a)
+        return Slopes.of(float(shares.sum()) / float(self.high - self.low))
 
     def c_part(self) -> CPart:
         """One recursion per relaxation."""

@@ -19,6 +19,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.slopes import Slopes
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -27,6 +28,7 @@ Scheme = Literal["midpoint", "explicit", "exact"]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LONG = 8.0  # alpha |dv| up to which the quadrature is exact to rounding
+_SWEPT, _CYCLES = 400, 3  # inputs and cycles of the loop over which slopes are swept
 _UNSTABLE = 2.0  # alpha |dv| from which an explicit step enlarges a deviation
 _ALTERNATES = {"explicit": 1.0, "midpoint": 2.0}  # alpha |dv| above which a step reverses a deviation
 
@@ -211,6 +213,26 @@ class Duhem(AbstractHysteresis):
                 f"alpha |dv| reaches {drive:.2g} in one sample, and the explicit step is stable below {_UNSTABLE:g}: {remedy}",
             )
         return (f"alpha |dv| reaches {drive:.2g} in one sample, where the error of each step changes sign: {remedy}",)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
+        """Those on both sides of each branch of the loop over the whole range, between which all others run."""
+        v = np.linspace(low, high, _SWEPT)
+        f, g = (np.asarray(curve) for curve in self.curves(jnp.asarray(v)))
+        alpha, w, found = float(self.alpha), float(f[0]), []
+        drive = alpha * (v[1] - v[0])
+        for cycle in range(_CYCLES):
+            for order in (1, -1):
+                rates, curve = order * g[::order] * (v[1] - v[0]), f[::order]
+                branch = np.empty(v.size)
+                branch[0] = w
+                for k in range(v.size - 1):
+                    # At the middle of a step, as the midpoint scheme.
+                    pull, push = 0.5 * (curve[k] + curve[k + 1]), 0.5 * (rates[k] + rates[k + 1])
+                    w = ((1 - 0.5 * drive) * w + drive * pull + push) / (1 + 0.5 * drive)
+                    branch[k + 1] = w
+                if cycle == _CYCLES - 1:
+                    found += [side * alpha * (curve - branch) + g[::order] for side in (1, -1)]
+        return Slopes.of(*found)
 
     def c_part(self) -> CPart:
         """All schemes are in one template; tables of the exact one are written where it is used."""

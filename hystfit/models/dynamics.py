@@ -23,7 +23,7 @@ from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
-from hystfit.quality.summary import delay_of
+from hystfit.quality.summary import delay_of, dynamics_of
 
 _ROOM = 1.2  # length of the line of a delay over the delay with which a fit starts
 
@@ -198,9 +198,12 @@ class SecondOrder(AbstractHysteresis):
         return jnp.where(per_time > 0, moved[0], state[0]), jnp.where(per_time > 0, moved[1], state[1])
 
     def start(self, records: Sequence[Record]) -> SecondOrder:
-        """A resonance at a tenth of the sampling rate."""
-        typical = sampling_interval(records, 0.01)
-        return type(self)(omega=0.2 * np.pi / typical, zeta=0.3)
+        """The resonance that the records show; at a tenth of the sampling rate where they show none."""
+        found = [seen for record in records if (seen := dynamics_of(record)) is not None and seen.underdamped]
+        if not found:
+            return type(self)(omega=0.2 * np.pi / sampling_interval(records, 0.01), zeta=0.3)
+        frequency, damping = np.median([(seen.natural_frequency, seen.damping_ratio) for seen in found], axis=0)
+        return type(self)(omega=2 * np.pi * frequency, zeta=damping)
 
     def output_resonance(self) -> OutputResonance:
         """The resonance itself."""

@@ -13,6 +13,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.slopes import Slopes
 from hystfit.params.param import param
 
 
@@ -35,6 +36,10 @@ class Offset(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Offset:
         """Mean of the output."""
         return type(self)(value=float(np.mean([np.mean(record.y[record.used]) for record in records])))
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
+        """None."""
+        return Slopes(0.0, 0.0)
 
     def c_part(self) -> CPart:
         """A number."""

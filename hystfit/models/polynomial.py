@@ -36,6 +36,13 @@ def rising_series(increments: Float[Array, " n"], x: Float[Array, "..."]) -> Flo
     return y + n * (increments[-1] * jnp.maximum(x - 1.0, 0.0) + increments[0] * jnp.minimum(x, 0.0))
 
 
+def rising_slope(increments: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Derivative of `rising_series`: the Bernstein polynomial of degree n - 1 with n times the increments as coefficients."""
+    n, within = increments.size, np.clip(x, 0.0, 1.0)
+    terms = (math.comb(n - 1, k) * within**k * (1.0 - within) ** (n - 1 - k) * increments[k] for k in range(n))
+    return n * sum(terms, np.zeros_like(within))
+
+
 def derivative_matrix(n: int) -> np.ndarray:
     """Matrix that maps the n Legendre coefficients of a series to those of its derivative, shape (n, n)."""
     columns = [np.zeros(n)]

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.polynomial.legendre import legder, legval
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
@@ -18,8 +19,9 @@ from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
-from hystfit.models.polynomial import legendre_series, rising_series
+from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import param
@@ -28,6 +30,7 @@ from hystfit.quality.needs import Needs
 Envelope = Literal["identity", "square", "mirror"]
 Operator = Literal["play", "stop"]
 Rest = Literal["level", "first"]
+_SWEPT = 201  # inputs at which slopes are swept
 
 
 def envelope(kind: Envelope, x: Any) -> Any:
@@ -37,6 +40,13 @@ def envelope(kind: Envelope, x: Any) -> Any:
     if kind == "square":
         return x * abs(x)
     return 1.0 - (1.0 - x) * abs(1.0 - x)
+
+
+def envelope_slope(kind: Envelope, x: np.ndarray) -> np.ndarray:
+    """Derivative of an envelope."""
+    if kind == "identity":
+        return np.ones_like(x)
+    return 2.0 * np.abs(x if kind == "square" else 1.0 - x)
 
 
 class PrandtlIshlinskii(AbstractHysteresis):
@@ -258,6 +268,31 @@ class PrandtlIshlinskii(AbstractHysteresis):
         """A quarter of the range beyond it on either side."""
         low, high = float(self.low), float(self.high)
         return low - 0.25 * (high - low), high + 0.25 * (high - low)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """After every reversal, at every input behind it: the plays that move are those with the smallest thresholds.
+
+        None with hardening, which changes with the path.
+        """
+        if self.hardening.size:
+            return None
+        place, span = float(self.low), float(self.high - self.low)
+        x = np.linspace((low - place) / span, (high - place) / span, _SWEPT)
+        order = np.argsort(np.asarray(self.r))
+        widths, total = 2 * np.asarray(self.r)[order], self._single_slope(x)[None, :]
+        for kind, weights in zip(self.envelopes, np.asarray(self.w), strict=True):
+            bent = envelope(kind, x)
+            moving = np.searchsorted(widths, np.abs(bent[None, :] - bent[:, None]), side="right")
+            together = np.append(0.0, np.cumsum(weights[order]))
+            if self.operator == "stop":
+                together = together[-1] - together
+            total = total + envelope_slope(kind, x)[None, :] * together[moving]
+        return Slopes.of(total / span)
+
+    def _single_slope(self, x: np.ndarray) -> np.ndarray:
+        """Derivative of the single-valued part at x."""
+        slope = 2.0 * legval(2.0 * x - 1.0, legder(np.append(0.0, np.asarray(self.b))))
+        return slope + rising_slope(np.asarray(self.rise), x)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PlayStep`; a search where the model has envelopes, a bent single-valued part or hardening."""

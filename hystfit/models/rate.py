@@ -14,6 +14,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.slopes import Slopes
 from hystfit.params.param import param
 
 
@@ -37,6 +38,10 @@ class Viscous(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Viscous:
         """No damping; it follows from the fit."""
         return type(self)(c=0.0)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """The force of a step that takes one sample."""
+        return Slopes.of(float(self.c) / dt) if dt else None
 
     def c_part(self) -> CPart:
         """A difference quotient."""
@@ -66,6 +71,10 @@ class SaturatingRate(AbstractHysteresis):
         rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
         typical = float(np.sqrt(np.mean(rates**2))) if rates.size else 1.0
         return type(self)(F=0.0, v0=0.25 * typical or 1.0)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """Steepest at rest, flat where the force is saturated."""
+        return Slopes.of(float(self.F / self.v0) / dt, 0.0) if dt else None
 
     def c_part(self) -> CPart:
         """A difference quotient."""

@@ -23,6 +23,7 @@ from hystfit.models.composition import AbstractComposition, check_parts, join_c_
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import drive, run, simulate
+from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import compiled
 
@@ -142,6 +143,19 @@ class Series(AbstractComposition):
             return None
         before = [*self.parts[:-1], *(() if last.model is None else (last.model,))]
         return OutputResonance(before[0] if len(before) == 1 else Series(*before), last.omega, last.zeta)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """Bounds; None where two parts are no filters, because the range of inputs of the second is not known."""
+        if sum(not part.linear_in_input for part in self.parts) > 1:
+            return None
+        total = Slopes(1.0, 1.0)
+        for part in self.parts:
+            found = part.slope_range(low, high, dt)
+            if found is None:
+                return None
+            low, high = (-high, -low) if found.most < 0 else (low, high)
+            total = found.after(total)
+        return total
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Those of the parts, from the last to the first; a search where a part needs limits and has no range."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,6 +21,7 @@ from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import drive, simulate
+from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
 
@@ -89,6 +92,12 @@ class Sum(AbstractComposition):
         """Where the ranges of all parts overlap."""
         ranges = [edges for part in self.parts if (edges := part.reach()) is not None]
         return (max(low for low, _ in ranges), min(high for _, high in ranges)) if ranges else None
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """Bounds: the extremes of the parts need not meet on one branch."""
+        parts = [part.slope_range(low, high, dt) for part in self.parts]
+        known = [part for part in parts if part is not None]
+        return functools.reduce(operator.add, known) if len(known) == len(parts) else None
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """That of the only part that is not constant; else a search."""

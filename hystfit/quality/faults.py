@@ -13,6 +13,8 @@ _COARSE = 0.02  # part of the range from which levels are those of a signal with
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
 _ABOUT = 2  # samples on each side of an outlier that must be smooth without it
 _ROUGH = 0.5  # their largest second difference, as a part of its height
+# Times the largest step within so many samples: an outlier at a reversal, where a peak may be real.
+_FAR, _STEPS = 4.0, 6
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
@@ -208,7 +210,7 @@ def _is_isolated(y: np.ndarray, k: int, height: float) -> bool:
     return bool(np.nanmax(bends) < _ROUGH * height)
 
 
-def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None) -> np.ndarray:
+def spikes(y: np.ndarray, noise: float | None, turns: np.ndarray | None = None) -> np.ndarray:
     """Sample numbers of isolated outliers: beyond both neighbors on one side by more than 10 times the noise and 3 % of the range.
 
     Without it the output about it is smooth: the peak of a wave of few samples is no outlier.
@@ -216,6 +218,7 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
     Args:
         y: output, shape (T,).
         noise: its rms [unit of y]; None for 0.
+        turns: reversals of the input, where the output may have a sharp peak: an outlier there is far beyond the steps about it.
     """
     y = np.asarray(y, dtype=float)
     if y.size < 5:
@@ -226,6 +229,14 @@ def spikes(y: np.ndarray, noise: float | None, ignore: np.ndarray | None = None)
         least = np.minimum(np.abs(before), np.abs(after))
         out = (np.sign(before) == np.sign(after)) & (least > limit)
     outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, int(k), float(least[k - 1]))], dtype=int)
-    if ignore is not None and ignore.size and outliers.size:
-        outliers = outliers[np.min(np.abs(outliers[:, None] - ignore[None, :]), axis=1) > 1]
-    return outliers
+    if turns is None or not turns.size or not outliers.size:
+        return outliers
+    apart = np.min(np.abs(outliers[:, None] - turns[None, :]), axis=1) > 1
+    far = np.array([least[k - 1] > _FAR * _largest_step(y, int(k)) for k in outliers], dtype=bool)
+    return outliers[apart | far]
+
+
+def _largest_step(y: np.ndarray, k: int) -> float:
+    """Largest change of the output from sample to sample about sample k, without those to and from it."""
+    steps = np.abs(np.concatenate([np.diff(y[max(k - _STEPS, 0) : k]), np.diff(y[k + 1 : k + _STEPS + 1])]))
+    return float(np.nanmax(steps, initial=0.0))

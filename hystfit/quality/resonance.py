@@ -8,6 +8,7 @@ explains most of what the first description does not, and the response at the ex
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
 _EXPLAINED = 0.75  # least share of the unexplained variance that the resonance explains
 _VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the range of y
+_RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 # Least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency.
 _GAIN, _PHASE = 1.25, 40.0
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
@@ -59,11 +61,15 @@ class Dynamics:
     filter_phase: float
 
     @property
+    def underdamped(self) -> bool:
+        """Whether a resonance explains most of what hysteresis, lag and velocity terms leave."""
+        return self.error_without > _VISIBLE and self.explained > _EXPLAINED and self.damping_ratio < _UNDERDAMPED
+
+    @property
     def resonant(self) -> bool:
-        """Whether a resonance explains most of the change of the response with frequency."""
+        """Whether a resonance explains most of the change of the response with frequency, or rings after each reversal."""
         changes = max(self.filter_gain, 1 / self.filter_gain) > _GAIN or abs(self.filter_phase) > _PHASE
-        visible = self.error_without > _VISIBLE
-        return changes and visible and self.explained > _EXPLAINED and self.damping_ratio < _UNDERDAMPED
+        return self.underdamped and (changes or self.damping_ratio < _RINGING)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +79,11 @@ class _Response:
     frequency: np.ndarray
     gain: np.ndarray
     phase: np.ndarray
+
+    @property
+    def parts(self) -> tuple[np.ndarray, ...]:
+        """The three arrays."""
+        return self.frequency, self.gain, self.phase
 
 
 def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics | None:
@@ -97,10 +108,9 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
         return None
     stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // _LEAST))
-    columns = Regressors.of(*(part[::stride][:_MOST] for part in (x, bridged, used)))
     coarse = dataclasses.replace(response, frequency=response.frequency * stride)
-    without = columns.error_without()
-    error, frequency, damping = columns.best_resonance(coarse)
+    thinned = (part[::stride][:_MOST].tobytes() for part in (x, bridged, used))
+    without, error, frequency, damping = _described(*thinned, *(part.tobytes() for part in coarse.parts))
     ratio = coarse.frequency / frequency
     alone = 1 / (1 - ratio**2 + 2j * damping * ratio)
     high = int(np.argmax(np.abs(np.log(alone))))
@@ -118,6 +128,16 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
         filter_gain=float(np.abs(alone[high])),
         filter_phase=float(np.degrees(np.angle(alone[high]))),
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float, float, float, float]:
+    """Least rms errors without and with a resonance, its natural frequency [1/interval] and its damping ratio.
+
+    Input, output and response are given as bytes: several steps of a search ask for those of the same record.
+    """
+    columns = Regressors.of(np.frombuffer(x), np.frombuffer(y), np.frombuffer(used, dtype=bool))
+    return columns.error_without(), *columns.best_resonance(_Response(*map(np.frombuffer, response)))
 
 
 def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:

@@ -256,11 +256,25 @@ def may_change(record: Record) -> bool:
 
 def delay_of(record: Record) -> PureDelay | None:
     """Pure delay of the output; None without one or without even time steps."""
-    interval = record.sampling_interval
-    if interval is None or record.t is None or np.max(np.abs(np.diff(record.t) - interval)) > _UNEVEN * interval:
+    interval = _even_interval(record)
+    if interval is None:
         return None
     turns = geometry.reversals(record.u, _threshold(_column(record.u)))
     return estimate_delay(record.u, np.where(record.used, record.y, np.nan), interval, turns)
+
+
+def dynamics_of(record: Record) -> Dynamics | None:
+    """Frequency response and resonance; None where they cannot be estimated or without even time steps."""
+    interval = _even_interval(record)
+    return None if interval is None else estimate_dynamics(record.u, np.where(record.used, record.y, np.nan), interval)
+
+
+def _even_interval(record: Record) -> float | None:
+    """Time between samples; None without time or where it is uneven."""
+    interval = record.sampling_interval
+    if interval is None or record.t is None or np.max(np.abs(np.diff(record.t) - interval)) > _UNEVEN * interval:
+        return None
+    return interval
 
 
 def outliers_of(record: Record) -> np.ndarray:

@@ -15,7 +15,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError, optional
 from hystfit.inference.problem import Problem
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractHysteresis, Use
 from hystfit.models.registry import model_name
 from hystfit.outcome import Code, Note, Severity, Status, WithStatus
 from hystfit.outcome.note import has, warn
@@ -298,6 +298,27 @@ class FitResult(WithStatus):
         if record.used.any() and not refit_offset:
             text += "; refit_offset= fits an offset to its output"
         return Note(Code.RECORD_PARAMETERS, text)
+
+    def obstacle(self, use: Use) -> str | None:
+        """The reason why the fitted model cannot be inverted or exported to C; None where it can, or where none is known.
+
+        An inverse needs an output that rises, or falls, with the input on every branch within the fitted range.
+        """
+        text = self.model.obstacle(use)
+        if text is not None or use == "export":
+            return text
+        resonance = self.model.output_resonance()
+        inverted = self.model if resonance is None else resonance.model
+        slopes = inverted and inverted.slope_range(*self.input_range, self.data.sampling_interval)
+        if not slopes or not slopes.mixed:
+            return None
+        low, high = self.input_range
+        u, y = self.data.units["u"], self.data.units["y"]
+        unit = f" {y}/{u}" if u and y else ""
+        return (
+            f"the output does not rise with the input everywhere: over one sample it changes by {slopes.least:.3g} to "
+            f"{slopes.most:.3g}{unit} for inputs from {low:.4g} to {high:.4g} {u}".rstrip()
+        )
 
     @property
     def input_range(self) -> tuple[float, float]:

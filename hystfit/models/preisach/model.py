@@ -12,6 +12,7 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jax.core import Tracer
 from jaxtyping import Array, Float
+from numpy.polynomial.legendre import legder, legval
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
@@ -19,13 +20,14 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
 from hystfit.models.preisach.design_matrix import features
-from hystfit.models.preisach.everett import mirror, second_differences
+from hystfit.models.preisach.everett import cells, mirror, second_differences
 from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family, steep_levels
-from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count
+from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count, ramps
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
 from hystfit.models.shapes import Scalar
 from hystfit.models.simulation import drive
+from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import leaves_of, param
@@ -302,6 +304,26 @@ class Preisach(AbstractPlane):
     def reach(self) -> tuple[float, float]:
         """From the lowest to the highest level."""
         return float(self.levels[0]), float(self.levels[-1])
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """After every reversal, in every interval between levels; None for point relays, whose output jumps."""
+        if self.elements != "cells":
+            return None
+        n, levels, weights = self.n, np.asarray(self.levels), np.asarray(self.w)
+        width, mass = np.diff(levels), np.zeros((n, n))
+        mass[cells(n)] = 2 * (weights[mirror(n)[0]] if self.symmetric else weights)
+        # The cell on the diagonal, a triangle, counts from nothing at the start of the interval to twice its mass at the end.
+        ends, off = (np.zeros(n), 2 * np.diag(mass)), np.tril(mass, -1)
+        rising, falling = np.cumsum(off[:, ::-1], axis=1), np.cumsum(off, axis=0)
+        x = (np.linspace(levels[:-1], levels[1:], 5) - float(self.center)) / float(self.half)
+        bent = legval(x, legder(np.append(0.0, np.asarray(self.b)))) / float(self.half)
+        single = np.zeros(n)
+        if self.slopes.size:
+            single = np.diff(
+                ramps(levels, np.asarray(self.center), levels, self.symmetric, np) @ np.asarray(self.slopes)
+            )
+        alone = single / width + bent
+        return Slopes.of(*(alone + (part + end) / width for part in (*rising.T, *falling) for end in ends))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PreisachStep`; a search for point relays."""

@@ -91,6 +91,8 @@ def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
         rows.append(lag)
+    if result.usable and result.model.obstacle("inverse") is None and (why := result.obstacle("inverse")):
+        rows.append(("Inverse", f"none: {why}"))
     return (*rows, ("Not determined", _undetermined(result)))
 
 
@@ -157,9 +159,9 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     if not result.usable:
         return [" ".join(filter(None, ["hystfit compare", loop, wording.split])), f"hystfit check {loop}"]
     commands = [f"hystfit predict {fit} {new_loop(result.data)}"]
-    if result.model.obstacle("inverse") is None:
+    if result.obstacle("inverse") is None:
         commands.append(f"hystfit invert {fit} REFERENCE")
-    if result.model.obstacle("export") is None:
+    if result.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
     commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
     return commands if wording.saved else [f"the same command with --out {wording.fit} keeps this fit; then", *commands]
