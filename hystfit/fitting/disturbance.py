@@ -12,10 +12,8 @@ from hystfit.outcome.note import warn
 
 _SHORT = 0.03  # of the samples of a record
 _LARGER = 5.0  # times the rms error of the other samples
-_OUTSIDE, _GAP = (
-    4.0,
-    4,
-)  # residuals that belong to the stretch: times that rms error, and samples between two of them at most
+# Residuals belong to the stretch that are this many times that rms error, with at most so many samples between two of them.
+_OUTSIDE, _GAP = 4.0, 4
 
 
 def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool = False) -> Note | None:
