@@ -1013,3 +1013,23 @@ def test_a_curve_written_twice_is_read_once(tmp_path: Path) -> None:
     both = read([tmp_path / "a.csv", tmp_path / "b.csv"])
     assert isinstance(both, Dataset)
     assert [record.name for record in both] == ["a"]
+
+
+def test_the_other_sheets_of_a_workbook_are_named(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for title, scale in (("run 1", 1.0), ("run 2", 2.0)):
+        page = book.create_sheet(title)
+        for row in (["t_s", "u_V", "y_um"], *zip(T, U, [scale * y for y in Y], strict=True)):
+            page.append(list(row))
+    book.create_sheet("remarks").append(["measured at noon"])
+    book.save(tmp_path / "two.xlsx")
+    first = read(tmp_path / "two.xlsx")
+    (note,) = [note for note in first.notes if note.code is Code.FILE_FORMAT]  # type: ignore[union-attr]
+    assert note.severity is Severity.WARNING
+    assert "sheet='2'" in note.text  # as an option: --sheet 2
+    assert "remarks" not in note.text.partition("other sheets")[2]
+    for number, scale in (("1", 1.0), ("2", 2.0)):
+        record = read(tmp_path / "two.xlsx", sheet=number)
+        np.testing.assert_array_equal(record.y, [scale * y for y in Y])  # type: ignore[union-attr]
+        assert all(note.severity is Severity.INFO for note in record.notes)  # type: ignore[union-attr]

@@ -114,7 +114,7 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: in
 def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
-    notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
+    notes = [*reasons, accuracy_note(fitted.train, fitted.rows, fitted.baselines, "error")]
     found = (
         better_family_warning(fitted.train, fitted.baselines),
         _at_an_end(fitted),
