@@ -460,6 +460,13 @@ def test_the_table_as_a_frame_as_csv_and_as_netcdf(fits, tmp_path):
         fits.save(tmp_path / "fits.ods")
 
 
+def test_headings_of_unknown_units_have_one_pair_of_brackets(records, tmp_path):
+    fits = hf.fit_many("bouc-wen", [hf.Record(u=records[0].u, y=records[0].y, t=records[0].t)], **QUICK)
+    with fits.save(tmp_path / "fits.csv").open(encoding="utf-8") as file:
+        head = next(csv.reader(file))
+    assert {"c [y]/[u]", "c_stderr [y]/[u]"} <= set(head)
+
+
 def test_parquet(fits, tmp_path):
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")

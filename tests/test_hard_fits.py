@@ -91,6 +91,11 @@ def test_more_weights_than_samples_of_which_most_are_at_zero_are_reported_as_poo
 # -- random devices (`python -m tests.hard.devices` runs 1000 of every model) ----------------------------------------------------
 
 
+def test_a_saturating_oscillator_is_found_from_its_own_start(tmp_path: Path) -> None:
+    """Every start with a mild spring ends in another minimum, at 6.4 times the noise."""
+    assert devices.run("oscillator", range(7, 8), tmp_path)[0] == {"right": 1}
+
+
 def test_random_devices_are_found_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts, bad = devices.run("prandtl-ishlinskii", range(3), tmp_path)
     assert (counts, bad) == ({"right": 3}, [])

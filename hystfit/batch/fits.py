@@ -18,6 +18,7 @@ from hystfit.batch.work import Work, fit_alone
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.outcome.table import write_csv
+from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.estimates import MANY
 from hystfit.results.provenance import provenance
@@ -192,8 +193,8 @@ class Fits(WithStatus):
 
     def _write_csv(self, path: Path) -> None:
         units = self.column_units()
-        head = lambda name: f"{name} [{units[name]}]" if name in units else name
-        write_csv(path, {head(name): values for name, values in self.columns().items()}, ".15g")
+        columns = {with_unit(name, units.get(name, "")): values for name, values in self.columns().items()}
+        write_csv(path, columns, ".15g")
 
     def _write_parquet(self, path: Path) -> None:
         optional("pyarrow", "frames", "a Parquet table")

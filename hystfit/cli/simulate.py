@@ -67,6 +67,7 @@ def simulate(
         raise ParameterError(f"--seed must not be negative, got {seed}")
     import numpy as np
 
+    from hystfit.params.units import with_unit
     from hystfit.results.provenance import provenance
 
     t, u, curve, used = _drive(signal, shape, what, seed)
@@ -85,7 +86,7 @@ def simulate(
             devices = device.population(population, spread=sizes, seed=seed)
             data, columns = _joined(devices, measured, seed)
             truth = {"device": range(1, population + 1)}
-            truth |= {f"{k} [{unit}]" if (unit := devices.units[k]) else k: v for k, v in devices.truth.items()}
+            truth |= {with_unit(name, devices.units[name]): values for name, values in devices.truth.items()}
     if curve is not None:
         columns["curve"] = np.tile(curve, population or 1)
     if axes == 1:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from hystfit.fitting.error_ratios import RANK, mean_error_ratio
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.near_bounds import Information, NearBounds, centered, centered_lengths, distances_to_bounds
 from hystfit.inference.linearization import Linearization
-from hystfit.inference.noise.slow_likelihood import least_squares_root
+from hystfit.inference.noise.slow_likelihood import SlowNoiseFit, least_squares_root
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis
 from hystfit.params.coordinates import BOTH
@@ -88,11 +90,7 @@ def uncertainty(
     plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
-        acting = linear.columns(acts)
-        acting *= y
-        root_of_acting = least_squares_root(analysis.of_errors, acting, overwrite=True)
-        root = np.zeros((len(root_of_acting), x.size))
-        root[:, acts] = root_of_acting
+        root = _correlated_root(analysis.of_errors, linear, acts, y)
     time = analysis.correlation_time if correlated or refined else 1.0
     if root is None:
         ratio, information = float(np.sqrt(time)), Information(rows, plain * time, ridge)
@@ -106,10 +104,8 @@ def uncertainty(
         slope = lambda: np.where(on_bound, linear.gradient() if on_bound.any() else 0.0, -ridge * x)
         near = NearBounds.of(problem, x, rows, information, slope, ridge, acts)
         if near is not None:
-            share = np.ones(x.size)
-            if estimate.toward_zero and not refined:
-                arrays = np.array([name.split("[")[0] for name in problem.space.names])
-                share[acts] = near.share(np.unique(arrays[acts], return_inverse=True)[1])
+            shrunk = estimate.toward_zero and not refined
+            share = _ridge_share(near, problem.space.names, acts) if shrunk else np.ones(x.size)
             inside = near.moments(share, acts)
             information = information._replace(ridge=share * information.ridge)
     determined = _determined(problem, x, information, live, inside)
@@ -126,6 +122,26 @@ def uncertainty(
         sigma=float(np.sqrt(plain)) * y,
         residuals=analysis,
     )
+
+
+def _correlated_root(
+    noise: SlowNoiseFit, linear: Linearization, acts: np.ndarray, y: float
+) -> Float[np.ndarray, "m p"]:
+    """Square root of the information of a least-squares estimate under correlated noise; zero in columns that do not act."""
+    acting = linear.columns(acts)
+    acting *= y
+    root_of_acting = least_squares_root(noise, acting, overwrite=True)
+    root = np.zeros((len(root_of_acting), acts.size))
+    root[:, acts] = root_of_acting
+    return root
+
+
+def _ridge_share(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Float[np.ndarray, " p"]:
+    """Part of the ridge of each parameter that counts as prior information, one for the weights of an array."""
+    share = np.ones(acts.size)
+    arrays = np.array([name.split("[")[0] for name in names])
+    share[acts] = near.share(np.unique(arrays[acts], return_inverse=True)[1])
+    return share
 
 
 def _factor(

@@ -217,7 +217,7 @@ class BoucWenOscillator(AbstractHysteresis):
         return self.starting_points(records)[0]
 
     def starting_points(self, records: Sequence[Record]) -> tuple[BoucWenOscillator, ...]:
-        """Mass, damping and stiffness from the transfer function, and the three best shapes of a grid with them."""
+        """Mass, damping and stiffness from the transfer function, and the best shapes of two grids with them."""
         return oscillator_starts(self, records)
 
     def derived(self) -> tuple[Derived, ...]:

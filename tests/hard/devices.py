@@ -2,9 +2,10 @@
 
     python -m tests.hard.devices [MODEL ...] [--devices 0:1000] [--out FOLDER]
 
-Every seed makes one device: parameters about those of `tests.test_recovery`, a random input and noise of 0.3 % of the output's range. Its
-outcome is `right` (usable, with a sum of squared residuals no larger than that of the truth), `refused` (not usable) or `wrong`
-(usable above the truth). With --out, devices that were fitted are read from there.
+Every seed makes one device: parameters about those of `tests.test_recovery`, a random input and noise of 0.3 % of the output's range.
+Parameters are drawn again where the output diverges (a softening oscillator beyond its stable displacement). The outcome of a device is
+`right` (usable, with a sum of squared residuals no larger than that of the truth), `refused` (not usable) or `wrong` (usable above the
+truth). With --out, devices that were fitted are read from there.
 """
 
 from __future__ import annotations
@@ -34,8 +35,10 @@ def device(case: str, seed: int) -> tuple[hf.Record, float]:
     truth, u = CASES[case]
     u = u * (0.8 + 0.2 * np.sin(2 * np.pi * rng.uniform(0.2, 0.5) * T + rng.uniform(0, 6)))
     space = ParameterSpace.of(truth)
-    z = space.unconstrained(space.vector(truth)) + rng.uniform(-SPREAD, SPREAD, len(space))
-    y = np.asarray(hf.simulate(space.tree(z), u, T[1] - T[0])[0])
+    center, y = space.unconstrained(space.vector(truth)), np.array([np.nan])
+    while not np.isfinite(y).all():
+        z = center + rng.uniform(-SPREAD, SPREAD, len(space))
+        y = np.asarray(hf.simulate(space.tree(z), u, T[1] - T[0])[0])
     noise = NOISE * np.ptp(y) * rng.normal(size=u.size)
     return hf.Record(u=u, y=y + noise, t=T, name=f"{case} {seed}"), float(np.sqrt(np.mean(noise**2)))
 
