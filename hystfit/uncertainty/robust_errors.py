@@ -222,8 +222,8 @@ def covariance(
     blocks = _Blocks.of([(row, slope @ back) for row, slope in rows], span)
     if len(blocks.scores) < FEWEST[kind]:
         raise ParameterError(
-            f"the records hold {count(len(blocks.scores), 'block')} of {span} samples, and the {kind} needs at least {FEWEST[kind]}: measure "
-            "more cycles, or choose a smaller block"
+            f"the records hold {count(len(blocks.scores), 'block')} of {span} samples, and the {kind} needs at least {FEWEST[kind]}: "
+            "measure more cycles, or choose a smaller block"
         )
     if kind == "sandwich":
         robust, factor = blocks.sandwich(back)
