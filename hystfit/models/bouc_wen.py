@@ -195,8 +195,8 @@ def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
         return ()
     return (
         f"in one sample the input moves by up to {largest:.2g} times the length over which the hysteresis bends (1 / its rate), and the "
-        f"default scheme is accurate up to {COARSE} times: sample faster, or fit the model with the setting scheme=exact "
-        "(bouc-wen:scheme=exact)",
+        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (as text, add :scheme=exact to the "
+        "model's name)",
     )
 
 
