@@ -1008,11 +1008,6 @@ def test_a_curve_written_twice_is_read_once(tmp_path: Path) -> None:
     found = [note for note in data[0].notes if note.severity is Severity.WARNING]
     assert [note.code for note in found] == [Code.LEFT_OUT]
     assert not any(note.severity is Severity.WARNING for note in data[1].notes)
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.csv").write_text(blocks[0] + "\n")
-    both = read([tmp_path / "a.csv", tmp_path / "b.csv"])
-    assert isinstance(both, Dataset)
-    assert [record.name for record in both] == ["a"]
 
 
 def test_the_other_sheets_of_a_workbook_are_named(tmp_path: Path) -> None:

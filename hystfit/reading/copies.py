@@ -1,4 +1,4 @@
-"""Curves that files hold twice, number for number: the second one is no further measurement."""
+"""Curves that a file holds twice, number for number: the second one is no further measurement."""
 
 from __future__ import annotations
 

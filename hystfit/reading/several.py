@@ -17,7 +17,6 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion
 from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.copies import without_copies
 from hystfit.reading.file_bytes import exists
 from hystfit.reading.raw_table import Table
 from hystfit.reading.side_by_side import stacked_files
@@ -78,7 +77,7 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
         records.append(record)
     shown = [Path(path).stem for path in files]
     return Dataset(
-        without_copies(records),
+        tuple(records),
         name=", ".join(shown) if len(shown) < 4 else f"{shown[0]} and {len(shown) - 1} more files",
     )
 
