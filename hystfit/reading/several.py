@@ -77,8 +77,7 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
         records.append(record)
     shown = [Path(path).stem for path in files]
     return Dataset(
-        tuple(records),
-        name=", ".join(shown) if len(shown) < 4 else f"{shown[0]} and {len(shown) - 1} more files",
+        tuple(records), name=", ".join(shown) if len(shown) < 4 else f"{shown[0]} and {len(shown) - 1} more files"
     )
 
 
