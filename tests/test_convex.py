@@ -12,9 +12,10 @@ from jaxtyping import Array, Float
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting.compare import SEARCH
-from hystfit.fitting.convex import LinearSystem, fit_ridge, solve_normal
+from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, solve_normal
 from hystfit.fitting.structure import search_structure
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome import Code, Severity
 
 T = np.arange(0.0, 12.0, 0.01)
 U = 5 + 4 * (0.3 + 0.7 * np.abs(np.sin(2 * np.pi * T / 12))) * np.sin(2 * np.pi * 0.7 * T)
@@ -147,3 +148,16 @@ def test_compare_prefers_the_model_that_made_the_data():
 def test_compare_refuses_an_unknown_model_before_it_works():
     with pytest.raises(ModelError):
         hf.compare(hf.Record(u=U, y=U, t=T), ["bouc-wen", "buc-wen"])
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_the_largest_strength_is_a_warning_only_where_the_weights_do_not_help(follows: bool) -> None:
+    """A loop needs its weights however strong the ridge; noise that does not follow the input does not."""
+    noise = np.random.default_rng(3).normal(size=U.size)
+    y = plays_by_hand(U, np.array([0.5, 1.5])) @ [1.0, 2.0] if follows else noise
+    record = hf.Record(u=U, y=y, t=T)
+    problem = hf.Problem(hf.PrandtlIshlinskii.of(6).start([record]), record)
+    convex = Convex(strengths=(1e-3,) if follows else (1e2,))
+    found = convex.estimate(problem, problem.space.unconstrained(problem.space.vector(problem.model))[None])
+    (note,) = [note for note in found.notes if note.code is Code.CHOICE]
+    assert note.severity is (Severity.INFO if follows else Severity.WARNING)

@@ -27,6 +27,7 @@ from hystfit.inference.residuals import analyze, diagnose
 from hystfit.inference.whitened import restricted
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
+from hystfit.sampling.setup import prepare
 
 
 def setting_of(T: int, seed: int, even: bool = False, missing: bool = True) -> tuple[Setting, np.ndarray, np.ndarray]:
@@ -216,6 +217,16 @@ def test_diagnosis_names_the_noise(kind, want):
         problem = Problem(model, record)
         names.append(diagnose(analyze(problem, solve(problem, "lm", 1, 0).x)).recommended)
     assert names.count(want) >= 2, names
+
+
+def test_the_noise_model_in_use_is_not_recommended():
+    """A misfit that recurs every loop: discrepancy noise is advised beside another model, and not beside itself."""
+    record, model = noisy_loop(0, "repeating")
+    fit = hf.fit(model, record, starts=1)
+    notes = {name: [note.text for note in prepare(fit, noise=name).notes] for name in ("iid", "auto", "discrepancy")}
+    advises = {name: any("noise='discrepancy'" in text for text in texts) for name, texts in notes.items()}
+    assert any(text.startswith("noise model discrepancy") for text in notes["auto"])
+    assert advises == {"iid": True, "auto": False, "discrepancy": False}
 
 
 def test_the_plain_fit_warns_of_error_that_repeats_and_iid_of_correlation():

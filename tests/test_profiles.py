@@ -315,6 +315,8 @@ def test_no_rule_gives_an_error_to_what_is_not_determined(faint):
     assert all(np.isnan(error[open_]).all() for error in found.errors.values())
     name = faint.free_names[open_[0]]
     assert set(found.to_dict()["parameters"][name]["stderr"].values()) == {None}
+    listed = {row["parameter"] for row in found.table().to_list()}
+    assert listed & set(faint.free_names) == {n for n in faint.free_names if faint[n].stderr is not None}
     assert has(found.notes, Code.NOT_DETERMINED)
 
 

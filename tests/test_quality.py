@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystfit import BoucWen, check, datasets, signals, simulate
+from hystfit.cli import run
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.data_check import data_kinds
@@ -927,3 +928,46 @@ def test_stiffness_lost_at_growing_strokes_is_damage(loss, expected):
     report = check(Record(x, force + 0.005 * np.random.default_rng(1).normal(size=x.size)))
     assert has(report.findings, Code.DEGRADING) == expected
     assert (report.advice is None) == expected
+
+
+def test_many_findings_that_differ_in_numbers_are_one():
+    """Loops that do not close, each by another amount: one finding, which counts the records."""
+    t, u = signals.sine(4, 100)
+    records = [Record(u, steel(u) + 0.02 * k * t / t[-1], t=t, name=f"{k}") for k in range(8, 20)]
+    found = [note for note in check(Dataset(tuple(records))).findings if note.code in (Code.DRIFT, Code.NOT_CLOSED)]
+    assert found
+    assert len(found) == len({note.code for note in found})
+    alone = [note for note in check(Dataset(tuple(records[:2]))).findings if note.code is found[0].code]
+    assert len(alone) == 2
+
+
+def test_the_drift_of_one_record_of_many_is_no_creep_of_all():
+    t, u = signals.sine(8, 100)
+    clean = lambda k: Record(u, piezo((1 + 0.01 * k) * u), t=t, name=f"{k}")
+    drifting = Record(u, piezo(u) + 0.3 * np.log10(1 + 10 * t), t=t, name="drifts")
+    assert check(drifting).verdict("creep").verdict == "yes"
+    many = check(Dataset((drifting, *(clean(k) for k in range(1, 15)))))
+    assert many.verdict("creep").verdict == "no"
+    assert sum(note.code is Code.DRIFT for note in many.findings) == 1
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_current_of_a_capacitor_is_integrated_and_not_damaged(sign, tmp_path, capsys):
+    """A charging current is no loop of its own, whichever way it is counted; one in phase with the voltage is."""
+    t, u = signals.sine(5, 200, low=-3, high=3)
+    u = u * np.linspace(0.3, 1.0, u.size)
+    charge = 0.2 * u + piezo(u)
+    record = Record(u, sign * np.gradient(charge, t), t=t, u_unit="V", y_unit="A")
+    found = next(note for note in check(record).findings if note.code is Code.RATE)
+    assert found.option == ("integrate", "true")
+    report = check(record)
+    assert report.advice is None
+    assert not has(report.findings, Code.DEGRADING)
+    conducting = check(record.replace(y=charge))
+    assert next(note for note in conducting.findings if note.code is Code.RATE).option is None
+    assert conducting.advice is not None
+    rows = (f"{a:.9g},{b:.9g},{c:.9g}" for a, b, c in zip(t, u, record.y, strict=True))
+    (tmp_path / "pulse.csv").write_text("\n".join(["t_s,U_V,I_A", *rows]) + "\n")
+    run(["check", str(tmp_path / "pulse.csv")])
+    command = capsys.readouterr().out.strip().splitlines()[-1]
+    assert run(command.split()[1:]) == 0  # integrated: a loop of charge

@@ -871,10 +871,11 @@ def test_measured_ferroelectric(measured: Path) -> None:
     ]
     data = read(path)
     assert isinstance(data, Dataset)
-    assert [len(record) for record in data] == [5000, 5000]
-    both = np.concatenate([np.column_stack([record.u, record.y, record.t]) for record in data])  # type: ignore[arg-type]
-    np.testing.assert_array_equal(both, np.array(told, dtype=float)[:, :3])
-    assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 4  # kinds of lines, and unused columns
+    assert [len(record) for record in data] == [5000]  # the instrument writes them twice
+    rows, first = np.array(told, dtype=float)[:, :3], data[0]
+    np.testing.assert_array_equal(rows[:5000], rows[5000:])
+    np.testing.assert_array_equal(np.column_stack([first.u, first.y, first.t]), rows[:5000])  # type: ignore[arg-type]
+    assert sum(note.code is Code.LEFT_OUT for note in first.notes) == 5  # kinds of lines, unused columns, the copy
 
 
 def test_the_temperature_of_a_shape_memory_alloy_is_the_input(tmp_path: Path) -> None:
@@ -990,3 +991,40 @@ def test_matrices_with_a_time_are_the_channels_of_one_record(tmp_path: Path) -> 
     assert isinstance(record, Record)
     np.testing.assert_array_equal(record.u, H[:, 0])
     np.testing.assert_array_equal(record.y, B[:, 0])
+
+
+def test_a_curve_written_twice_is_read_once(tmp_path: Path) -> None:
+    """An instrument that writes a run and its display: the second curve would halve the variance and test the fit on itself."""
+    phase = np.linspace(0, 4 * np.pi, 40)
+    rows = [
+        f"{0.1 * k:g},{u:.6f},{y:.6f}" for k, (u, y) in enumerate(zip(np.sin(phase), np.sin(phase - 0.3), strict=True))
+    ]
+    other = [row.replace("0.0", "0.1") for row in rows]
+    blocks = ["\n".join(["t_s,u_V,y_um", *block]) for block in (rows, rows, other, rows)]
+    (tmp_path / "twice.csv").write_text("\n".join(blocks) + "\n")
+    data = read(tmp_path / "twice.csv")
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["curve=0", "curve=2"]
+    found = [note for note in data[0].notes if note.severity is Severity.WARNING]
+    assert [note.code for note in found] == [Code.LEFT_OUT]
+    assert not any(note.severity is Severity.WARNING for note in data[1].notes)
+
+
+def test_the_other_sheets_of_a_workbook_are_named(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for title, scale in (("run 1", 1.0), ("run 2", 2.0)):
+        page = book.create_sheet(title)
+        for row in (["t_s", "u_V", "y_um"], *zip(T, U, [scale * y for y in Y], strict=True)):
+            page.append(list(row))
+    book.create_sheet("remarks").append(["measured at noon"])
+    book.save(tmp_path / "two.xlsx")
+    first = read(tmp_path / "two.xlsx")
+    (note,) = [note for note in first.notes if note.code is Code.FILE_FORMAT]  # type: ignore[union-attr]
+    assert note.severity is Severity.WARNING
+    assert "sheet='2'" in note.text  # as an option: --sheet 2
+    assert "remarks" not in note.text.partition("other sheets")[2]
+    for number, scale in (("1", 1.0), ("2", 2.0)):
+        record = read(tmp_path / "two.xlsx", sheet=number)
+        np.testing.assert_array_equal(record.y, [scale * y for y in Y])  # type: ignore[union-attr]
+        assert all(note.severity is Severity.INFO for note in record.notes)  # type: ignore[union-attr]

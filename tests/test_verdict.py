@@ -1,12 +1,14 @@
 """Statuses of fits of records whose kind is known: nothing is called usable that is not."""
 
 import dataclasses
+import shlex
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.cli import run
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
@@ -14,6 +16,7 @@ from hystfit.outcome.note import has
 from hystfit.quality import baselines
 from hystfit.quality.baselines import Baselines, play_positions
 from hystfit.results.accuracy import Limits, persistent_error
+from hystfit.results.report.answer import Wording, next_commands
 
 N = 600
 T = np.arange(N) / 100
@@ -245,3 +248,21 @@ def test_a_disturbed_stretch_is_named_and_the_robust_loss_restores_the_parameter
     for row in robust.parameters:
         if row.stderr:
             assert abs(row.value - TRUTH[row.name]) < 3 * row.stderr
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_the_next_command_leaves_out_the_half_cycle_that_failed(clock, tmp_path):
+    """The window is in the record's time, or in samples where there is none; its command runs and finds the model usable."""
+    y = output()
+    failed = y + 0.15 * np.ptp(y) * np.clip(T - T[575], 0, None) / 0.25 + 0.01 * WHITE
+    columns = [T, GROWING, failed] if clock else [GROWING, failed]
+    rows = (",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True))
+    file = tmp_path / "loop.csv"
+    file.write_text("\n".join(["t_s,u_V,y_um"[0 if clock else 4 :], *rows]) + "\n")
+    fit = hf.fit("bouc-wen", hf.read(file), starts=1)
+    assert fit.status is Status.ROUGH
+    commands = next_commands(fit, Wording(fit=str(tmp_path / "fit")))
+    command = shlex.split(commands[0])
+    assert command[:3] == ["hystfit", "fit", str(file)]
+    assert run([*command[1:], "--model", "bouc-wen", "--out", str(tmp_path / "fit")]) == 0
+    assert any(line.startswith("hystfit predict") for line in commands)  # a rough fit has its uses

@@ -34,7 +34,10 @@ def test_every_word_is_kept_and_short_lines_stay():
     assert within(shown, 50) == shown
 
 
-@pytest.mark.parametrize("line", ["      hystfit predict fit NEW_LOOP --by=loop --time=0", "hystfit fit a.csv --out b"])
+@pytest.mark.parametrize(
+    "line",
+    ["      hystfit predict fit NEW_LOOP --by=loop --time=0", "hystfit fit a.csv --out b", "  cc -O2 a.c b.c -lm -o a"],
+)
 def test_commands_stay_whole(line):
     assert within(line, 20) == line
 

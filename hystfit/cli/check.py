@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, progress
-from hystfit.outcome import Status
+from hystfit.outcome import Note, Status
+
+if TYPE_CHECKING:
+    from hystfit.quality.check import QualityReport
 
 
 def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
@@ -41,12 +46,26 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         content["preisach"] = properties.to_dict()
         text += f"\n\n{properties.text()}"
         status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
-    if report.advice is not None:
-        proposed = dict(note.option for note in remarks if note.option is not None)
-        command = command_words(loops, dataclasses.replace(reading, **proposed))
-        text += f"\n\nhystfit fit {command} --model {report.advice.model}"
+    if report.advice is not None or any(note.option for note in report.findings):
+        text += _next_commands(loops, reading, remarks, report)
 
     def save(folder: Path) -> None:
         (folder / "check.txt").write_text(as_options(text) + "\n", encoding="utf-8")
 
     return finish(text, content, output, save, status=status)
+
+
+def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Note], report: QualityReport) -> str:
+    """Commands that read the file as its notes propose: a comparison of models, and the fit of the advised one."""
+    found = dict(note.option for note in remarks if note.option is not None)
+    changed = dict(note.option for note in report.findings if note.option is not None)
+    options = {name: True if value == "true" else value for name, value in (found | changed).items()}
+    command = command_words(loops, dataclasses.replace(reading, **options))
+    if changed or report.advice is None:  # the advice is for the output as it was read
+        return f"\n\nNext: look at the output that is proposed above\nhystfit check {command}"
+    lines = [
+        "\n\nNext: compare models by cross-validation, or fit the one above alone",
+        f"hystfit fit {command}",
+        f"hystfit fit {command} --model {report.advice.model}",
+    ]
+    return "\n".join(lines)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from hystfit.results.result import FitResult
     from hystfit.results.webpage import Page
 
+_ABOUT_READING = (Code.COLUMN_CHOICE, Code.LEFT_OUT, Code.UNITS)  # notes of a reference that are printed
+
 
 def invert(
     fitdir: FitFolder,
@@ -48,7 +50,7 @@ def invert(
     sampled = (fitdir / "posterior.nc").is_file()
     place = fitdir / "fit" if sampled else fitdir
     result = open_fit(place, output, trust)
-    target = result.in_fitted_units(_target(reference, reading).replace(u_unit=result.data.units["u"]))
+    target = result.in_fitted_units(_target(reference, reading, result.data[0]).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None
@@ -71,7 +73,7 @@ def invert(
         "provenance": provenance(Dataset.of(target), None),
     }
     title = f"{result.name} inverted for {target.name}"
-    remarks = [*notes, *(note for note in target.notes if note.code in (Code.LEFT_OUT, Code.UNITS))]
+    remarks = [*notes, *(note for note in target.notes if note.code in _ABOUT_READING)]
     remarks = [_limits_line(result, span), *map(str, remarks), *([] if bands is None else [_band_words(content)])]
     counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
@@ -103,11 +105,11 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
     return f"input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
 
 
-def _target(path: str, reading: Reading) -> Record:
+def _target(path: str, reading: Reading, fitted: Record) -> Record:
     """The one record of a file with a reference."""
     if reading.input is not None:
         raise DataError("a reference has no input: name its column with --output")
-    data = load_one_sided([path], reading, "input")
+    data = load_one_sided([path], reading, "input", fitted)
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
     return data[0]

@@ -68,7 +68,8 @@ def predict(
         raise DataError("--output and --input-only exclude each other")
     if input_only:
         unit = result.data.units["y"]
-        data = load_one_sided(loops, reading, "output").map(lambda record: record.replace(y_unit=unit))
+        data = load_one_sided(loops, reading, "output", result.data[0])
+        data = data.map(lambda record: record.replace(y_unit=unit))
     else:
         data = load(loops, reading)
     data = data.map(result.in_fitted_units)

@@ -14,6 +14,7 @@ from hystfit.registry import near
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
     from hystfit.data.record import Record
+    from hystfit.reading.raw_table import Table
     from hystfit.results.result import FitResult
 
 
@@ -92,13 +93,17 @@ def _load_data_set(name: str, reading: Reading) -> Dataset:
     return Dataset(tuple(record for _, record in curves), name=data.name)
 
 
-def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["input", "output"]) -> Dataset:
-    """Records of files that have no input (a reference) or no output (an excitation).
+def load_one_sided(
+    files: Sequence[str], reading: Reading, missing: Literal["input", "output"], fitted: Record
+) -> Dataset:
+    """Records of files that have no input (a reference) or no output (an excitation), or of which that is not used.
 
     The missing input is the number of the sample; the missing output is 0 with weight 0.
 
     Args:
         reading: how they are read; names no column for what is missing.
+        fitted: the record of a fit: without an option for the column, the one of the same name or, if only one has it, of the same
+            quantity is read.
     """
     from hystfit.data.dataset import Dataset
     from hystfit.reading.several import combined, files_of
@@ -107,13 +112,14 @@ def load_one_sided(files: Sequence[str], reading: Reading, missing: Literal["inp
     if senseless := [name for name in unused if getattr(reading, name)]:
         raise DataError(f"--{senseless[0]} does not apply to a file without {missing}: leave it out")
     paths = [str(path) for path in files_of(files)]
-    return Dataset.of(combined([(path, _one_sided(path, reading, missing)) for path in paths]))
+    return Dataset.of(combined([(path, _one_sided(path, reading, missing, fitted)) for path in paths]))
 
 
-def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"]) -> Dataset:
+def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"], fitted: Record) -> Dataset:
     import numpy as np
 
     from hystfit.data.dataset import Dataset
+    from hystfit.outcome import Code
     from hystfit.reading.assemble import assemble
     from hystfit.reading.read import table_of
     from hystfit.reading.several import with_column
@@ -126,8 +132,30 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"])
     table = table_of(path, **{key: options.pop(key) for key in _LAYOUT})
     column = np.arange(float(table.rows)) * (missing == "input")
     options[missing] = len(table.names)
+    present, label = ("output", fitted.y_name) if missing == "input" else ("input", fitted.u_name)
+    same = _column_like(table, label, fitted.y_unit if missing == "input" else fitted.u_unit)
+    chosen = options[present] is None and same is not None
+    if chosen:
+        options[present] = same
     data = Dataset.of(assemble(with_column(table, f"no {missing}", column), **options, treatment=treatment))
+    if chosen:
+        role = "reference" if missing == "input" else "input"
+        text = f"{role}: column {same}, {table.names[same]!r}, like {label!r} of the fit"
+        data = data.map(lambda record: record.noted(Code.COLUMN_CHOICE, text))
     return data if missing == "input" else data.map(lambda record: record.replace(weight=np.zeros(len(record))))
+
+
+def _column_like(table: Table, name: str, unit: str) -> int | None:
+    """Position of the column with this name, or of the only one of the quantity of this unit; None without one."""
+    from hystfit.params.units import quantity
+    from hystfit.reading.columns import find
+
+    try:
+        return find(table, name, "reference")
+    except DataError:
+        kind = quantity(unit)
+        alike = [k for k, other in enumerate(table.units) if kind and quantity(other) == kind]
+        return alike[0] if len(alike) == 1 else None
 
 
 def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tuple[Dataset, Dataset | None]:

@@ -79,7 +79,7 @@ def _undetermined(problem: Problem, errors: Uncertainty) -> list[Note]:
         notes.append(Note(Code.NOT_DETERMINED, text))
     else:
         for parameters in errors.directions:
-            single = "," not in parameters
+            single = ", " not in parameters
             text = f"the data do not determine {parameters}" if single else f"the data cannot separate {parameters}"
             notes.append(warn(Code.NOT_DETERMINED, text))
     notes += [

@@ -17,9 +17,11 @@ from hystfit.inference.blocks import chosen, parts, spread
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 from hystfit.models.design import FAR
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Severity
 
-STRENGTHS = tuple(10.0**k for k in range(-10, 0))
+STRENGTHS = tuple(10.0**k for k in range(-10, 1))
+_WITHOUT = 1e12  # strength at which the weights are zero
+_HARDLY = 0.9  # of the left-out error without weights, above which the weights hardly help
 _BLOCKS = 5
 _QUICK = 15  # evaluations of the outer search of a first look
 
@@ -274,10 +276,14 @@ class Convex(AbstractEstimator):
             f"ridge {fit.strength:.0e} chosen by cross-validation on {system.block.max() + 1} blocks "
             f"(error {100 * fit.score / (2 * size):.2f} % of the range)"
         )
+        severity = Severity.INFO
         if fit.strength == max(self.strengths):
-            note += "; it is the largest tried: the model hardly helps to predict held-out samples"
+            note += "; it is the largest tried"
+            if fit.score > _HARDLY * fit_ridge(system, (_WITHOUT,)).score:
+                note += ", and the model hardly helps to predict held-out samples"
+                severity = Severity.WARNING
         cost = 0.5 * fit.rss / size**2
-        chosen = (Note(Code.CHOICE, note),)
+        chosen = (Note(Code.CHOICE, note, severity),)
         return Estimate(
             x, cost, converged, message, evaluations, np.array([cost]), penalty, chosen, fit.score, toward_zero=True
         )

@@ -65,7 +65,7 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
     elif reasons := exceeded_limits(metrics, rows, baselines):
         status = Status.ROUGH
         notes += [warn(Code.TEST_ERROR, f"test data: {text}") for text in reasons]
-    notes.append(accuracy_note(metrics, baselines, "test error"))
+    notes.append(accuracy_note(metrics, rows, baselines, "test error"))
     notes += [note for record in records if (note := result.extrapolation(record))]
     notes += [note for record in records if (note := result.assumption(record, refit_offset=refit_offset))]
     if status is not Status.OK and not refit_offset and _offset_explains(rows, metrics.rmse):

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.fitting.disturbance import disturbance_note
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.autocorrelation import is_correlated
@@ -115,7 +116,7 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: in
 def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
-    notes = [*reasons, accuracy_note(fitted.train, fitted.baselines, "error")]
+    notes = [*reasons, accuracy_note(fitted.train, fitted.rows, fitted.baselines, "error")]
     found = (
         better_family_warning(fitted.train, fitted.baselines),
         _at_an_end(fitted),
@@ -314,14 +315,37 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
     if code is Code.LAST_HALF_CYCLE:
-        which, remedy = "last", f"if the device failed there, fit the samples before sample {turns[-1]} (window=)"
+        place, window = _window_to(record, int(turns[-1]))
+        which, remedy = "last", f"if the device failed there, fit the record before {place} (window=)"
     else:
+        place, window = _window_from(record, int(turns[0]))
         held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
         which = "first"
-        remedy = "the model starts at rest on the first input: leave the first half cycle out of the fit (window=)"
+        remedy = f"the model starts at rest on the first input: fit the record from {place} on (window=)"
         if held:
+            window = None
             remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
     text = (
         f"the largest error, {largest:.3g} % of the range, lies in the {which} half cycle of {record.name!r}: {remedy}"
     )
-    return warn(code, text)
+    alone = window is not None and len(fitted.data) == 1  # a window holds for all records
+    return dataclasses.replace(warn(code, text), option=("window", window) if alone else None)
+
+
+def _window_to(record: Record, sample: int) -> tuple[str, str | None]:
+    """The place of a sample in words, and the window before it; in time, or in sample numbers where there is none."""
+    place, number = _place(record, sample)
+    return place, f":{number}"
+
+
+def _window_from(record: Record, sample: int) -> tuple[str, str | None]:
+    """As `_window_to`, and the window from it on."""
+    place, number = _place(record, sample)
+    return place, f"{number}:"
+
+
+def _place(record: Record, sample: int) -> tuple[str, str]:
+    if record.t is None:
+        return f"sample {sample}", str(sample)
+    number = f"{record.t[sample]:.9g}"
+    return f"{number} {record.t_unit}".rstrip(), number

@@ -149,7 +149,7 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
     if identification.usable:
         rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(identification.free_run, residuals, baselines)]
     status = Status.ROUGH if rough else identification.status
-    notes += [*rough, accuracy_note(identification.free_run, baselines, "simulation error")]
+    notes += [*rough, accuracy_note(identification.free_run, residuals, baselines, "simulation error")]
     correlation = max(autocorrelation_time(r) for r in residuals)
     compile_s, run_s = watch.read()
     return FitResult(

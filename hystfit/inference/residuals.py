@@ -184,8 +184,12 @@ class Diagnosis:
         return [note for note in self.findings if note.code not in noise.covers]
 
 
-def diagnose(analysis: ResidualAnalysis) -> Diagnosis:
-    """Look for autocorrelation, heavy tails and repeating error in residuals."""
+def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
+    """Look for autocorrelation, heavy tails and repeating error in residuals.
+
+    Args:
+        noise: name of the noise model in use, which is not recommended again.
+    """
     correlated, repeating, kurtosis = analysis.correlated, analysis.repeating, excess_kurtosis(analysis.rows)
     findings: list[Note] = []
     recommended = "ou" if correlated else "iid"
@@ -204,9 +208,10 @@ def diagnose(analysis: ResidualAnalysis) -> Diagnosis:
         recommended = "ou" if correlated else "student-t"
     if repeating is not None and repeating.shown:
         recommended = "discrepancy"
+        including = "The noise model" if noise == "discrepancy" else "noise='discrepancy'"
         text = (
             f"{100 * repeating.share:.0f} % of the residual variance recurs every loop: the model is systematically wrong, and more cycles "
-            "will not help. noise='discrepancy' includes this in the errors"
+            f"will not help. {including} includes this in the errors"
         )
         findings.append(Note(Code.REPEATING_RESIDUALS, text, Severity.WARNING))
     return Diagnosis(recommended, tuple(findings))

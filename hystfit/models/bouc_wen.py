@@ -122,7 +122,7 @@ class BoucWen(AbstractHysteresis):
         return last[None], self.offset + self.c * u - h
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """Where the sampling is too coarse for the cheap step."""
+        """Where the sampling is too coarse for the default scheme."""
         return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))), u)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
@@ -205,8 +205,9 @@ def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
     if scheme == "exact" or largest <= COARSE:
         return ()
     return (
-        f"the input moves by up to {largest:.2g} of the hysteresis' length in one sample, and the cheap step is trusted "
-        f"to {COARSE}: sample faster, or take the exact step (scheme='exact'; at the shell :scheme=exact after the model's name)",
+        f"in one sample the input moves by up to {largest:.2g} times the length over which the hysteresis bends (1 / its rate), and the "
+        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (as text, add :scheme=exact to the "
+        "model's name)",
     )
 
 

@@ -124,7 +124,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
         return s * semi_implicit(q, x, m, passed, highest)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """Where the sampling is too coarse for the cheap step."""
+        """Where the sampling is too coarse for the default scheme."""
         return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))) * max(1.0, float(self.n)), u)
 
     def start(self, records: Sequence[Record]) -> AsymmetricBoucWen:

@@ -8,7 +8,7 @@ import textwrap
 PROSE = 100  # columns from which a line of prose is hard to read
 _LAST_COLUMN = re.compile(r"^.*\S {2,}(?=\S)")
 _HANG = 0.7  # part of the width behind which the last column of a table is no prose that could wrap
-_COMMAND = re.compile(r"\s*(?:\$ )?hystfit ")  # whole, to be copied
+_COMMAND = re.compile(r"\s*(?:\$ )?(?:hystfit|cc|printf) ")  # whole, to be copied
 
 
 def within(text: str, width: int) -> str:

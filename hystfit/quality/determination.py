@@ -14,6 +14,7 @@ from hystfit.quality.summary import LONG_HOLD, RecordQuality
 ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
 _SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
+_FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
 _FEWEST_SAMPLES = 16  # below which no loop is described
 _FEWEST_PER_BRANCH, _FEW_PER_BRANCH = 3, 6  # samples below which branches have no shape, or a coarse one
 
@@ -69,6 +70,7 @@ class _Facts:
     timed: bool
     dynamic: bool
     degrading: bool
+    charges: bool
     speed_dependent: bool
     creeps: bool
     drifts_logarithmically: bool
@@ -128,14 +130,20 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
         longest_hold=max(r.motion.longest_hold for r in records),
         timed=all(r.sampling.rate is not None for r in records),
         dynamic=dynamic,
+        charges=any(r.charges for r in records),
         degrading=any(r.degrading for r in records),
         speed_dependent=any(r.speed_dependent for r in records),
         creeps=any(r.creeps for r in records),
-        drifts_logarithmically=any(
-            r.drift is not None and r.drift.law == "logarithmic" and r.drift.skipped < 4 for r in records
-        ),
+        drifts_logarithmically=_drift_logarithmically(records),
         lags=any(r.lags for r in records),
     )
+
+
+def _drift_logarithmically(records: Sequence[RecordQuality]) -> bool:
+    """Whether drift is logarithmic in most records in which it is measured, and these are not a few of many by chance."""
+    drifts = [r.drift for r in records if r.drift is not None]
+    logarithmic = sum(one.law == "logarithmic" and one.skipped < 4 for one in drifts)
+    return 2 * logarithmic > len(drifts) and logarithmic >= _FEW_RECORDS * len(records)
 
 
 def determine(records: Sequence[RecordQuality], needs: Mapping[str, Needs]) -> tuple[Determination, ...]:
@@ -170,6 +178,8 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
         return ["the input never turns back: without a loop, hysteresis cannot be distinguished from a curve"]
     if needs.time and not facts.timed:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
+    if needs.loop and facts.charges:
+        reasons.append("the output is the current that charges the device: the model describes its integral over time")
     if needs.loop and facts.degrading:
         reasons.append(
             "the loop loses stiffness or strength (damage or backlash): the model has no terms for degradation or pinching"

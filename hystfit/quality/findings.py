@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
@@ -12,6 +14,8 @@ from hystfit.quality.determination import few_samples
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.summary import RecordQuality
 
+_MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
+_NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _ABOVE_NOISE = 6.0  # gap between the ends of a loop over the noise, above which the loop does not close
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
@@ -22,7 +26,7 @@ WITHOUT_TIME = (
 def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
     """What is wrong with the data or worth knowing about them.
 
-    Equal notes are merged; a note names its records where it does not hold for all.
+    Equal notes are merged, and many that differ in their numbers alone; a note names its records where it does not hold for all.
     """
     names: dict[Note, list[str]] = {}
     span = max((record.y.range for record in records), default=0.0)
@@ -31,12 +35,23 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
         for note in itertools.chain(*parts):
             names.setdefault(note, []).append(record.name)
     merged = []
-    for note, of in names.items():
+    for notes in _alike(names):
+        note, of = notes[0], [name for one in notes for name in names[one]]
         which = of[0] if len(of) == 1 else f"{len(of)} of {len(records)} records"
-        text = note.text if len(of) == len(records) else f"{which}: {note.text}"
-        merged.append(Note(note.code, text, note.severity))
+        if len(notes) > 1:
+            which += f", such as {of[0]}"
+        text = note.text if len(notes) == 1 and len(of) == len(records) else f"{which}: {note.text}"
+        merged.append(dataclasses.replace(note, text=text))
     few = few_samples(records)
     return (*([few] if few else []), *merged)
+
+
+def _alike(notes: Iterable[Note]) -> list[list[Note]]:
+    """Notes alone, or together where many differ in their numbers alone, in the order of the first of each."""
+    groups: dict[tuple[Code, str], list[Note]] = {}
+    for note in notes:
+        groups.setdefault((note.code, _NUMBER.sub("#", note.text)), []).append(note)
+    return [part for group in groups.values() for part in ([group] if len(group) > _MANY else [[one] for one in group])]
 
 
 def _faults(record: RecordQuality) -> Iterator[Note]:
@@ -106,6 +121,7 @@ def _response(record: RecordQuality) -> Iterator[Note]:
             Code.RATE,
             f"the output is a {y_kind} against a {u_kind}: for a loop of charge or polarization, --integrate (integrate=True) "
             "integrates it over time",
+            option=("integrate", "true") if record.charges and record.sampling.rate is not None else None,
         )
 
 

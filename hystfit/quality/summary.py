@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Record
+from hystfit.params.units import quantity
 from hystfit.quality import loops as geometry
 from hystfit.quality.chatter import chatter, smoothing_length
 from hystfit.quality.delay import PureDelay, estimate_delay
@@ -32,6 +33,7 @@ _WHOLE = 0.95  # part of the stiffness from which a device is whole
 _WEAKER = 0.85  # part of the output of shorter branches, below which that of longer ones shows damage
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
+_CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
 
 
@@ -122,6 +124,8 @@ class RecordQuality:
         delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
         correlation: of output and input; 0 where one of them is constant.
+        sign_of_rate: mean product of the signs of the output and of the input's rate, over samples at which the input moves: near +-1
+            for the current of a capacitor, which charges and discharges with the voltage.
     """
 
     name: str
@@ -147,6 +151,14 @@ class RecordQuality:
     trend: float | None = None
     slow_lag: float | None = None
     delay: PureDelay | None = None
+    sign_of_rate: float = 0.0
+
+    @property
+    def charges(self) -> bool:
+        """Whether the output is the current that charges a device: its integral, and not itself, is a function of the loop."""
+        kinds = quantity(self.units["u"]), quantity(self.units["y"])
+        driven = kinds[0] in ("voltage", "electric field") and kinds[1] in ("current", "current density")
+        return driven and abs(self.sign_of_rate) > _CHARGING
 
     @property
     def dynamic(self) -> bool:
@@ -172,8 +184,8 @@ class RecordQuality:
 
     @property
     def degrading(self) -> bool:
-        """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance or of a switch."""
-        if self.shape is None or self.dynamic or self.switches or self.shape.circulation is None:
+        """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance, a switch, a current."""
+        if self.shape is None or self.dynamic or self.switches or self.charges or self.shape.circulation is None:
             return False
         left = 1.0 if self.stiffness_left is None else self.stiffness_left
         return (
@@ -317,6 +329,7 @@ def _summarize(record: Record) -> RecordQuality:
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
         correlation=_correlation(u[record.used], y[record.used]),
+        sign_of_rate=_sign_of_rate(u, y),
         shape=shape,
         drift=drifts,
         lag=lag,
@@ -341,9 +354,16 @@ def _correlation(u: np.ndarray, y: np.ndarray) -> float:
     return float(np.corrcoef(scaled(u), scaled(y))[0, 1])
 
 
+def _sign_of_rate(u: np.ndarray, y: np.ndarray) -> float:
+    """See `RecordQuality.sign_of_rate`; 0 for an input at rest."""
+    rate = np.sign(np.gradient(u)) if u.size > 1 else np.zeros(u.size)
+    known = (rate != 0) & np.isfinite(y)
+    return float(np.mean(rate[known] * np.sign(y[known]))) if known.any() else 0.0
+
+
 def _column(values: np.ndarray) -> Column:
     noise, bound = noise_rms(values)
-    return Column(float(np.nanmin(values)), float(np.nanmax(values)), resolution(values), noise, bound)
+    return Column(float(np.nanmin(values)) + 0.0, float(np.nanmax(values)) + 0.0, resolution(values), noise, bound)
 
 
 def _sampling(record: Record) -> Sampling:

@@ -16,6 +16,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
+from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Table
 from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
@@ -84,7 +85,7 @@ def assemble(
         records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
     if not several and len(records) == 1:
         return records[0]
-    return Dataset(tuple(records), name=stem)
+    return Dataset(without_copies(records), name=stem)
 
 
 def _check_unread(table: Table, gaps: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from hystfit.errors import DataError, MissingExtraError, optional
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.reading import cells
 from hystfit.reading.array_files import KINDS, check_members
 from hystfit.reading.file_bytes import FileBytes, inner_name, load
@@ -28,6 +29,7 @@ WORKBOOKS = frozenset({".xlsx", ".xlsm"})
 _MOST_CELLS = 4_000_000
 _MOST_COLUMNS = 5000
 _SAMPLE = 2000  # rows of a sheet that show its layout
+_NAMED = 6  # other sheets named in a note
 
 
 def read_binary(path: str | Path, *, sheet: str | int | None = None) -> Table:
@@ -141,23 +143,44 @@ def _workbook(file: FileBytes, source: str, sheet: str | int | None) -> Table:
         rows = _cells_of(pages[title], source)
         layout = layout_of(rows[:_SAMPLE], "\t", ".")
         if layout.rows > 1 and layout.score > 0:
-            notes = [*file.notes, Note(Code.FILE_FORMAT, f"sheet {title!r} of {', '.join(map(repr, titles))}")]
+            notes = [*file.notes, _sheet_note(title, pages, source, chosen=sheet is not None)]
             text = Text(["\t".join(row) for row in rows], layout, source, settled=True)
             return table_of_block(text, careful_block(text, rows), file.sha256, notes)
     searched = ", ".join(map(repr, titles if sheet is None else [sheet]))
     raise DataError(f"{source}: no rows of numbers in {searched}; name another sheet=")
 
 
+def _sheet_note(title: str, pages: dict[str, Any], source: str, *, chosen: bool) -> Note:
+    """The sheet that is read; unless the user chose it, a warning where others after it hold rows of numbers too."""
+    titles = list(pages)
+    others = []
+    for number, other in enumerate(titles):
+        if not chosen and number > titles.index(title):
+            layout = layout_of(_cells_of(pages[other], source, _SAMPLE), "\t", ".")
+            others += [number] if layout.rows > 1 and layout.score > 0 else []
+    listed = ", ".join(map(repr, titles))
+    if not others:
+        return Note(Code.FILE_FORMAT, f"sheet {title!r} of {listed}")
+    named = ", ".join(f"{titles[number]!r} (sheet='{number}')" for number in others[:_NAMED])
+    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+    text = f"sheet {title!r} of {listed} is read; other sheets with numbers: {named}{more}"
+    return warn(Code.FILE_FORMAT, text)
+
+
 def _unreadable(source: str, error: Exception) -> DataError:
     return DataError(f"{source} cannot be read as an Excel file: {error}; save it again as .xlsx or as CSV")
 
 
-def _cells_of(page: Any, source: str) -> list[list[str]]:
-    """Cells of a sheet, row by row."""
+def _cells_of(page: Any, source: str, most: int | None = None) -> list[list[str]]:
+    """Cells of a sheet, row by row.
+
+    Args:
+        most: number of rows; None for all.
+    """
     rows: list[list[str]] = []
     count = 0
     try:
-        for row in page.iter_rows(values_only=True):
+        for row in page.iter_rows(values_only=True, max_row=most):
             count += len(row) + 1
             if count > _MOST_CELLS:
                 raise DataError(

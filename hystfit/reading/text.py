@@ -22,7 +22,7 @@ from hystfit.reading import cells
 from hystfit.reading.encodings import decode
 from hystfit.reading.file_bytes import load
 from hystfit.reading.header import sample_properties
-from hystfit.reading.instruments import micromag_columns
+from hystfit.reading.instruments import micromag_columns, waveform_units
 from hystfit.reading.layout import Layout, Text, apart, check_lengths, sniff, split
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import header_of, left_out
@@ -112,6 +112,8 @@ def table_of_block(text: Text, block: Block, sha256: str, notes: Sequence[Note])
     metadata = sample_properties(above, names)
     if not named and (micromag := micromag_columns(above)) and len(names) == len(micromag):
         (names, units), named = zip(*micromag, strict=True), True
+    if not any(units):
+        units = waveform_units(above, names)
     others = left_out(text, block, header)
     notes += others.notes
     if metadata:

@@ -63,6 +63,12 @@ def persistent_error(errors: np.ndarray) -> np.ndarray:
     return np.concatenate([[inner[0]], inner, [inner[-1]]])
 
 
+def _lasting_percent(rows: Sequence[np.ndarray], baselines: Baselines) -> float:
+    """Largest error that persists over three samples, percent of the output's range."""
+    largest = max((float(persistent_error(row).max()) for row in rows if row.size), default=0.0)
+    return 100 * largest / baselines.span
+
+
 def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines) -> list[str]:
     """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
 
@@ -71,8 +77,7 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
     """
     if metrics.nrmse_percent is None or baselines.span <= 0:
         return []
-    limits, found = Limits.of(baselines), []
-    largest = 100 * max(float(persistent_error(row).max()) for row in rows if row.size) / baselines.span
+    limits, found, largest = Limits.of(baselines), [], _lasting_percent(rows, baselines)
     if metrics.nrmse_percent > limits.error:
         found.append(
             f"the error is {metrics.nrmse_percent:.3g} % of the range, above the limit of {limits.error:.2g} %"
@@ -107,9 +112,13 @@ def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None
     return warn(Code.OTHER_FAMILY, text)
 
 
-def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
-    """The error with its limits, and relative to the noise and simpler descriptions."""
-    if metrics.nrmse_percent is None or metrics.max_error_percent is None:
+def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines, what: str) -> Note:
+    """The error with its limits, and relative to the noise and simpler descriptions.
+
+    Args:
+        rows: errors of each record, on samples that count [y].
+    """
+    if metrics.nrmse_percent is None or metrics.max_error_percent is None or baselines.span <= 0:
         return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
     limits, over = Limits.of(baselines), ratios(metrics, baselines)
     names = {
@@ -121,7 +130,7 @@ def accuracy_note(metrics: Metrics, baselines: Baselines, what: str) -> Note:
     beside = [f"{value:.2g} times {names[name]}" for name, value in over.items() if value is not None]
     text = (
         f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
-        f"(limit {limits.largest:.2g} % over three samples)"
+        f"at one sample and {_lasting_percent(rows, baselines):.3g} % over three (limit {limits.largest:.2g} %)"
     )
     return Note(Code.ACCURACY, text + (f"; the rms {what} is " + ", ".join(beside) if beside else ""))
 

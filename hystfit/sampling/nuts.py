@@ -93,7 +93,10 @@ class Nuts(AbstractSampler):
         joined = {k: np.stack([part[k] for part in parts]) for k in parts[0]}
         z, density = joined.pop("z"), joined.pop("log_density")
         count = int(joined["diverging"].sum())
-        text = f"{count} divergent transitions: parts of the posterior may be missing; raise target_accept (--target-accept)"
+        which = "1 divergent transition" if count == 1 else f"{count} divergent transitions"
+        text = (
+            f"{which}: parts of the posterior may be missing; use a larger target_accept= (now {self.target_accept:g})"
+        )
         return Raw(z, density, joined, (warn(Code.DIVERGENCES, text),) if count else ())
 
     def _chain(

@@ -28,9 +28,10 @@ from hystfit.results.result import FitResult
 from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
-_RECURS = (
-    "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
-    "noise='discrepancy' widens the intervals for what recurs; a model with more terms removes it"
+_RECURS = "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
+_WIDENS, _WIDENED = (
+    "noise='discrepancy' widens the intervals for what recurs",
+    "The intervals are widened for what recurs",
 )
 _PRIOR_SCALES = 10.0  # standard deviation in natural sizes that weights have before any data
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
@@ -72,7 +73,7 @@ def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise])
             dataclasses.replace(note, text=f"noise={choice!r} was chosen, but {note.text}") for note in mismatches
         ]
     name = diagnosis.recommended if diagnosis.recommended in ("discrepancy", "student-t") else "ou"
-    reasons = "; ".join(note.text for note in diagnosis.findings)
+    reasons = "; ".join(note.text for note in diagnose(residuals, name).findings)
     if diagnosis.recommended == "iid":
         reasons = "the default, which includes independent noise"
     return name, [Note(Code.NOISE_MODEL, f"noise model {name}: {reasons}")]
@@ -105,7 +106,8 @@ def prepare(
     residuals = analyze(problem, result.x)
     choice, notes = choose_noise(residuals, noise)
     if has(diagnose(residuals).findings, Code.REPEATING_RESIDUALS):
-        notes.append(warn(Code.INCOMPLETE, _RECURS))
+        widths = _WIDENED if NOISES.label(choice) == "discrepancy" else _WIDENS
+        notes.append(warn(Code.INCOMPLETE, f"{_RECURS}{widths}; a model with more terms removes it"))
     refined = refine(problem, result.x, choice)
     longest = max(row.size for row in residuals.rows)
     suggested = refined.noise.default_priors(longest, residuals.curve_size if by_residuals else None)

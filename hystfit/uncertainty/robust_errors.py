@@ -16,11 +16,13 @@ from hystfit.errors import ParameterError
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.note import warn
+from hystfit.quality.determination import count
 from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.errors/1"
 FEWEST = {"iid": 1, "sandwich": 6, "bootstrap": 8}  # blocks from which intervals hold the truth as often as they should
+_NAMED = 6  # parameters named in a note
 _RANK = 1e-12  # square of the smallest singular value, over that of the largest, of a direction that counts
 _DRAWS = 1000  # of the bootstrap
 _WEBB = np.sqrt([0.5, 1.0, 1.5]) * np.array([[-1.0], [1.0]])  # weights of the wild bootstrap
@@ -88,11 +90,13 @@ class StandardErrors:
         return {rule: error / self.errors["iid"] for rule, error in self.errors.items() if rule != "iid"}
 
     def table(self) -> Table:
-        """Errors by rule, and at the end their typical ratio to those for independent residuals."""
+        """Errors by rule, of parameters that have one, and at the end their typical ratio to those for independent residuals."""
         heads = {"fit": "fit", "iid": "independent"}
         rules = [Column(heads.get(rule, rule), key=rule, form=".3g") for rule in self.errors]
         rows: list[list[Any]] = []
         for k, name in enumerate(self.result.free_names):
+            if not any(np.isfinite(error[k]) for error in self.errors.values()):
+                continue
             parameter = self.result[name]
             value = f"{parameter.value:.5g} {parameter.unit}".strip()
             rows.append([name, value, *(float(error[k]) for error in self.errors.values())])
@@ -167,7 +171,8 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
     if unknown:
-        text = f"no method gives a standard error for parameters that the data do not determine: {', '.join(unknown)}"
+        named = ", ".join(unknown[:_NAMED]) + (f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else "")
+        text = f"no method gives a standard error for parameters at a bound or not determined by the data: {named}"
         notes.append(warn(Code.NOT_DETERMINED, text))
     return StandardErrors(result, errors, factors, span, tuple(notes))
 
@@ -217,8 +222,8 @@ def covariance(
     blocks = _Blocks.of([(row, slope @ back) for row, slope in rows], span)
     if len(blocks.scores) < FEWEST[kind]:
         raise ParameterError(
-            f"the records hold {len(blocks.scores)} blocks of {span} samples, and the {kind} needs at least {FEWEST[kind]}: measure more "
-            "cycles, or choose a smaller block"
+            f"the records hold {count(len(blocks.scores), 'block')} of {span} samples, and the {kind} needs at least {FEWEST[kind]}: "
+            "measure more cycles, or choose a smaller block"
         )
     if kind == "sandwich":
         robust, factor = blocks.sandwich(back)

@@ -26,6 +26,7 @@ from hystfit.results.user_code import checksums
 _NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
 _TURN = 0.02  # of the input's range: what counts as a turning point
+_ENDS = (Code.LAST_HALF_CYCLE, Code.INITIAL_STATE)  # notes that may propose a window
 _LAGS = 3.0  # standard errors from which a lag is reported
 
 
@@ -156,12 +157,30 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     fit, loop = opened(result, wording.fit), wording.loop or loops_of(result.data)
     if result.status is Status.NO_LOOP:
         return [f"hystfit check {loop}"]
-    if not result.usable:
-        return [" ".join(filter(None, ["hystfit compare", loop, wording.split])), f"hystfit check {loop}"]
+    improve = (
+        []
+        if result.usable
+        else [*_without_ends(result, wording, loop), _joined("hystfit compare", loop, wording.split)]
+    )
+    if not result.usable and result.status is not Status.ROUGH:
+        return [*improve, f"hystfit check {loop}"]
     commands = [f"hystfit predict {fit} {new_loop(result.data)}"]
     if result.obstacle("inverse") is None:
         commands.append(f"hystfit invert {fit} REFERENCE")
     if result.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
     commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
-    return commands if wording.saved else [f"the same command with --out {wording.fit} keeps this fit; then", *commands]
+    keep = [] if wording.saved else [f"the same command with --out {wording.fit} keeps this fit; then"]
+    return [*improve, *keep, *commands]
+
+
+def _without_ends(result: FitResult, wording: Wording, loop: str) -> list[str]:
+    """The command that leaves out the half cycle at an end of the record which the model does not follow, where notes propose it."""
+    ends = [note.option[1] for note in result.notes if note.code in _ENDS and note.option is not None]
+    if not ends or "--window" in wording.split:
+        return []
+    return [_joined("hystfit fit", loop, wording.split, f"--window={ends[0]}")]
+
+
+def _joined(*words: str) -> str:
+    return " ".join(word for word in words if word)

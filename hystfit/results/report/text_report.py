@@ -26,7 +26,9 @@ _VERDICT = frozenset(
         Code.TEST_ERROR,
         Code.LEFT_OUT_ERROR,
         Code.OTHER_FAMILY,
+        Code.MODEL_MISMATCH,
         Code.INITIAL_STATE,
+        Code.LAST_HALF_CYCLE,
         Code.MINOR_LOOPS,
         Code.EXTRAPOLATION,
         Code.SINGLE_VALUED,
@@ -95,6 +97,11 @@ def facts(result: FitResult) -> dict[str, list[str]]:
     return {"Residuals": spread, "Fit": fit, "Data": _shortened(data), "Provenance": origin}
 
 
+def _extent(values: np.ndarray, unit: str) -> str:
+    low, high = np.nanmin(values) + 0.0, np.nanmax(values) + 0.0  # + 0: no minus sign before 0
+    return f"{low:.4g} to {high:.4g} {unit}".rstrip()
+
+
 def _columns_of(record: Record) -> list[str]:
     """Names, ranges and units of input, output and time."""
     ranges = []
@@ -102,9 +109,9 @@ def _columns_of(record: Record) -> list[str]:
         ("input", record.u_name, record.u, record.u_unit),
         ("output", record.y_name, record.y, record.y_unit),
     ):
-        ranges.append(f"{role} {name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}".rstrip())
+        ranges.append(f"{role} {name} {_extent(values, unit)}")
     if record.t is not None:
-        ranges.append(f"{record.t[0]:.4g} to {record.t[-1]:.4g} {record.t_unit}".rstrip())
+        ranges.append(f"{record.t[-1] - record.t[0]:.4g} {record.t_unit}".rstrip() + " long")
     return ranges
 
 
