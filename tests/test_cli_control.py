@@ -65,17 +65,17 @@ def test_invert_writes_an_input_that_the_model_follows(
 
 @pytest.mark.parametrize("name", ["", "wanted_um"])
 def test_the_reference_is_the_column_like_the_fitted_output(name: str, fitted: Path, tmp_path: Path) -> None:
-    """By its name, or by its quantity; without the fit, a force would be the likelier output."""
+    """By its name, or by its quantity; without the fit, a magnetic moment is the likelier output."""
     record = hf.load_fit(fitted).data[0].segment(0, 120)
-    header = f"F_N,{name or record.y_name}"
-    rows = [f"{a!r},{b!r}" for a, b in zip(record.u.tolist(), record.y.tolist(), strict=True)]
+    header = f"{name or record.y_name},M_emu"
+    rows = [f"{b!r},{a!r}" for a, b in zip(record.u.tolist(), record.y.tolist(), strict=True)]
     (tmp_path / "reference.csv").write_text("\n".join([header, *rows]) + "\n")
     run(["invert", str(fitted), str(tmp_path / "reference.csv"), "--out", str(tmp_path / "out")])
     head, *lines = (tmp_path / "out" / "inverse.csv").read_text().splitlines()
     at = head.split(",").index("reference_um")
     np.testing.assert_array_equal([float(line.split(",")[at]) for line in lines], record.y)
     content = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert "column-choice" in [note["code"] for note in content["reading"]]
+    assert any("of the fit" in note["text"] for note in content["reading"] if note["code"] == "column-choice")
 
 
 def test_export_writes_for_matlab_and_simulink(
