@@ -1,6 +1,7 @@
 """The comparison of models: what is tried, what is left out and why, sizes that follow the data, names that make the winner again."""
 
 import gc
+import importlib
 import threading
 import weakref
 from pathlib import Path
@@ -18,7 +19,7 @@ from hystfit.errors import ModelError
 from hystfit.fitting import sizes
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _Judge, _ranked, _Shown
-from hystfit.fitting.comparison import Row
+from hystfit.fitting.comparison import Comparison, Row
 from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.smooth_weights import left_out_score
@@ -492,6 +493,17 @@ def test_reversal_curves_of_a_raw_file_by_the_bare_search(measured):
     assert found.fits[inverse.asked].metrics(held).nrmse_percent <= 0.1
     # The error on left-out curves is that of weights inside their bounds, however many they are.
     assert inverse.score_percent >= 0.9 * inverse.in_sample_percent
+
+
+def test_the_winner_is_the_best_of_the_models_that_were_fitted(monkeypatch):
+    fit = hf.fit("bouc-wen", stepped_loops(), starts=1)
+    row = lambda name, error: Row(
+        name, name, error, error, error, 5, 0.1, Status.UNTESTED if error is None else Status.OK
+    )
+    rows = (row("bouc-wen", 1.0), row("duhem", 2.0), row("preisach", None))
+    module = importlib.import_module("hystfit.fitting.fit")
+    monkeypatch.setattr(module, "compare", lambda *_, **__: Comparison(rows, fit, {"bouc-wen": fit}))
+    assert "the best of 2 models" in module.best_model(fit.data).notes[0].text
 
 
 def ringing(u: np.ndarray, interval: float, frequency: float, damping: float, noise: float) -> hf.Record:

@@ -46,6 +46,11 @@ class Row:
     bic: float | None = None
     obstacles: dict[str, str] | None = None
 
+    @property
+    def fitted(self) -> bool:
+        """Whether there was a fit at least of a first look."""
+        return self.in_sample_percent is not None
+
     def serves(self, purpose: Purpose) -> bool | None:
         """Whether the model can be used for a purpose; None where it was not fitted."""
         return None if self.obstacles is None else purpose not in self.obstacles

@@ -113,7 +113,7 @@ def fit(
 def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") -> FitResult:
     """The fit of the model that wins the comparison, with notes on the choice."""
     comparison = compare(data, purpose=purpose, seed=seed)
-    best, count = comparison.rows[0], len(comparison.rows)
+    best, count = comparison.rows[0], sum(row.fitted for row in comparison.rows)
     score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
     scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
     reason = "is the only candidate for these data"

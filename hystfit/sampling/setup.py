@@ -29,10 +29,8 @@ from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
-_WIDENS, _WIDENED = (
-    "noise='discrepancy' widens the intervals for what recurs",
-    "The intervals are widened for what recurs",
-)
+_WIDENS = "noise='discrepancy' widens the intervals for what recurs"
+_WIDENED = "The intervals are widened for what recurs"
 _PRIOR_SCALES = 10.0  # standard deviation in natural sizes that weights have before any data
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
