@@ -210,7 +210,9 @@ def _is_isolated(y: np.ndarray, k: int, height: float) -> bool:
     return bool(np.nanmax(bends) < _ROUGH * height)
 
 
-def spikes(y: np.ndarray, noise: float | None, turns: np.ndarray | None = None) -> np.ndarray:
+def spikes(
+    y: np.ndarray, noise: float | None, u: np.ndarray | None = None, turns: np.ndarray | None = None
+) -> np.ndarray:
     """Sample numbers of isolated outliers: beyond both neighbors on one side by more than 10 times the noise and 3 % of the range.
 
     Without it the output about it is smooth: the peak of a wave of few samples is no outlier.
@@ -218,7 +220,9 @@ def spikes(y: np.ndarray, noise: float | None, turns: np.ndarray | None = None) 
     Args:
         y: output, shape (T,).
         noise: its rms [unit of y]; None for 0.
-        turns: reversals of the input, where the output may have a sharp peak: an outlier there is far beyond the steps about it.
+        u: input, shape (T,); needed with `turns`.
+        turns: reversals of the input, where the output may have a sharp peak: an outlier there is far beyond the steps about it, and the
+            input is not.
     """
     y = np.asarray(y, dtype=float)
     if y.size < 5:
@@ -229,14 +233,15 @@ def spikes(y: np.ndarray, noise: float | None, turns: np.ndarray | None = None) 
         least = np.minimum(np.abs(before), np.abs(after))
         out = (np.sign(before) == np.sign(after)) & (least > limit)
     outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, int(k), float(least[k - 1]))], dtype=int)
-    if turns is None or not turns.size or not outliers.size:
+    if u is None or turns is None or not turns.size or not outliers.size:
         return outliers
     apart = np.min(np.abs(outliers[:, None] - turns[None, :]), axis=1) > 1
-    far = np.array([least[k - 1] > _FAR * _largest_step(y, int(k)) for k in outliers], dtype=bool)
+    far = np.array([_stands_out(y, int(k), _FAR) and not _stands_out(u, int(k), 1.0) for k in outliers], dtype=bool)
     return outliers[apart | far]
 
 
-def _largest_step(y: np.ndarray, k: int) -> float:
-    """Largest change of the output from sample to sample about sample k, without those to and from it."""
-    steps = np.abs(np.concatenate([np.diff(y[max(k - _STEPS, 0) : k]), np.diff(y[k + 1 : k + _STEPS + 1])]))
-    return float(np.nanmax(steps, initial=0.0))
+def _stands_out(values: np.ndarray, k: int, factor: float) -> bool:
+    """Whether the smaller step to a neighbor of sample k is larger by a factor than all steps about it."""
+    steps = np.abs(np.concatenate([np.diff(values[max(k - _STEPS, 0) : k]), np.diff(values[k + 1 : k + _STEPS + 1])]))
+    least = min(abs(values[k] - values[k - 1]), abs(values[k] - values[k + 1]))
+    return bool(least > factor * np.nanmax(steps, initial=0.0))

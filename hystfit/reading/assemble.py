@@ -85,7 +85,8 @@ def assemble(
         records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
     if not several and len(records) == 1:
         return records[0]
-    return Dataset(without_copies(records), name=stem)
+    # A column that the user names separates measurements, whose numbers may be equal.
+    return Dataset(tuple(records) if by is not None else without_copies(records), name=stem)
 
 
 def _check_unread(table: Table, gaps: str) -> None:
