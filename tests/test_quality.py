@@ -227,6 +227,8 @@ def test_an_outlier_beside_a_reversal_is_one_and_a_sharp_peak_of_the_output_ther
     peaks = y.copy()
     peaks[::50] += 0.1  # no farther beyond its neighbors than twice their steps
     assert not outliers_of(Record(u, peaks)).size
+    jump = np.eye(1, 600, 250)[0] * 0.6  # of the input, which the output follows
+    assert not outliers_of(Record(u + jump, y + jump)).size
 
 
 def test_sampling_tells_uneven_repeated_and_missing_time():

@@ -15,6 +15,7 @@ _ABOUT = 2  # samples on each side of an outlier that must be smooth without it
 _ROUGH = 0.5  # their largest second difference, as a part of its height
 # Times the largest step within so many samples: an outlier at a reversal, where a peak may be real.
 _FAR, _STEPS = 4.0, 6
+_JUMP = 2.0  # the same of an input that jumps there, which the output follows
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
@@ -236,7 +237,7 @@ def spikes(
     if u is None or turns is None or not turns.size or not outliers.size:
         return outliers
     apart = np.min(np.abs(outliers[:, None] - turns[None, :]), axis=1) > 1
-    far = np.array([_stands_out(y, int(k), _FAR) and not _stands_out(u, int(k), 1.0) for k in outliers], dtype=bool)
+    far = np.array([_stands_out(y, int(k), _FAR) and not _stands_out(u, int(k), _JUMP) for k in outliers], dtype=bool)
     return outliers[apart | far]
 
 
