@@ -15,6 +15,7 @@ import argparse
 import contextlib
 import json
 import os
+import re
 import random
 import resource
 import shutil
@@ -113,7 +114,8 @@ def fault_of(verb: str, out: Path, status: int, said: str) -> str:
         return f"exit status {status}: {said[-300:]}"
     if "Traceback" in said:
         return f"traceback: {said[-500:]}"
-    if status == 2 and not said.startswith("hystfit: "):
+    # Lines of progress may come before the message.
+    if status == 2 and not re.search("^hystfit: ", said, re.MULTILINE):
         return f"no message: {said[-300:]}"
     result = out / RESULT.get(verb, "result.json")
     if not result.exists():
