@@ -15,8 +15,8 @@ import argparse
 import contextlib
 import json
 import os
-import re
 import random
+import re
 import resource
 import shutil
 import signal
