@@ -10,6 +10,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
+from hystfit.fitting.disturbance import disturbance_note
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
@@ -266,3 +267,9 @@ def test_the_next_command_leaves_out_the_half_cycle_that_failed(clock, tmp_path)
     assert command[:3] == ["hystfit", "fit", str(file)]
     assert run([*command[1:], "--model", "bouc-wen", "--out", str(tmp_path / "fit")]) == 0
     assert any(line.startswith("hystfit predict") for line in commands)  # a rough fit has its uses
+
+
+@pytest.mark.parametrize("row", [np.zeros(50), np.empty(0), np.full(50, np.nan)])
+def test_residuals_without_a_disturbance_to_name(row):
+    record = made(output())
+    assert disturbance_note([row], hf.Dataset.of(record)) is None

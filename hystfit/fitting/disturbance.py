@@ -25,6 +25,8 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         robust: the loss was robust.
     """
     for row, record in zip(rows, data, strict=True):
+        if not (row.any() and np.isfinite(row).all()):
+            continue
         first, last = shortest_half(row**2)
         if first == 0 or last - first + 1 > _SHORT * row.size:
             continue
