@@ -21,8 +21,9 @@ from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.loops import reversals
+from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.summary import RecordQuality, delay_of, may_change, outliers_of, summarize
+from hystfit.quality.summary import delay_of, may_change, outliers_of, summarize
 from hystfit.results.accuracy import (
     accuracy_note,
     better_family_warning,

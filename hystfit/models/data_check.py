@@ -10,7 +10,7 @@ from hystfit.models.registry import MODELS, DataKind, judged, judged_as
 from hystfit.outcome.note import Code, has
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import ASYMMETRIC, Determination, Verdict, delayed, falling
-from hystfit.quality.summary import RecordQuality
+from hystfit.quality.record_quality import RecordQuality
 from hystfit.reading.in_memory import records_of
 
 _FORCES = ("N", "mN", "uN", "µN", "kN", "MN", "kip", "lbf", "lb", "kgf")

@@ -18,8 +18,9 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.determination import Determination, Verdict, count, determine
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
+from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
-from hystfit.quality.summary import RecordQuality, summarize
+from hystfit.quality.summary import summarize
 
 _MOST_RECORDS, _MOST_FINDINGS = 8, 40  # shown in the text
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from hystfit.outcome.note import Code, Note, Severity
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
-from hystfit.quality.summary import LONG_HOLD, RecordQuality
+from hystfit.quality.record_quality import LONG_HOLD, RecordQuality
 
 ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined

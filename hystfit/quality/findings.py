@@ -11,8 +11,8 @@ from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
 from hystfit.quality.chatter import MOST
 from hystfit.quality.determination import few_samples
+from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.resonance import Dynamics
-from hystfit.quality.summary import RecordQuality
 
 _MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")

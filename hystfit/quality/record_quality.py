@@ -1,0 +1,226 @@
+"""Measured values of one record for the data-quality report, and the properties that follow from them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from hystfit.params.units import quantity
+from hystfit.quality.delay import PureDelay
+from hystfit.quality.drift import Drift
+from hystfit.quality.lag import Lag
+from hystfit.quality.resonance import Dynamics
+from hystfit.quality.shape import Shape
+
+LONG_HOLD = 50  # samples of a hold in which creep would show
+_BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
+SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
+# Part of the output on branches from the outermost level, below which larger strokes have softened the device.
+MULLINS = 0.9
+WHOLE = 0.95  # part of the stiffness from which a device is whole
+WEAKER = 0.85  # part of the output of shorter branches, below which that of longer ones shows damage
+_CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
+_FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampling:
+    """Samples and time: `rate` [samples per unit of time], `uniform` (steps within 1 %), `gaps` (over 1.5 steps)."""
+
+    n: int
+    missing: int
+    left_out: int
+    duration: float | None
+    rate: float | None
+    uniform: bool | None
+    repeated_stamps: int
+    gaps: int
+
+    @property
+    def used(self) -> int:
+        """Number of samples that count; at least that where missing samples are also left out."""
+        return max(self.n - self.missing - self.left_out, 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """Extent and noise of one column, in its unit; `noise_is_bound`: the noise is an upper bound only."""
+
+    low: float
+    high: float
+    resolution: float | None
+    noise_rms: float | None
+    noise_is_bound: bool
+
+    @property
+    def range(self) -> float:
+        """Largest minus smallest value."""
+        return self.high - self.low
+
+    @property
+    def known_noise(self) -> float | None:
+        """RMS noise where it is an estimate and not only a bound."""
+        return None if self.noise_is_bound else self.noise_rms
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """Motion of the input.
+
+    Attributes:
+        threshold: change of u by which a turning point must stand out [unit of u].
+        reversals: number of turning points.
+        chatter_percent: share of the samples at which the input steps back against its branch.
+        smoothing: length of the smoothing filter that removes the chatter [samples]; None if none is needed or helps.
+        closed_loops, major, minor, nested: loops that close; those within 5 % of the largest stroke; the others; those inside
+            another.
+        cycles: pairs of branches, closed or not.
+        strokes: different strokes, largest first, as fractions of the input's range (5 % apart).
+        turning_pairs: different (low, high) pairs of neighboring turning levels (5 % of the range apart).
+        monotonic: the input never turns.
+        holds, longest_hold, hold_creep: holds of the input, the longest [samples], and the largest change of the output during
+            one as a fraction of its range.
+    """
+
+    threshold: float
+    reversals: int
+    chatter_percent: float
+    smoothing: int | None
+    closed_loops: int
+    major: int
+    minor: int
+    nested: int
+    cycles: int
+    strokes: tuple[float, ...]
+    turning_pairs: int
+    monotonic: bool
+    holds: int
+    longest_hold: int
+    hold_creep: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordQuality:
+    """Everything measured on one record; None where it is unknown.
+
+    Attributes:
+        trend: change of the output over the record apart from its loops, where neither a drift of like cycles nor a lag is found
+            [unit of y].
+        slow_lag: of the output, where it is longer than the turns of the loops show [samples].
+        delay: of the output; all other properties are measured with the input delayed by it.
+        area: signed, of the whole record, see `loops.loop_area`.
+        correlation: of output and input; 0 where one of them is constant.
+        sign_of_rate: mean product of the signs of the output and of the input's rate, over samples at which the input moves: near +-1
+            for the current of a capacitor, which charges and discharges with the voltage.
+    """
+
+    name: str
+    units: dict[str, str]
+    sampling: Sampling
+    u: Column
+    y: Column
+    motion: Motion
+    shape: Shape | None
+    area: float
+    correlation: float
+    drift: Drift | None
+    lag: Lag | None
+    velocity_gain: float | None
+    rate_effect: float | None
+    stiffness_left: float | None
+    strength_left: float | None
+    unloading_left: float | None
+    softening_left: float | None
+    dynamics: Dynamics | None
+    clipped: int
+    spikes: int
+    trend: float | None = None
+    slow_lag: float | None = None
+    delay: PureDelay | None = None
+    sign_of_rate: float = 0.0
+
+    @property
+    def charges(self) -> bool:
+        """Whether the output is the current that charges a device: its integral, and not itself, is a function of the loop."""
+        kinds = quantity(self.units["u"]), quantity(self.units["y"])
+        driven = kinds[0] in ("voltage", "electric field") and kinds[1] in ("current", "current density")
+        return driven and abs(self.sign_of_rate) > _CHARGING
+
+    @property
+    def dynamic(self) -> bool:
+        """Whether the response changes with frequency as that of an oscillator does, beyond a lag or a velocity term."""
+        return self.dynamics is not None and self.dynamics.resonant
+
+    @property
+    def falls(self) -> bool:
+        """Whether the output falls as the input rises, apart from the loop."""
+        return self.correlation < _FALLING
+
+    @property
+    def circulation(self) -> str | None:
+        """Direction of the loop, of the mirrored one where the output falls; None where no loop is open."""
+        way = None if self.shape is None else self.shape.circulation
+        opposite = {"clockwise": "counter-clockwise", "counter-clockwise": "clockwise"}
+        return opposite[way] if self.falls and way is not None else way
+
+    @property
+    def switches(self) -> bool:
+        """Whether the output has two values, as that of a thermostat or another switch."""
+        return self.y.range > 0 and self.y.range == self.y.resolution
+
+    @property
+    def degrading(self) -> bool:
+        """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance, a switch, a current."""
+        if self.shape is None or self.dynamic or self.switches or self.charges or self.shape.circulation is None:
+            return False
+        left = 1.0 if self.stiffness_left is None else self.stiffness_left
+        return (
+            self.weakens
+            or self.softens
+            or self.softens_with_stroke
+            or left < 0.88
+            or (left < WHOLE and self.shape.pinching < 0.6)
+        )
+
+    @property
+    def softens(self) -> bool:
+        """Whether a force unloads with less stiffness the later it is, at growing strokes."""
+        late = self.unloading_left
+        return late is not None and late < SOFTER and self.circulation == "clockwise" and not self.dynamic
+
+    @property
+    def softens_with_stroke(self) -> bool:
+        """Whether branches from the outermost level are softer after larger strokes (Mullins effect)."""
+        return self.softening_left is not None and self.softening_left < MULLINS
+
+    @property
+    def weakens(self) -> bool:
+        """Whether longer branches reach less output than shorter ones before did; unknown in a resonance."""
+        return self.strength_left is not None and self.strength_left < WEAKER and not self.dynamic
+
+    @property
+    def lags(self) -> bool:
+        """Whether the output keeps moving after the input has turned."""
+        least = 0.0 if self.delay is None else _BESIDE_DELAY
+        if self.slow_lag is not None:
+            return True
+        return self.lag is not None and self.lag.samples > max(2 * self.lag.stderr, least)
+
+    @property
+    def leads(self) -> bool:
+        """Whether the output turns before the input."""
+        return self.lag is not None and self.lag.samples < -2 * self.lag.stderr
+
+    @property
+    def speed_dependent(self) -> bool:
+        """Whether the output turns early and velocity terms explain most of what is unexplained, or the area changes."""
+        explained = self.velocity_gain is not None and self.velocity_gain > 0.5
+        widens = self.rate_effect is not None and abs(self.rate_effect) > 0.1 and not self.degrading
+        return not self.dynamic and ((self.leads and explained) or widens)
+
+    @property
+    def creeps(self) -> bool:
+        """Whether the output moves by more than its noise during a long hold."""
+        motion, noise = self.motion, self.y.noise_rms or 0.0
+        if motion.longest_hold < LONG_HOLD or motion.hold_creep is None or self.sampling.rate is None:
+            return False
+        return motion.hold_creep * self.y.range > 4 * noise / (motion.longest_hold / 20) ** 0.5
