@@ -10,7 +10,7 @@ from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Outp
 from hystfit.cli.records import load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, prose_width, write_csv, written
 from hystfit.errors import DataError
-from hystfit.outcome import Code, Status, Table
+from hystfit.outcome import Code, Note, Status, Table
 from hystfit.outcome.note import warn
 from hystfit.outcome.wrapping import within
 
@@ -44,8 +44,6 @@ def invert(
         reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
     """
     from hystfit.control.inverse import invert as solve
-    from hystfit.data.dataset import Dataset
-    from hystfit.results.provenance import provenance
 
     sampled = (fitdir / "posterior.nc").is_file()
     place = fitdir / "fit" if sampled else fitdir
@@ -55,26 +53,10 @@ def invert(
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None
     inverse = solve(result, target.y, dt, limits=span) if bands is None else bands.given
-    notes = [warn(Code.MISSED, str(note)) for note in inverse.notes()]
-    units = {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None}
-    low, high = span or result.input_range
-    content = {
-        "schema": "hystfit.invert/1",
-        "model": result.name,
-        "status": str(Status.OK if inverse.ok else Status.MISSED),
-        "notes": [note.to_dict() for note in notes],
-        "reading": [note.to_dict() for note in target.notes],
-        "counts": inverse.counts(),
-        "input": {"lowest": float(inverse.u.min()), "highest": float(inverse.u.max())},
-        "limits": {"lowest": low, "highest": high, "given": span is not None},
-        "units": units,
-        "bands": None if bands is None else _summary(bands),
-        "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
-        "provenance": provenance(Dataset.of(target), None),
-    }
-    title = f"{result.name} inverted for {target.name}"
-    remarks = [*notes, *(note for note in target.notes if note.code in _ABOUT_READING)]
-    remarks = [_limits_line(result, span), *map(str, remarks), *([] if bands is None else [_band_words(content)])]
+    content = _content(fitdir, result, target, inverse, bands, span)
+    title, units = f"{result.name} inverted for {target.name}", content["units"]
+    notes = [*_missed(inverse), *(note for note in target.notes if note.code in _ABOUT_READING)]
+    remarks = [_limits_line(result, span), *map(str, notes), *([] if bands is None else [_band_words(content)])]
     counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
     lines = [
@@ -96,6 +78,40 @@ def invert(
         return invert_page(title, content, remarks, figure, following)
 
     return finish("\n".join(lines), content, output, save, page=page)
+
+
+def _missed(inverse: Inverse) -> list[Note]:
+    """Warnings on samples at which the reference is not reached."""
+    return [warn(Code.MISSED, str(note)) for note in inverse.notes()]
+
+
+def _content(
+    fitdir: Path,
+    result: FitResult,
+    target: Record,
+    inverse: Inverse,
+    bands: InverseBands | None,
+    given: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """The contents of result.json."""
+    from hystfit.data.dataset import Dataset
+    from hystfit.results.provenance import provenance
+
+    low, high = given or result.input_range
+    return {
+        "schema": "hystfit.invert/1",
+        "model": result.name,
+        "status": str(Status.OK if inverse.ok else Status.MISSED),
+        "notes": [note.to_dict() for note in _missed(inverse)],
+        "reading": [note.to_dict() for note in target.notes],
+        "counts": inverse.counts(),
+        "input": {"lowest": float(inverse.u.min()), "highest": float(inverse.u.max())},
+        "limits": {"lowest": low, "highest": high, "given": given is not None},
+        "units": {"input": result.data.units["u"] or None, "output": result.data.units["y"] or None},
+        "bands": None if bands is None else _summary(bands),
+        "fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance},
+        "provenance": provenance(Dataset.of(target), None),
+    }
 
 
 def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:

@@ -67,13 +67,13 @@ def simulate(
         raise ParameterError(f"--seed must not be negative, got {seed}")
     import numpy as np
 
-    from hystfit.params.units import with_unit
     from hystfit.results.provenance import provenance
 
     t, u, curve, used = _drive(signal, shape, what, seed)
     values = named_values(set or [], "--set")
     sizes = named_values([part for item in spread or [] for part in item.split(",")], "--spread")
     extra: dict[str, Any] = {} if axes == 1 else {"axes": 3, "drive": drive or "in-turn"}
+    extra |= {} if population is None else {"population": population, "spread": sizes}
     name, truth = f"{what}-{signal}", None
     if what != "stage":
         data, columns = _one(_model_record(what, t, u, values, noise, seed, name, trust))
@@ -82,17 +82,10 @@ def simulate(
         if population is None:
             data, columns = measured(device, seed, name)
         else:
-            extra |= {"population": population, "spread": sizes}
             devices = device.population(population, spread=sizes, seed=seed)
-            data, columns = _joined(devices, measured, seed)
-            truth = {"device": range(1, population + 1)}
-            truth |= {with_unit(name, devices.units[name]): values for name, values in devices.truth.items()}
+            (data, columns), truth = _joined(devices, measured, seed), _truth(devices)
     if curve is not None:
         columns["curve"] = np.tile(curve, population or 1)
-    if axes == 1:
-        reported = {"u": np.concatenate([r.u for r in data]), "y": np.concatenate([r.y for r in data])}
-    else:
-        reported = {k: v for k, v in columns.items() if k != "device"}
     notes = list(dict.fromkeys(note for record in data for note in record.notes))
     content = {
         "schema": "hystfit.simulate/1",
@@ -101,7 +94,7 @@ def simulate(
         "signal": {"name": signal, **used},
         **extra,
         "samples": len(data[0]),
-        "range": {k: [float(np.min(v)), float(np.max(v))] for k, v in reported.items()},
+        "range": _ranges(data, columns, axes),
         "notes": [note.to_dict() for note in notes],
         "provenance": provenance(data, seed),
     }
@@ -109,6 +102,24 @@ def simulate(
     many = "" if population is None else f"{population} devices of "
     text = "\n".join([f"{what}, {signal}: {many}{len(data[0])} samples", *ranges.lines("  "), *items(notes)])
     return finish_table(text, content, output, "data", columns, truth)
+
+
+def _truth(devices: Population[Any]) -> dict[str, Any]:
+    """Columns of the true parameters, one row a device."""
+    from hystfit.params.units import with_unit
+
+    numbers = {"device": range(1, len(devices) + 1)}
+    return numbers | {with_unit(name, devices.units[name]): values for name, values in devices.truth.items()}
+
+
+def _ranges(data: list[Record], columns: dict[str, Any], axes: int) -> dict[str, list[float]]:
+    """Lowest and highest value of input and output, of every channel where there are several."""
+    import numpy as np
+
+    values = {k: v for k, v in columns.items() if k != "device"}
+    if axes == 1:
+        values = {role: np.concatenate([getattr(record, role) for record in data]) for role in ("u", "y")}
+    return {k: [float(np.min(v)), float(np.max(v))] for k, v in values.items()}
 
 
 def _check_options(what: str, axes: int, drive: str | None, population: int | None, spread: list[str] | None) -> None:

@@ -279,10 +279,11 @@ def fit_smooth(
 
     def left_out_error(strength: float, bounds: np.ndarray) -> float:
         error = 0.0
+        near = starts[judged[0]]
         for k in judged:
             gram, count = grams[k], system.counts[k]
-            near = starts[k] if starts[k] is not None else starts[judged[0]]
-            v, starts[k] = _solve(total - gram, strength * (n - count) * rough, bounds, near)
+            v, near = _solve(total - gram, strength * (n - count) * rough, bounds, near)
+            starts[k] = near
             r = np.append(-v, 1.0)
             error += max(float(r @ gram @ r), 0.0)
         return float(np.sqrt(error / system.counts[judged].sum()))
