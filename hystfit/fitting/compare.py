@@ -56,10 +56,10 @@ def compare(
 ) -> Comparison:
     """Fit several models and rank them by their cross-validation error.
 
-    With three or more records, each is held out in turn; otherwise five contiguous blocks of each record. The input drives the
-    model through a held-out block, but its output is not fitted. Single samples are never held out, because they are correlated
-    with their neighbors. Test data are not used. Among models within 2 % of the smallest error, those whose fit converged and
-    those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
+    With three or more records, whole ones are held out, in at most ten groups; otherwise five contiguous blocks of each record.
+    The input drives the model through a held-out block, but its output is not fitted. Single samples are never held out, because
+    they are correlated with their neighbors. Test data are not used. Among models within 2 % of the smallest error, those whose
+    fit converged and those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
 
     Args:
         data: one record or several, or a data frame.

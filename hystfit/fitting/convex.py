@@ -23,6 +23,7 @@ STRENGTHS = tuple(10.0**k for k in range(-10, 1))
 _WITHOUT = 1e12  # strength at which the weights are zero
 _HARDLY = 0.9  # of the left-out error without weights, above which the weights hardly help
 _BLOCKS = 5
+_FOLDS = 10  # groups of whole records at most: more refits hardly change the error (Breiman and Spector 1992)
 _QUICK = 15  # evaluations of the outer search of a first look
 
 
@@ -129,7 +130,9 @@ def left_out_blocks(problem: Problem) -> list[np.ndarray]:
 
 
 def block_of(counts: np.ndarray) -> np.ndarray:
-    """Blocks of samples that lie one after another: whole records where there are at least three of them, else five parts of each.
+    """Blocks of samples that are left out together: whole records where there are at least three of them, else five parts of each.
+
+    More than ten records are dealt out to ten blocks.
 
     Args:
         counts: samples of each record that count, shape (R,).
@@ -138,7 +141,7 @@ def block_of(counts: np.ndarray) -> np.ndarray:
         Number of the block of each sample that counts, shape (sum of counts,).
     """
     if counts.size >= 3:
-        return np.repeat(np.arange(counts.size), counts)
+        return np.repeat(np.arange(counts.size) % _FOLDS, counts)
     split = [np.array_split(np.zeros(count), _BLOCKS) for count in counts]
     return np.concatenate([np.full(part.size, number) for parts in split for number, part in enumerate(parts)])
 

@@ -25,9 +25,9 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
 
     Args:
         result: the fit of all data; refits start there. Samples are not left out one by one, because residuals are autocorrelated.
-        scheme: "blocks" leaves out in turn whole records where there are three or more, else contiguous fifths of each; "future"
-            predicts the third, fourth and fifth part of every record from a fit to what came before (Buerkner et al. 2020), which tests
-            whether creep and drift are understood.
+        scheme: "blocks" leaves out in turn whole records, in at most ten groups, where there are three or more, else contiguous
+            fifths of each; "future" predicts the third, fourth and fifth part of every record from a fit to what came before
+            (Buerkner et al. 2020), which tests whether creep and drift are understood.
 
     Raises:
         ParameterError: an unknown scheme.

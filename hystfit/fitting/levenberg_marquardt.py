@@ -76,6 +76,7 @@ def _together(
     count, p = starts.shape
     z, trial = np.array(starts, float), np.array(starts, float)
     misfit, triangle = np.zeros((count, objective.batch.u.size)), np.zeros((count, p + 1, p + 1))
+    own = objective.coordinates.own if _by_record(objective) else np.arange(p)[None]
     cost, size = np.full(count, np.inf), np.ones(count)
     converged, evaluations, active = np.zeros(count, bool), np.zeros(count, int), np.ones(count, bool)
     given_up = np.zeros(count, bool)
@@ -95,11 +96,11 @@ def _together(
         done = _converged(trial[taken] - z[taken], trial[taken], rtol, atol)
         done &= _converged(new - misfit[taken], new, rtol, atol)
         z[taken], misfit[taken], cost[taken], converged[taken] = trial[taken], new, new_cost[accepted], done
-        going = ~done & np.isfinite(cost[taken]) & np.isfinite(jacobian).all(axis=(1, 2))
+        going = ~done & np.isfinite(cost[taken]) & np.isfinite(jacobian).all(axis=(1, 2, 3))
         active[taken[~going]] = False
-        rows = np.concatenate([jacobian[going], new[going, None]], axis=1).swapaxes(1, 2)
+        last = new[going].reshape(-1, len(own), 1, jacobian.shape[3])
         at = taken[going]
-        triangle[at] = _factor(rows)
+        triangle[at] = _factor(np.concatenate([jacobian[going], last], axis=2).swapaxes(2, 3), own, p)
         converged[at] |= cost[at] - _attainable_cost(triangle[at]) <= max(gain, _ROUNDING) * cost[at]
         active[at[converged[at]]] = False
         behind = active & _cannot_win(triangle, cost, converged)
@@ -113,37 +114,56 @@ def _together(
 
 
 def _linearize(objective: Objective, z: np.ndarray, lanes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Misfits (k, n) and their derivatives with respect to z, (k, p, n), at k points."""
+    """Misfits (k, n) of k points and their derivatives.
+
+    The derivatives are those of each record with respect to its own parameters where no record depends on all, (k, R, m, T); else
+    those of all samples with respect to z, (k, 1, p, n).
+    """
     padded = np.zeros((lanes, z.shape[1]))
     padded[: len(z)] = z
     misfit, jacobian = _linearize_first(objective, padded, np.int64(len(z)))
     return np.asarray(misfit)[: len(z)], np.asarray(jacobian)[: len(z)]
 
 
+def _by_record(objective: Objective) -> bool:
+    return objective.apart and not on_gpu()
+
+
 @compiled
 def _linearize_first(objective: Objective, z: Float[Array, "lanes p"], count: Array) -> tuple[Array, Array]:
     """Misfit and derivatives at the first `count` points, zero at the others."""
     if on_gpu():
-        return each(objective.linearize_at, z)
+        misfit, jacobian = each(objective.linearize_at, z)
+        return misfit, jacobian[:, None]
+    shape = (len(z), 1, z.shape[1], objective.batch.u.size)
+    if _by_record(objective):
+        shape = (len(z), *objective.coordinates.own.shape, objective.batch.u.shape[1])
 
     def one(k: Array, rows: tuple[Array, Array]) -> tuple[Array, Array]:
-        misfit, jacobian = objective.linearize_at(z[k])
-        return rows[0].at[k].set(misfit), rows[1].at[k].set(jacobian)
+        linearize = objective.linearize_records_at if _by_record(objective) else objective.linearize_at
+        misfit, jacobian = linearize(z[k])
+        return rows[0].at[k].set(misfit.reshape(-1)), rows[1].at[k].set(jacobian.reshape(shape[1:]))
 
-    samples = objective.batch.u.size
-    empty = (jnp.zeros((len(z), samples)), jnp.zeros((*z.shape, samples)))
-    return jax.lax.fori_loop(0, count, one, empty)
+    return jax.lax.fori_loop(0, count, one, (jnp.zeros((len(z), objective.batch.u.size)), jnp.zeros(shape)))
 
 
 def _converged(change: np.ndarray, value: np.ndarray, rtol: float, atol: float) -> np.ndarray:
     return np.max(np.abs(change) / (atol + rtol * np.abs(value)), axis=1, initial=0.0) < 1
 
 
-def _factor(rows: np.ndarray) -> np.ndarray:
-    """Factor R of [J, r] = Q R, padded to shape (k, p + 1, p + 1)."""
+def _factor(rows: Float[np.ndarray, "k R T m1"], own: np.ndarray, p: int) -> Float[np.ndarray, "k p1 p1"]:
+    """Factor R of [J, r] = Q R, from the columns of each record that are not zero, whose positions are `own`, and r."""
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    missing = rows.shape[2] - triangle.shape[1]
-    return np.pad(triangle, ((0, 0), (0, missing), (0, 0))) if missing else triangle
+    count, records, height, _ = triangle.shape
+    if records == 1:
+        triangle = triangle[:, 0]
+    else:
+        columns = np.column_stack([own, np.full(records, p)])
+        sparse = np.zeros((records, height, count, p + 1))
+        sparse[np.arange(records)[:, None], :, :, columns] = triangle.transpose(1, 3, 2, 0)
+        stacked = sparse.transpose(2, 0, 1, 3).reshape(count, records * height, p + 1)
+        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+    return np.pad(triangle, ((0, 0), (0, p + 1 - triangle.shape[1]), (0, 0)))
 
 
 def _predicted(triangle: np.ndarray, step: np.ndarray, cost: np.ndarray) -> np.ndarray:

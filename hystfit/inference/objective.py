@@ -53,15 +53,18 @@ class Objective(eqx.Module):
 
     def residual(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
         """Prediction less measurement, output units: 0 where a sample does not count, `BROKEN` half ranges where not finite."""
-        r = self.predict(x) - self.batch.y
-        return jnp.where(self.batch.weight > 0, jnp.where(jnp.isfinite(r), r, BROKEN * self.size), 0.0)
+        return self._counted(self.predict(x) - self.batch.y, self.batch.weight)
+
+    def _counted(self, r: Array, weight: Array) -> Array:
+        """Residuals of the samples that count, see `residual`."""
+        return jnp.where(weight > 0, jnp.where(jnp.isfinite(r), r, BROKEN * self.size), 0.0)
 
     def linearize(
         self, x: Float[Array, " p"], directions: Float[Array, "k p"] | None = None
     ) -> tuple[Float[Array, "R T"], Float[Array, "R T k"]]:
         """`residual` and its derivatives, with respect to x or along directions, in one forward pass."""
-        if directions is None and self._steps_suit_lanes:
-            r, J = self._linear_runs(x)
+        if directions is None and (self._steps_suit_lanes or self.apart):
+            r, J = self._all_runs(x)
         else:
             push = lambda t: jax.jvp(self.residual, (x,), (t,))
             r, J = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]) if directions is None else directions)
@@ -69,13 +72,53 @@ class Objective(eqx.Module):
 
     def linearize_at(self, z: Float[Array, " p"]) -> tuple[Float[Array, " n"], Float[Array, "p n"]]:
         """`misfit_at` and its derivatives, in one forward pass."""
-        if not self._steps_suit_lanes:
+        if not (self._steps_suit_lanes or self.apart):
             push = lambda t: jax.jvp(self.misfit_at, (z,), (t,))
             return jax.vmap(push, out_axes=(None, 0))(jnp.eye(z.shape[0]))
-        r, J = self._linear_runs(self.coordinates.physical(z))
-        weigh = lambda r: bend((jnp.sqrt(self.batch.weight) * r / self.size).reshape(-1), self.bend, self.loss)
-        push = lambda direction: jax.jvp(weigh, (r,), (direction,))
-        return jax.vmap(push, out_axes=(None, 0))(J * self.coordinates.slope(z)[:, None, None])
+        r, J = self._all_runs(self.coordinates.physical(z))
+        misfit, J = self._weighed(r, J * self.coordinates.slope(z)[:, None, None])
+        return misfit.reshape(-1), J.reshape(len(z), -1)
+
+    def linearize_records_at(self, z: Float[Array, " p"]) -> tuple[Float[Array, "R T"], Float[Array, "R m T"]]:
+        """`misfit_at` and its derivatives with respect to each record's own m parameters, see `Coordinates.own`."""
+        r, J = self._own_runs(self.coordinates.physical(z))
+        misfit, J = self._weighed(r, jnp.moveaxis(J * self.coordinates.slope(z)[self.coordinates.own][..., None], 1, 0))
+        return misfit, jnp.moveaxis(J, 0, 1)
+
+    def _weighed(self, r: Float[Array, "R T"], J: Float[Array, "k R T"]) -> tuple[Array, Array]:
+        """Residuals and derivatives as they count in the misfit."""
+        weigh = lambda r: bend(jnp.sqrt(self.batch.weight) * r / self.size, self.bend, self.loss)
+        return jax.vmap(lambda direction: jax.jvp(weigh, (r,), (direction,)), out_axes=(None, 0))(J)
+
+    @property
+    def apart(self) -> bool:
+        """Whether no record depends on all parameters, as where each has its own offset."""
+        return self.coordinates.own.shape[1] < len(self.coordinates.kinds)
+
+    def _all_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "p R T"]]:
+        """`residual` and its derivatives with respect to x."""
+        if self._steps_suit_lanes:
+            return self._linear_runs(x)
+        r, own = self._own_runs(x)
+        records, samples = r.shape
+        spread = (
+            jnp.zeros((records, x.shape[0], samples)).at[np.arange(records)[:, None], self.coordinates.own].set(own)
+        )
+        return r, jnp.moveaxis(spread, 1, 0)
+
+    def _own_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "R m T"]]:
+        """`residual` and its derivatives with respect to each record's own parameters: all the others are zero."""
+        batch, own = self.batch, jnp.asarray(self.coordinates.own)
+
+        def one(record: Any) -> tuple[Array, Array]:
+            def residual(x: Array) -> Array:
+                y = run(self.coordinates.assemble(x, record), batch.u[record], batch.dt[record])[0]
+                return self._counted(y - batch.y[record], batch.weight[record])
+
+            push = lambda direction: jax.jvp(residual, (x,), (direction,))
+            return jax.vmap(push, out_axes=(None, 0))(jax.nn.one_hot(own[record], x.shape[0], dtype=x.dtype))
+
+        return by_record(one, batch.u.shape[0])
 
     @property
     def _steps_suit_lanes(self) -> bool:
@@ -156,6 +199,11 @@ def _linearize(objective: Objective, x: Array, directions: Array | None) -> tupl
     return objective.linearize(x, directions)
 
 
+@compiled
+def _linearize_own(objective: Objective, x: Array) -> tuple[Array, Array]:
+    return objective._own_runs(x)
+
+
 def linearized(
     objective: Objective, x: Any, at: np.ndarray | None = None
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
@@ -169,6 +217,8 @@ def linearized(
         at: numbers of the parameters to which the derivatives are, in rising order, shape (k,); default: all.
     """
     x = np.asarray(x, float)
+    if objective.apart and not on_gpu():
+        return _linearized_apart(objective, x, np.arange(x.size) if at is None else at)
     every = at is None or len(at) == x.size
     directions = np.eye(x.size) if at is None else np.eye(x.size)[at]
     groups = list(parts(len(directions), objective.batch.u.size))
@@ -182,6 +232,20 @@ def linearized(
         residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, some))
         out[..., group] = _flat(jacobian[..., : group.stop - group.start])
     return residual, out
+
+
+def _linearized_apart(
+    objective: Objective, x: Float[np.ndarray, " p"], at: np.ndarray
+) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
+    """`linearized` by the derivatives of each record with respect to its own parameters."""
+    residual, own = (np.asarray(values) for values in _linearize_own(objective, x))
+    place = np.full(x.size, -1)
+    place[at] = np.arange(len(at))
+    out = np.zeros((*residual.shape, len(at)))
+    for rows, derivatives, positions in zip(out, own, objective.coordinates.own, strict=True):
+        wanted = place[positions] >= 0
+        rows[:, place[positions[wanted]]] = derivatives[wanted].T
+    return residual, _flat(out)
 
 
 def _flat(jacobian: np.ndarray) -> np.ndarray:

@@ -63,6 +63,17 @@ class Coordinates(eqx.Module):
     treedef: Any = eqx.field(static=True)
     n_records: int = eqx.field(static=True)
 
+    @property
+    def own(self) -> np.ndarray:
+        """Positions in x of the m parameters that each of R records depends on, shape (R, m)."""
+        columns, start = [np.zeros((self.n_records, 0), dtype=int)], 0
+        for _, positions, per_record in self.layout:
+            count = len(positions)
+            block = start + np.arange(count * (self.n_records if per_record else 1)).reshape(-1, count)
+            columns.append(np.broadcast_to(block, (self.n_records, count)))
+            start += block.size
+        return np.hstack(columns)
+
     def physical(self, z: Any, xp: Any = jnp) -> Any:
         """x from z, shape (p,); `xp` is the module of the arrays, as in `unconstrained`."""
         if xp is jnp:

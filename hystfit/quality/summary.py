@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+import weakref
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,7 +30,23 @@ _FEWEST_CYCLES = 3  # in which a trend of the output is sought
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 
+_Measured = TypeVar("_Measured")
 
+
+def _once(measure: Callable[[Record], _Measured]) -> Callable[[Record], _Measured]:
+    """Measure a record once in its life: a search asks for the same records with every model, and a measurement takes 0.2 s."""
+    known: weakref.WeakKeyDictionary[Record, _Measured] = weakref.WeakKeyDictionary()
+
+    @functools.wraps(measure)
+    def remembered(record: Record) -> _Measured:
+        if record not in known:
+            known[record] = measure(record)
+        return known[record]
+
+    return remembered
+
+
+@_once
 def summarize(record: Record) -> RecordQuality:
     """Measure one record; time stamps that repeat are no time."""
     if record.t is not None and CoarseClock.of(record.t):
@@ -37,6 +57,7 @@ def summarize(record: Record) -> RecordQuality:
     return dataclasses.replace(_summarize(record), delay=delay)
 
 
+@_once
 def may_change(record: Record) -> bool:
     """Whether the output may drift or the device degrade: a first look, in a fraction of the time of `summarize`."""
     u, y, t = record.u, record.y, record.t
@@ -52,6 +73,7 @@ def may_change(record: Record) -> bool:
     return t is not None and linear_trend(u, y, t) is not None
 
 
+@_once
 def delay_of(record: Record) -> PureDelay | None:
     """Pure delay of the output; None without one or without even time steps."""
     interval = _even_interval(record)
@@ -61,6 +83,7 @@ def delay_of(record: Record) -> PureDelay | None:
     return estimate_delay(record.u, np.where(record.used, record.y, np.nan), interval, turns)
 
 
+@_once
 def dynamics_of(record: Record) -> Dynamics | None:
     """Frequency response and resonance; None where they cannot be estimated or without even time steps."""
     interval = _even_interval(record)
@@ -75,6 +98,7 @@ def _even_interval(record: Record) -> float | None:
     return interval
 
 
+@_once
 def outliers_of(record: Record) -> np.ndarray:
     """Sample numbers of isolated outliers of the output; none where there are so many that they belong to its noise."""
     noise, _ = noise_rms(record.y)
