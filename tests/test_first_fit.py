@@ -8,7 +8,11 @@ import numpy as np
 from scipy.stats import qmc
 
 import hystfit as hf
+from hystfit.data.dataset import Dataset
+from hystfit.fitting.fit_setup import started_problem
+from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.levenberg_marquardt import descend
+from hystfit.models.registry import make_model
 from hystfit.params.hypercube import latin_hypercube
 
 _PROGRAMS = """
@@ -53,6 +57,18 @@ def test_scan_loops_are_compiled_whole_however_double_precision_is_switched_on()
     assert _run(_FLAG.format(before="")) == "True"
     assert _run(_FLAG.format(before="hf.enable_x64(whole_loops=False)")) == "False"
     assert _run(_FLAG.format(before=""), XLA_FLAGS="--xla_cpu_enable_fast_math=false") == "False"
+
+
+def test_a_first_look_at_a_model_that_does_not_converge_is_short_and_about_as_good():
+    """The relaxation of a loop without one drifts: a whole fit spends hundreds of evaluations on it."""
+    u = np.sin(np.linspace(0, 20, 300)) * np.linspace(0.4, 1.0, 300)
+    y = np.asarray(hf.simulate(hf.BoucWen(c=0.8, mu=0.3, tau=0.4, rho=0.2), u)[0])
+    record = hf.Record(u, y + 0.01 * np.random.default_rng(0).normal(size=300), 0.01 * np.arange(300))
+    problem, points = started_problem(make_model("bouc-wen+relaxation"), Dataset((record,)))
+    start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))[None]
+    whole, look = (estimator.estimate(problem, start) for estimator in (LeastSquares(), LeastSquares().quick()))
+    assert look.evaluations < 0.75 * whole.evaluations
+    assert whole.cost * (1 - 1e-6) < look.cost < 1.01 * whole.cost
 
 
 def test_the_hypercube_is_that_of_scipy():

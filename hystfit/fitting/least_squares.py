@@ -40,6 +40,7 @@ class LeastSquares(AbstractEstimator):
         gain: decrease of the cost promised by the linear model, relative to it, below which "lm" has converged too.
         max_steps: in a round.
         rounds: of further steps for the best start and the first.
+        brief: a first look at a model: the polish and the trust region take few evaluations, whether they converge or not.
     """
 
     needs_starts: ClassVar[bool] = True
@@ -49,6 +50,11 @@ class LeastSquares(AbstractEstimator):
     gain: float = eqx.field(static=True, default=0.0)
     max_steps: int = eqx.field(static=True, default=25)
     rounds: int = eqx.field(static=True, default=4)
+    brief: bool = eqx.field(static=True, default=False)
+
+    def quick(self) -> LeastSquares:
+        """See the base class."""
+        return dataclasses.replace(self, brief=True)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
@@ -65,13 +71,15 @@ class LeastSquares(AbstractEstimator):
         number = int(np.argmin(costs))
         z, cost, success, linearized = ended.z[number], float(costs[number]), bool(ended.converged[number]), None
         if np.isfinite(z).all() and np.isfinite(cost):
-            z, cost, success, more, linearized = polish(problem, z, *((_STEPS, _EXACT) if short is None else ()))
+            exact = () if self.brief or short is not None else (_STEPS, _EXACT)
+            z, cost, success, more, linearized = polish(problem, z, *exact)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, _ON_BOUND)):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)
-        finished = TrustRegion().estimate(problem, np.asarray(z)[None])
+        finisher = TrustRegion().quick() if self.brief else TrustRegion()
+        finished = finisher.estimate(problem, np.asarray(z)[None])
         message = "finished by the bounded trust region" if finished.converged else finished.message
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
