@@ -22,6 +22,7 @@ from hystfit.outcome import Code, Note, Severity
 STRENGTHS = tuple(10.0**k for k in range(-10, 1))
 _WITHOUT = 1e12  # strength at which the weights are zero
 _HARDLY = 0.9  # of the left-out error without weights, above which the weights hardly help
+_WEAK = 1e-6  # strength at which a ridge moves no lag
 _BLOCKS = 5
 _FOLDS = 10  # groups of whole records at most: more refits hardly change the error (Breiman and Spector 1992)
 _QUICK = 15  # evaluations of the outer search of a first look
@@ -240,11 +241,12 @@ class Convex(AbstractEstimator):
     """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by a simplex outside.
 
     For plays, relays and creep weights: dozens of unknowns, of which many end on zero. With nonlinear parameters free (a lag, a
-    bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end.
+    bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end. A wrong lag
+    asks for a strong ridge, whose cost is least at another wrong lag: they are then searched for with a weak ridge too.
 
     Attributes:
         strengths: of the ridge, among which blocks left out choose.
-        max_evaluations: of the outer search.
+        max_evaluations: of an outer search.
     """
 
     needs_starts: ClassVar[bool] = False
@@ -292,12 +294,19 @@ class Convex(AbstractEstimator):
         )
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
-        strength = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
+        """Where the nonlinear parameters end: with the ridge of the start or, if that is strong, with a weak one, by left-out error."""
 
-        def cost(x: np.ndarray) -> float:
-            return float(np.log(penalized(LinearSystem.of(problem, x), strength) + 1e-300))
+        def search(strength: float) -> tuple[np.ndarray, int, bool, str]:
+            cost = lambda x: float(np.log(penalized(LinearSystem.of(problem, x), strength) + 1e-300))
+            limits = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
+            return search_nonlinear(problem, cost, z, others, **limits)
 
-        return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-2, fatol=1e-4)
+        first = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
+        weak = min(self.strengths, key=lambda strength: abs(np.log(strength / _WEAK)))
+        ended = [search(strength) for strength in dict.fromkeys((first, min(first, weak)))]
+        scores = [fit_ridge(LinearSystem.of(problem, x), self.strengths).score for x, *_ in ended] if ended[1:] else [0]
+        x, _, converged, message = ended[int(np.argmin(scores))]
+        return x, sum(evaluations for _, evaluations, _, _ in ended), converged, message
 
 
 def search_nonlinear(

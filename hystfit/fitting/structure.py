@@ -37,6 +37,7 @@ from hystfit.quality.slow_lag import SHORT
 from hystfit.quality.summary import summarize
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
+_CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 _DEGREES = (1, 3, 5)
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
 _ALL = get_args(Envelope)
@@ -50,6 +51,7 @@ _BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
     "saturating": (SaturatingRate, "F"),
 }
 _ABOUT = np.geomspace(0.7, 1.4, 5)  # lags that are tried, over that which the records show
+_HALF = 0.5  # samples between the lags that are tried
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 
@@ -157,14 +159,7 @@ def search_rising(data: Dataset, *, plays: int | None = None, lag: float = 0.0) 
     # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on left-out cycles.
     rounding = rounding_error(data)
     while score > rounding:
-        changes = [
-            changed
-            for field, values in options.items()
-            for value in values
-            if value != getattr(structure, field)
-            and terms.served(changed := dataclasses.replace(structure, **{field: value}))
-        ]
-        best = min(changes, key=terms.score, default=structure)
+        best = _next(structure, score, terms, options)
         if terms.score(best) >= _GAIN * score:
             break
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
@@ -181,6 +176,23 @@ def search_rising(data: Dataset, *, plays: int | None = None, lag: float = 0.0) 
             )
             chosen, score = other, resized.score(structure)
     return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
+
+
+def _next(structure: Structure, score: float, terms: Terms, options: dict[str, tuple[Any, ...]]) -> Structure:
+    """The structure with one change whose error is least; one with a finer lag where that is clearly better, or nothing else helps."""
+    # With other terms another lag may be the right one: a finer lag must not keep them out.
+    near = dataclasses.replace(structure, lag=round(structure.lag / _HALF) * _HALF)
+    changes = [
+        changed
+        for old in dict.fromkeys((structure, near))
+        for field, values in options.items()
+        for value in values
+        if value != getattr(old, field) and terms.served(changed := dataclasses.replace(old, **{field: value}))
+    ]
+    best = min(changes, key=terms.score, default=structure)
+    finer = dataclasses.replace(structure, lag=terms.lag_between(structure)) if structure.lag else structure
+    clearly = terms.score(finer) < _CLEARLY * score
+    return finer if clearly or terms.score(best) >= _GAIN * score else best
 
 
 def max_plays(data: Dataset) -> int:
@@ -270,7 +282,11 @@ class Terms:
             options["rest"] = ("level", "first")
         if self.timed:
             # Hardening would stand in for what creep and rate describe.
-            lags = (0.0, *np.arange(1.0, SHORT + 0.1, 0.5), *(np.round(_ABOUT * lag, 1) if lag else ()))
+            lags = (
+                0.0,
+                *np.arange(1.0, SHORT + 0.1, _HALF).tolist(),
+                *(np.round(_ABOUT * lag, 1).tolist() if lag else ()),
+            )
             return {**options, "lag": lags, "creep": (False, True), "rate": (0, 1, 2)}
         if max(float(np.abs(np.diff(record.u)).sum()) for record in self.data) < _FEWEST_RANGES * span:
             return options
@@ -287,6 +303,17 @@ class Terms:
             against = structure.operator == "play" and bool((forces < 0).any())
             self.scores[structure] = np.inf if against else fitted.score
         return self.scores[structure]
+
+    def lag_between(self, structure: Structure) -> float:
+        """The lag at which a parabola through the squared errors at this lag and half a sample to either side is least [samples].
+
+        Half a sample off, the error is several times that of the right lag, and terms of a higher degree would seem to be needed.
+        """
+        sides = [dataclasses.replace(structure, lag=structure.lag + step) for step in (-_HALF, 0.0, _HALF)]
+        low, middle, high = (self.score(side) ** 2 for side in sides)
+        bend = low - 2 * middle + high
+        shift = 0.5 * _HALF * (low - high) / bend if np.isfinite(bend) and bend > 0 else 0.0
+        return float(np.round(structure.lag + np.clip(shift, -_HALF, _HALF), 2))
 
     def system(self, s: Structure) -> LinearSystem:
         """The linear system of a structure, joined from the columns of its terms."""
