@@ -307,9 +307,8 @@ def _whitened(
     sd = float(np.sqrt(np.sum(r[used] ** 2) / max(int(used.sum()) - int(moving.sum()), 1)))
     text = "independent"
     if np.any(wider != 1):
-        text = (
-            f"independent, intervals widened {wider.min():.3g} to {wider.max():.3g} times for autocorrelated residuals"
-        )
+        factors = dict.fromkeys(f"{factor:.3g}" for factor in (wider.min(), wider.max()))
+        text = f"independent, intervals widened {' to '.join(factors)} times for autocorrelated residuals"
     return text, x, problem.whitened(White(noise_white=sd)), wider
 
 
