@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystfit.data import Record
+from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.outcome.note import has
@@ -342,3 +342,20 @@ def test_missing_dates_of_numpy_are_gaps(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", when=when, u=U, y=Y)
     with pytest.raises(DataError, match="input or time is missing"):
         read(tmp_path / "a.npz")
+
+
+def test_a_row_of_numbers_of_another_width_above_the_others_is_left_out_and_named(tmp_path):
+    """A thousands separator splits a cell of the first row: it was counted as metadata, in silence."""
+    rows = [
+        "% Time,No,Voltage,Displacement",
+        "0.000,1,0.04,1,460.87-",
+        '0.005,2,0.33-,"1,087.89"',
+        "0.010,3,0.56,702.75-",
+    ]
+    rows += ["0.015,4,0.88-,309.75", "0.020,5,1.15,86.71", "0.025,6,1.32-,482.20-", "0.030,7,1.64,872.30"]
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(rows))
+    record = next(iter(Dataset.of(read(path))))
+    (note,) = [note for note in record.notes if note.code is Code.LEFT_OUT and "cells" in note.text]
+    assert "line 2" in note.text
+    assert "1 x row with another number of cells than 4" in note.text

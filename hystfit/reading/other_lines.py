@@ -88,19 +88,16 @@ def _uneven(text: Text, block: Block) -> tuple[list[str], int]:
 
 def left_out(text: Text, block: Block, header: Header) -> LeftOut:
     """The lines that are neither the header nor rows of numbers, counted by reason."""
-    above = sum(bool(line.strip()) for line in text.lines[: block.index[0]])
+    groups, unread = _grouped(text, block, header.names)
+    odd_above = _directly_above(text, block, header)
+    groups["cells"] = odd = odd_above + groups["cells"]
+    above = sum(bool(line.strip()) for line in text.lines[: block.index[0]]) - header.used - len(odd_above)
     count: dict[str, int] = {}
     notes = []
-    if above > header.used:
-        count["metadata"] = above - header.used
-        notes.append(
-            Note(
-                Code.FILE_FORMAT,
-                f"metadata above the numbers: {above - header.used} line" + "s" * (above - header.used > 1),
-            )
-        )
-    groups, unread = _grouped(text, block, header.names)
-    odd, good, layout = _directly_above(text, block, header) + groups["cells"], block.index.size, text.layout
+    if above > 0:
+        count["metadata"] = above
+        notes.append(Note(Code.FILE_FORMAT, f"metadata above the numbers: {above} line" + "s" * (above > 1)))
+    good, layout = block.index.size, text.layout
     if len(odd) > 2 and len(odd) > 0.25 * good:
         raise DataError(
             f"{text.source}, line {odd[0] + 1}: {len(odd)} rows do not have the {layout.width} cells that {good} "
