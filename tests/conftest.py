@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import jaxtyping
 import pytest
 from hypothesis import settings
@@ -19,6 +20,10 @@ settings.register_profile("constant", derandomize=True, deadline=None)
 settings.load_profile("constant")
 
 ROOT = Path(__file__).resolve().parents[1]
+MAPS = Path("/proc/self/maps")
+# Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
+# worker that reaches the limit ends with a segmentation fault.
+MOST_MAPS = 30_000
 LONGEST = (
     "sampling",
     "models",
@@ -47,6 +52,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """Leave what was imported out of every later garbage collection."""
     gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_programs() -> Iterator[None]:
+    """Compiled programs of former files are dropped where they have become many."""
+    yield
+    if MAPS.is_file() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture
