@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import qmc
 
 import hystfit as hf
+from hystfit.config import set_compiler_flags
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.least_squares import LeastSquares
@@ -57,6 +58,14 @@ def test_scan_loops_are_compiled_whole_however_double_precision_is_switched_on()
     assert _run(_FLAG.format(before="")) == "True"
     assert _run(_FLAG.format(before="hf.enable_x64(whole_loops=False)")) == "False"
     assert _run(_FLAG.format(before=""), XLA_FLAGS="--xla_cpu_enable_fast_math=false") == "False"
+
+
+def test_a_compiler_of_another_version_gets_no_flag_that_would_end_the_process(monkeypatch):
+    monkeypatch.setattr("jaxlib.version.__version__", "0.12.0")
+    monkeypatch.setenv("XLA_FLAGS", "")
+    set_compiler_flags()
+    assert "fusion_emitters" not in os.environ["XLA_FLAGS"]
+    assert "small_while_loop" in os.environ["XLA_FLAGS"]
 
 
 def test_a_first_look_at_a_model_that_does_not_converge_is_short_and_about_as_good():

@@ -18,7 +18,7 @@ from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCl
 from hystfit.cli.help_text import WrappedHelp, examples
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
 from hystfit.cli.verbs import VERBS, as_options, place, verb_options
-from hystfit.config import PROGRAM_FOLDER, compile_whole_loops
+from hystfit.config import PROGRAM_FOLDER, set_compiler_flags
 from hystfit.errors import HystfitError
 from hystfit.version import __version__
 
@@ -129,7 +129,7 @@ def main() -> None:
     atexit.register(leave)  # before JAX and the engines register theirs: the last to be called
     gc.set_threshold(_COLLECTION, *gc.get_threshold()[1:])
     keep_programs()
-    compile_whole_loops()
+    set_compiler_flags()
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it
     os.environ.setdefault("JAX_PLATFORMS", "cpu")  # scans over samples are faster there
     logging.getLogger("jax._src.xla_bridge").setLevel(logging.ERROR)

@@ -11,13 +11,13 @@ import jax
 import numpy as np
 from jax import dtypes
 
-from hystfit.config import compile_whole_loops
+from hystfit.config import set_compiler_flags
 from hystfit.params.kept_programs import kept
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _ARRAYS = (np.ndarray, jax.Array, np.generic)
-compile_whole_loops()  # before JAX computes: every model is made of arrays from here
+set_compiler_flags()  # before JAX computes: every model is made of arrays from here
 
 
 def to_device(values: Any, dtype: Any = None) -> jax.Array:
