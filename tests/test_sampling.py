@@ -130,10 +130,11 @@ def test_weights_that_replace_each_other_are_sampled():
     )
     y = np.asarray(hf.simulate(model, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=200)
     drawn = sample(
-        hf.fit(model, hf.Record(u=u, y=y), noise="iid"), "nuts", noise="iid", chains=2, draws=300, warmup=200
+        hf.fit(model, hf.Record(u=u, y=y), noise="iid"), "nuts", noise="iid", chains=2, draws=1200, warmup=200
     )
-    # 14 effective draws for 1000 gradients; 3 in logarithmic coordinates, and divergent transitions.
-    assert drawn.convergence.bulk.min() > 0.007 * drawn.stats["steps"].sum()
+    # For 1000 gradients, of six seeds: 6.8 to 12 effective draws of the worst weight; 1.3 to 2.7 in logarithmic coordinates, and
+    # divergent transitions.
+    assert drawn.convergence.bulk.min() > 0.0045 * drawn.stats["steps"].sum()
     assert not drawn.stats["diverging"].any()
 
 
