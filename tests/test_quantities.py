@@ -196,6 +196,23 @@ def test_the_steady_loop_has_the_waveform_of_the_record(wave, loss):
     assert QUANTITIES["loop_area"].of_loops(loops)[0] == pytest.approx(loss * c * size**2 / period, rel=0.01)
 
 
+def test_the_steady_loop_of_a_model_that_hardens_is_that_at_the_end_of_the_record():
+    truth = hf.PrandtlIshlinskii(
+        w=[[0.5, 0.8, 0.6]],
+        r=(0.05, 0.15, 0.3),
+        low=-1.0,
+        high=1.0,
+        operator="stop",
+        hardening=(2.0, 3.0, 2.0),
+        s0=10.0,
+    )
+    u = cycles(12)
+    y = np.asarray(hf.simulate(truth, u)[0])
+    fit = hf.fit(truth, hf.Record(u=u, y=y, u_unit="mm", y_unit="kN"), starts=1, noise="iid")
+    last = slice(u.size - SAMPLES - 1, u.size)
+    assert quantity_values(fit)["loop_area"] == pytest.approx(abs(loop_area(u[last], y[last])), rel=0.01)
+
+
 def test_a_viscous_model_has_no_creep():
     t = np.arange(200) / 50.0
     u = np.sin(2 * np.pi * t)

@@ -73,6 +73,11 @@ class AbstractHysteresis(AbstractDynamics):
         """Whether the model has a pure delay."""
         return False
 
+    @property
+    def hardens(self) -> bool:
+        """Whether the loop changes with the path that the input has run, so that a new device differs from a used one."""
+        return False
+
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
 
     def start(self, records: Sequence[Record]) -> AbstractHysteresis:

@@ -67,6 +67,7 @@ class AbstractComposition(AbstractHysteresis):
     associative = _of_all("associative")
     has_fast_run = _of_any("has_fast_run")
     delays = _of_any("delays")
+    hardens = _of_any("hardens")
     has_rest = _of_any("has_rest")
     from_saturation = _of_any("from_saturation")
 

@@ -269,6 +269,11 @@ class PrandtlIshlinskii(AbstractHysteresis):
         low, high = float(self.low), float(self.high)
         return low - 0.25 * (high - low), high + 0.25 * (high - low)
 
+    @property
+    def hardens(self) -> bool:
+        """See the base class."""
+        return bool(self.hardening.size)
+
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
         """After every reversal, at every input behind it: the plays that move are those with the smallest thresholds.
 

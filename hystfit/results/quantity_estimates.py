@@ -27,7 +27,11 @@ _OPEN = 1.0  # a quantity is undetermined when its standard error is its natural
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
     """The quantities of a fit without errors, by name; None where one is unknown."""
-    values = _values(result, Excitation.of(result.data), lambda record: _run(result, record, result.model)[None])
+    values = _values(
+        result,
+        Excitation.of(result.data, hardens=result.model.hardens),
+        lambda record: _run(result, record, result.model)[None],
+    )
     return {name: float(one[0]) if np.isfinite(one[0]) else None for name, one in values.items()}
 
 
@@ -35,7 +39,7 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     """The quantities that the records and the model of a fit have, of the first record, with standard errors."""
     x, space = np.asarray(result.x), result.problem.space
     size, linear = relative_size(space, x), space.linear
-    excitation = Excitation.of(result.data)
+    excitation = Excitation.of(result.data, hardens=result.model.hardens)
     values = _values(result, excitation, lambda record: _perturbed(result, record, _STEP * size, linear))
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
     for name, y in values.items():

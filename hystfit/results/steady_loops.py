@@ -1,6 +1,7 @@
 """Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
 
-The steady loop is the last of three cycles over the input range of the fit. Where the record has a time, the cycles last as long as
+The steady loop is the last of three cycles over the input range of the fit, of a model that hardens of as many as have the path of the
+record: a new device can be far softer or stiffer than it ever was in the record at this amplitude. Where the record has a time, the cycles last as long as
 its own, with their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes half a sampling
 interval. Else they are triangular. The creep is that after a step over the same range, of a
 device that has rested at the lower end.
@@ -19,6 +20,7 @@ from hystfit.quality.loops import cycles
 from hystfit.results.trades import Trade
 
 _CYCLES, _POINTS = 3, 400
+_MOST_CYCLES = 50
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
 _NO_CREEP = 1e-6  # % a decade
@@ -109,6 +111,7 @@ class Excitation:
         force_driven: whether the input is the force.
         sine: whether the cycles of the records are nearer to a sine than to a triangle.
         points: samples of a cycle, an even number.
+        cycles: the last of which shows the steady loop.
     """
 
     low: float
@@ -117,14 +120,20 @@ class Excitation:
     force_driven: bool = False
     sine: bool = False
     points: int = _POINTS
+    cycles: int = _CYCLES
 
     @classmethod
-    def of(cls, data: Dataset) -> Excitation:
-        """The excitation over the range of the samples that count."""
+    def of(cls, data: Dataset, *, hardens: bool = False) -> Excitation:
+        """The excitation over the range of the samples that count.
+
+        Args:
+            hardens: whether the loop of the model changes with the path, so that the cycles run that of the longest record.
+        """
         low = min(float(r.u[r.used].min()) for r in data)
         high = max(float(r.u[r.used].max()) for r in data)
         interval, sine, points = _waveform(data)
-        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine, points)
+        count = _cycles_of_path(data, high - low) if hardens else _CYCLES
+        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine, points, count)
 
     @property
     def inputs(self) -> np.ndarray:
@@ -135,15 +144,15 @@ class Excitation:
 
     @property
     def loop(self) -> Record:
-        """Three cycles, of which the last shows the steady loop."""
+        """The cycles, of which the last shows the steady loop."""
         inputs = self.inputs
-        u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), _CYCLES)
+        u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), self.cycles)
         return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
 
     @property
     def step(self) -> Record:
         """A step over the range, of a device that has rested on its lower end; as long as `loop`, so that one program serves both."""
-        size = max(_CYCLES * self.points, _AT_10S + 1)
+        size = max(self.cycles * self.points, _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
         t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
         return Record(u=u, y=np.zeros(size), t=t, name="step")
@@ -163,6 +172,12 @@ class Excitation:
 def creeps(percent: np.ndarray) -> bool:
     """Whether a model has creep: it is not 0 at all parameter values, shape (count,), as that of a lag or a viscous term is."""
     return not bool((np.abs(percent) < _NO_CREEP).all())
+
+
+def _cycles_of_path(data: Dataset, span: float) -> int:
+    """Cycles over a range that run at most the longest path of a record up to its last sample that counts."""
+    path = max(float(np.abs(np.diff(record.u[: np.flatnonzero(record.used)[-1] + 1])).sum()) for record in data)
+    return int(np.clip(path / (2 * span), _CYCLES, _MOST_CYCLES)) if span > 0 else _CYCLES
 
 
 def _waveform(data: Dataset) -> tuple[float, bool, int]:

@@ -29,7 +29,8 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
         raise ParameterError(f"{posterior.result.name} does not depend on time: it has no creep")
     if other := [name for name in names if name not in have]:
         raise ParameterError(f"{', '.join(other)}: for records of force and displacement, known by their units")
-    excitation, values = Excitation.of(posterior.result.data), dict[str, np.ndarray]()
+    excitation = Excitation.of(posterior.result.data, hardens=posterior.result.model.hardens)
+    values = dict[str, np.ndarray]()
     loops = excitation.loops(posterior.predict(excitation.loop, count)) if set(names) != {CREEP} else None
     for name in names:
         of_loops = QUANTITIES[name].of_loops
