@@ -1,10 +1,9 @@
 """Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
 
-The steady loop is the last of three cycles over the input range of the fit, of a model that hardens of as many as have the path of the
-record: a new device can be far softer or stiffer than it ever was in the record at this amplitude. Where the record has a time, the cycles last as long as
-its own, with their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes half a sampling
-interval. Else they are triangular. The creep is that after a step over the same range, of a
-device that has rested at the lower end.
+The steady loop is the last of three cycles over the input range of the fit. The cycles of a model that hardens run the path of the record:
+the record need not show the loop of a new device at this amplitude. Where the record has a time, the cycles last as long as its own, with
+their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes half a sampling interval. Else they
+are triangular. The creep is that after a step over the same range, of a device that has rested at the lower end.
 """
 
 from __future__ import annotations
