@@ -350,6 +350,18 @@ def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, cap
     assert "method=" not in page
 
 
+def test_every_part_of_the_page_of_a_fit_names_options_as_at_the_shell(tmp_path):
+    u = 3 * np.sin(np.linspace(0, 20, 300))
+    y = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.5, tau=1.0, rho=0.5), u)[0])
+    loop, out = tmp_path / "loop.csv", tmp_path / "fit"
+    np.savetxt(loop, np.column_stack([u, y]), delimiter=",")
+    assert run(["fit", str(loop), "--model", "bouc-wen", "--starts", "1", "--out", str(out)]) == 0
+    page = html.unescape(re.sub("<[^>]*>", "", (out / "report.html").read_text()))
+    assert "--units V,um names both" in page
+    assert "set --input 1 and --output 0" in page
+    assert not re.search(r"\b(input|output|units)='", page)
+
+
 def test_check_proposes_to_read_each_curve_as_a_record(tmp_path, capsys):
     """Loops of one stroke may be cycles of one experiment; those of different strokes are read as records by themselves."""
     u = 5 * np.sin(np.linspace(0, 2 * np.pi, 60))

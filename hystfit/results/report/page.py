@@ -86,15 +86,15 @@ def _captioned(figures: dict[str, Figure]) -> dict[str, Picture]:
 
 def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str:
     status = "Usable." if result.usable else f"Not usable as it is: {wording.translate(result.advice)}."
-    in_words = lambda notes: [wording.translate(str(note)) for note in notes]
+    in_words = lambda texts: [wording.translate(str(text)) for text in texts]
     sections = [
         ("Verdict", [in_words(verdict(result))]),
         ("Plots", [list(shown.values())]),
         (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
         (ERRORS, [metrics_table(result)]),
-        ("Parameters", [parameter_table(result, meaning=True), fixed_words(result), unit_words(result)]),
+        ("Parameters", [parameter_table(result, meaning=True), *in_words([fixed_words(result), unit_words(result)])]),
         ("Notes", [in_words(remarks(result))]),
-        *((heading, [items]) for heading, items in facts(result).items()),
+        *((heading, [in_words(items)]) for heading, items in facts(result).items()),
     ]
     return Page(headline(result), status, result.usable, answer(result, wording), sections).render()
 
