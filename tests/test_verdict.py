@@ -167,6 +167,17 @@ def test_a_record_that_starts_in_mid_loop_asks_for_its_initial_state(name):
     assert abs(free[state].value) <= 1
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_window_is_proposed_only_where_it_leaves_a_loop(count):
+    u = 50 * np.cos(2 * np.pi * count * np.arange(N) / N)
+    y = np.asarray(
+        hf.simulate(hf.PrandtlIshlinskii(w=[[0.1, 0.05]], r=(0.1, 0.2), low=-50.0, high=50.0, b=(5.0,)), u)[0]
+    )
+    bump = np.exp(-(((np.arange(N) * count / N - 0.25) / 0.03) ** 2))
+    fit = hf.fit("prandtl-ishlinskii", hf.Record(u=u, y=y + 0.04 * np.ptp(y) * bump))
+    assert has(fit.notes, Code.INITIAL_STATE) == (count == 3)
+
+
 # -- yardsticks ------------------------------------------------------------------------------------------------------------
 
 

@@ -301,13 +301,17 @@ def _no_loop(data: Dataset) -> Note:
 
 
 def _at_an_end(fitted: Fitted) -> Note | None:
-    """A warning where the largest error lies in the first half cycle (another initial state) or the last one (a device that failed)."""
+    """A warning where the largest error lies in the first half cycle (another initial state) or the last one (a device that failed).
+
+    None where a window without it would leave no reversal, and no other half cycle shows whether the model describes this one.
+    """
     size = [persistent_error(row) for row in fitted.rows]
     worst = int(np.argmax([row.max() for row in size]))
     record, errors = fitted.data[worst], size[worst]
     largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
     turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
-    if not turns.size or largest < _VISIBLE:
+    held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
+    if turns.size < (1 if held else 2) or largest < _VISIBLE:
         return None
     samples = np.flatnonzero(record.used)
     first, last = samples <= turns[0], samples >= turns[-1]
@@ -320,7 +324,6 @@ def _at_an_end(fitted: Fitted) -> Note | None:
         which, remedy = "last", f"if the device failed there, fit the record before {place} (window=)"
     else:
         place, window = _window_from(record, int(turns[0]))
-        held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
         which = "first"
         remedy = f"the model starts at rest on the first input: fit the record from {place} on (window=)"
         if held:
