@@ -127,7 +127,7 @@ def class_from_file(path: str, name: str, base: type, error: type[HystfitError] 
     """
     file = Path(path).resolve()
     if not file.is_file():
-        raise error(f"no file {path!r} with a {base.__name__.removeprefix('Abstract')}")
+        raise error(f"no file {path!r} with the class {name!r}")
     try:
         module = in_process(file) or _execute(file)
     except Exception as failure:

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import dataclasses
 import json
 import os
 import re
@@ -269,6 +270,11 @@ def test_every_curve_of_a_file_is_a_loop(tmp_path):
 
 
 # -- bad input -------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "words"), [(1, "1 loop:"), (2, "2 loops:")])
+def test_loops_are_counted_in_the_singular_and_plural(fits, count, words):
+    assert str(dataclasses.replace(fits, rows=fits.rows[:count])).startswith(f"bouc-wen fitted to {words}")
 
 
 @pytest.mark.usefixtures("as_users_run")

@@ -457,7 +457,7 @@ BAD = [  # arguments, and what the message must name: the file, option, paramete
     (["fit", "words.csv"], "words.csv"),
     (["fit", "LOOP", "--model", "buc-wen"], "duhem, bouc-wen"),
     (["fit", "LOOP", "--model", "lag"], "'lag'"),
-    (["fit", "LOOP", "--model", "nofile.py:Mine"], "'nofile.py'"),
+    (["fit", "LOOP", "--model", "nofile.py:Mine"], "no file 'nofile.py' with the class 'Mine'"),
     (["fit", "LOOP", "--model", "bouc-wen", "--fix", "A=1"], "c, mu, tau"),
     (["fit", "LOOP", "--model", "bouc-wen", "--fix", "mu=7"], "[0, 1]"),
     (["fit", "LOOP", "--model", "bouc-wen", "--fix", "mu=nan"], "mu"),

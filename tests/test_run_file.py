@@ -175,3 +175,9 @@ def test_a_dry_run_refuses_a_step_without_its_loop(tmp_path, capsys):
     (tmp_path / "study.toml").write_text('[steps.fit]\nmodel = "bouc-wen"\n')
     assert run(["run", str(tmp_path / "study.toml"), "--dry-run"]) == 2
     assert "LOOP is missing" in capsys.readouterr().err
+
+
+def test_a_misspelled_loop_is_an_unknown_key(tmp_path, capsys):
+    (tmp_path / "study.toml").write_text('[steps.fit]\nlops = "loop.csv"\n')
+    assert run(["run", str(tmp_path / "study.toml"), "--dry-run"]) == 2
+    assert "unknown key 'lops' (did you mean 'loops'" in capsys.readouterr().err

@@ -241,7 +241,7 @@ class Fits(WithStatus):
             width: columns of the table; a wider one is shown in parts.
         """
         counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
-        lines = [f"{self.model} fitted to {len(self.rows)} loops: {counted}"]
+        lines = [f"{self.model} fitted to {len(self.rows)} loop{'s' if len(self.rows) != 1 else ''}: {counted}"]
         if any(row.usable for row in self.rows):
             arrays = Counter(name.partition("[")[0] for name in self.names)
             few = [name for name in self.names if arrays[name.partition("[")[0]] <= MANY]

@@ -162,13 +162,14 @@ def _words(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """A table of options as words of a command line, and the values that may name files."""
     by_key = {argument.name.lstrip("-").lower(): argument for argument in arguments if not argument.children}
-    if "loops" in by_key and not table.get("loops"):
-        raise DataError(f'{where}: LOOP is missing: name the file of a measured loop, as loops = "loop.csv"')
+    takes_loops = "loops" in by_key
     for option in _BY_STUDY:
         by_key.pop(option.lstrip("-"), None)
     any_name = by_key.pop("[keyword]", None) is not None  # parameters of a signal
     if not any_name:
         _refuse_unknown(where, table, ("verb", *by_key))
+    if takes_loops and not table.get("loops"):
+        raise DataError(f'{where}: LOOP is missing: name the file of a measured loop, as loops = "loop.csv"')
     positional, named, sources = [], [], []
     in_order = sorted(table, key=lambda key: getattr(by_key.get(key), "index", None) or 0)
     for key in in_order:
