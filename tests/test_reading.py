@@ -549,6 +549,17 @@ def test_gaps_split_into_pieces(tmp_path: Path) -> None:
     assert sum(note.code is Code.LEFT_OUT for note in data[0].notes) == 2  # rows without input, a piece of one row
 
 
+def test_units_of_the_user_are_no_assumption(tmp_path: Path) -> None:
+    rows = np.column_stack([np.sin(np.arange(40.0)), np.cos(np.arange(40.0))])
+    np.savetxt(tmp_path / "loop.csv", rows, delimiter=",")
+    record = read(tmp_path / "loop.csv", units="V,um")
+    assert (record.u_unit, record.y_unit) == ("V", "um")
+    assert np.array_equal(record.u, rows[:, 0])
+    texts = [note.text for note in record.notes if note.code is Code.UNITS]
+    assert len(texts) == 2
+    assert all("chosen by the user" in text and "assumed" not in text for text in texts)
+
+
 @pytest.mark.parametrize(
     ("header", "expected"),
     [

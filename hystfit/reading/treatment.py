@@ -92,8 +92,11 @@ def _untimed(record: Record, clock: CoarseClock) -> Record:
 
 def _relabeled(record: Record, u: str, y: str) -> Record:
     """The record in the units that the user gave; a unit of the file that is not known is replaced."""
-    for field, unit in (("u_unit", u), ("y_unit", y)):
+    for field, role, unit in (("u_unit", "input", u), ("y_unit", "output", y)):
         old = getattr(record, field)
+        if unit and not old:
+            text = f"the unit of the {role} is {unit}, which was chosen by the user"
+            record = record.replace(**{field: unit}).noted(Code.UNITS, text)
         if unit and old and old != unit and (parse_unit(old) is None or parse_unit(unit) is None):
             text = f"the unit {old!r} of the file is replaced by {unit!r}, which was chosen by the user"
             record = record.replace(**{field: unit}).noted(Code.UNITS, text)
