@@ -517,6 +517,19 @@ def test_width_beside_a_prior_over_a_logarithm_is_that_of_the_logarithm(fitted):
         assert any(note.code is Code.PRIOR and "noise_white" in note.text for note in notes) == told, notes
 
 
+def test_parameters_with_one_prior_share_a_note_and_a_line(fitted, posterior):
+    one = priors.LogNormal(2.0, 1.0)
+    setup = prepare(fitted, noise="iid", priors={"c": one, "tau": one})
+    draws = np.tile(np.asarray(setup.target.density.physical(setup.target.center)), (2, 500, 1))
+    for name in ("c", "tau"):
+        draws[:, :, setup.names.index(name)] = 2 * np.exp(np.random.default_rng(0).normal(size=(2, 500)))
+    (note,) = (note for note in prior_dominated_notes(setup, draws) if "hardly" in note.text)
+    assert "c, tau: their posteriors are" in note.text
+    text = str(dataclasses.replace(posterior, priors={"tau": "flat", "w[0]": "a", "w[1]": "a", "w[2]": "b", "v": "b"}))
+    lines = [line for line in text.splitlines() if line.startswith("prior of")]
+    assert lines == ["prior of tau: flat", "prior of w[0] to w[1]: a", "prior of w[2]: b", "prior of v: b"]
+
+
 def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):
     poor = dataclasses.replace(fitted, status=Status.POOR)
     told = sample(poor, noise="iid", chains=4, draws=400, warmup=200)

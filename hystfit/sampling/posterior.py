@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -125,13 +126,20 @@ class Posterior(WithStatus):
         log_z, error = self.evidence.log_z, self.evidence.error
         return f"log evidence: {log_z:.2f} +- {error:.2f} (nats; comparable for the same data only)"
 
+    def _prior_lines(self) -> list[str]:
+        """One line for each prior; neighbors in an array with the same one share it."""
+        array_and_prior = lambda name: (name.partition("[")[0], self.priors[name])
+        runs = [(text, list(names)) for (_, text), names in itertools.groupby(self.priors, array_and_prior)]
+        label = lambda names: names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+        return [f"prior of {label(names)}: {text}" for text, names in runs]
+
     def __str__(self) -> str:
         lines = [self._headline(), *self.summary().lines(), CHECKS]
         if evidence := self._evidence_words():
             lines.append(evidence)
         lines += self.derived_table().lines()
         lines += [f"note: {note}" for note in self.notes]
-        lines += [f"prior of {name}: {text}" for name, text in self.priors.items()]
+        lines += self._prior_lines()
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from hystfit.sampling.setup import Setup, prepare
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
+_NAMED = 4  # parameters that a note names
 
 
 def sample(
@@ -151,6 +152,7 @@ def _physical(density: Density, z: Array) -> Array:
 def prior_dominated_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """Notes on parameters whose posterior is hardly narrower than the prior, or lies in the far tail of it."""
     key, notes = jax.random.key(0), []
+    wide: dict[str, list[tuple[str, float]]] = {}
     for k, (name, prior) in enumerate(zip(setup.names, setup.problem.priors, strict=True)):
         expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (2000,)))
         middle = np.median(draws[:, :, k])
@@ -160,11 +162,22 @@ def prior_dominated_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d
             continue
         ratio = _spread(prior, draws[:, :, k]) / _spread(prior, expected)
         if ratio > _AS_WIDE:
-            text = (
-                f"the data hardly determine {name}: its posterior is {100 * ratio:.0f} % as wide as its prior ({prior})"
-            )
-            notes.append(warn(Code.PRIOR, text))
-    return notes
+            wide.setdefault(str(prior), []).append((name, 100 * ratio))
+    return [*notes, *(warn(Code.PRIOR, _as_wide_words(prior, rows)) for prior, rows in wide.items())]
+
+
+def _as_wide_words(prior: str, rows: Sequence[tuple[str, float]]) -> str:
+    """What a note says of the parameters with one prior whose posteriors are as wide: names, and widths in percent of the prior's."""
+    names, ratios = zip(*rows, strict=True)
+    if len(rows) == 1:
+        return (
+            f"the data hardly determine {names[0]}: its posterior is {ratios[0]:.0f} % as wide as its prior ({prior})"
+        )
+    shown = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    return (
+        f"the data hardly determine {shown}: their posteriors are {min(ratios):.0f} to {max(ratios):.0f} % as wide as their prior "
+        f"({prior})"
+    )
 
 
 def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
