@@ -22,7 +22,7 @@ from hystfit.fitting.trial import with_test
 from hystfit.inference.problem import Problem
 from hystfit.models import BoucWen, PrandtlIshlinskii, Preisach, simulate
 from hystfit.outcome import Status
-from hystfit.outcome.table import rounded
+from hystfit.outcome.table import number, rounded
 from hystfit.params.units import axis_label
 from hystfit.results import plots, report
 from hystfit.results.estimates import ParameterEstimate
@@ -86,6 +86,24 @@ def test_rounded_numbers_have_the_digits_of_the_error(value, relative):
 
 
 # -- text ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "shown"),
+    [
+        (1093.7, ".3g", "1090"),
+        (58183.0, ".4g", "58180"),
+        (160.4, ".2g", "160"),
+        (999999.0, ".2g", "1000000"),
+        (2.5e6, ".3g", "2.5e+06"),
+        (-1628.4, ".3g", "-1630"),
+        (0.00012, ".2g", "0.00012"),
+        (1.5e-7, ".2g", "1.5e-07"),
+        (float("nan"), ".3g", "-"),
+    ],
+)
+def test_numbers_have_an_exponent_only_where_digits_would_be_many(value, form, shown):
+    assert number(value, form) == shown
 
 
 def test_text_has_what_a_reader_needs(result):

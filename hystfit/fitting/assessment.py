@@ -11,6 +11,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.outcome.table import number
 from hystfit.quality.findings import WITHOUT_TIME
 
 _MANY = 12  # weights above this number are counted in a note, not listed
@@ -40,7 +41,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
         if 0.95 < errors.ratio < 1.05:
             change = f"unchanged by that (factor {errors.ratio:.2g})"
         text = (
-            f"residuals are autocorrelated over {errors.correlation_time:.3g} samples; standard errors are {change}"
+            f"residuals are autocorrelated over {number(errors.correlation_time, '.3g')} samples; standard errors are {change}"
             f"{_slow_part(errors)}"
         )
         notes.append(Note(Code.ERROR_RATIO, text))

@@ -17,6 +17,7 @@ from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import POINTS, Contrasts, Samples, SlowNoiseFit, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note, Severity
+from hystfit.outcome.table import number
 from hystfit.params.space import relative_size
 
 CHANCE = 0.02  # p-value, under slow noise alone, below which the model error counts as repeating,
@@ -201,7 +202,7 @@ def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
         findings.append(Note(Code.CORRELATED_RESIDUALS, text))
     if kurtosis > _TAILS:
         text = (
-            f"residuals have heavy tails (excess kurtosis {kurtosis:.2g}): there are outliers, or the model errs most at a "
+            f"residuals have heavy tails (excess kurtosis {number(kurtosis, '.2g')}): there are outliers, or the model errs most at a "
             "few places"
         )
         findings.append(Note(Code.HEAVY_TAILS, text, Severity.WARNING))

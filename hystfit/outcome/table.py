@@ -10,10 +10,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+_WRITTEN_OUT = 1e6  # numbers from here on have an exponent
+
 
 def number(value: float | None, form: str = ".4g") -> str:
-    """A number as text, with a space before "%"; "-" where it is unknown."""
-    return "-" if value is None or not math.isfinite(value) else format(value, form).replace("%", " %")
+    """A number as text, without exponent from 1 to 1e6, with a space before "%"; "-" where it is unknown."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    text = format(value, form)
+    if "e+" in text and abs(value) < _WRITTEN_OUT and form.endswith("g"):
+        text = f"{float(text):.0f}"
+    return text.replace("%", " %")
 
 
 _ROUNDING = 1e-9  # relative error below which the digits of a value are those of rounding errors

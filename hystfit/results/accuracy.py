@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.outcome.table import number
 from hystfit.quality.baselines import Baselines
 from hystfit.results.metrics import Metrics
 
@@ -127,7 +128,7 @@ def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Basel
         "curve": "that of a single-valued curve",
         "plays": "that of ten plays",
     }
-    beside = [f"{value:.2g} times {names[name]}" for name, value in over.items() if value is not None]
+    beside = [f"{number(value, '.2g')} times {names[name]}" for name, value in over.items() if value is not None]
     text = (
         f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
         f"at one sample and {_lasting_percent(rows, baselines):.3g} % over three (limit {limits.largest:.2g} %)"

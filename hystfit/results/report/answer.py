@@ -120,7 +120,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             continue
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
-        beside = f"; {f'{q.measured:.4g} {q.unit}'.rstrip()} in the measured loop" if q.differs else ""
+        beside = f"; {f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop" if q.differs else ""
         rows.append((_capital(one.label), f"{value}{known} {q.unit}".rstrip() + beside))
     return rows
 

@@ -32,8 +32,7 @@ def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
 def _quantity_row(q: QuantityEstimate) -> list[str]:
     one = QUANTITIES[q.name]
     shown = ("-", "-") if q.value is None else rounded(q.value, q.stderr)
-    measured = "-" if q.measured is None else f"{q.measured:.4g}"
-    return [one.label, *shown, q.unit, measured, "" if q.reason is None else q.reason.text, one.doc]
+    return [one.label, *shown, q.unit, number(q.measured), "" if q.reason is None else q.reason.text, one.doc]
 
 
 def _row(name: str, family: list[ParameterEstimate]) -> list[str]:

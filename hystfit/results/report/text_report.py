@@ -71,7 +71,9 @@ def facts(result: FitResult) -> dict[str, list[str]]:
     fit.append(f"{number(result.compile_s, '.2f')} s compilation, {number(result.run_s, '.2f')} s computation")
     spread = [f"standard deviation {number(result.sigma)} {unit}".rstrip()]
     if result.correlation_time > 1 or result.error_ratio != 1:
-        spread.append(f"autocorrelated over {result.correlation_time:.3g} samples (integrated autocorrelation time)")
+        spread.append(
+            f"autocorrelated over {number(result.correlation_time, '.3g')} samples (integrated autocorrelation time)"
+        )
     else:
         spread.append("white (no significant autocorrelation)")
     data = []
