@@ -7,15 +7,23 @@ import hystfit as hf
 
 hf.enable_x64()
 FILE = Path(__file__).parents[2] / "data" / "stage_sweep.csv"
+MODEL = "bouc-wen"  # hf.check proposes one for your loop
+SPLIT = (
+    6.0  # samples before it are fitted, the others test the fit: seconds, or a sample number where the file has no time
+)
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out/one_loop")
 
 record = hf.read(FILE)
 print(hf.check(record).text())
 
-result = hf.fit("bouc-wen", record.window(None, 6.0), test=record.window(6.0), starts=1)
+result = hf.fit(MODEL, record.window(None, SPLIT), test=record.window(SPLIT), starts=1)
 print(result)
 
 OUT.mkdir(parents=True, exist_ok=True)
 result.save(OUT)
 for name in result.free_names:
-    print(f"{name:12} {result[name].value:10.5g} +- {result[name].stderr:.2g} {result[name].unit}")
+    one = result[name]
+    error = (
+        "-" if one.stderr is None else f"{one.stderr:.2g}"
+    )  # None at a bound, and where the data do not determine it
+    print(f"{name:12} {one.value:10.5g} +- {error} {one.unit}")
