@@ -617,6 +617,13 @@ def test_help_of_a_verb_ends_with_commands_that_can_be_typed(verb, monkeypatch, 
     assert max(map(len, lines)) <= 80
 
 
+def test_the_help_of_invert_names_both_folders_that_it_takes(capsys):
+    assert run(["invert", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "`hystfit fit --out`" in text
+    assert "`hystfit sample --out`" in text
+
+
 def test_descriptions_in_help_are_broken_at_the_margin_only(monkeypatch, capsys):
     """A line that goes on below is filled: its text and the first word below would not fit."""
     monkeypatch.setenv("COLUMNS", "80")

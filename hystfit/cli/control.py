@@ -6,7 +6,17 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.options import DEFAULT_READING, STDOUT, FitFolder, Limits, Output, Reading, Trust, input_limits
+from hystfit.cli.options import (
+    DEFAULT_READING,
+    STDOUT,
+    FitFolder,
+    FitOrDraws,
+    Limits,
+    Output,
+    Reading,
+    Trust,
+    input_limits,
+)
 from hystfit.cli.records import load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, prose_width, write_csv, written
 from hystfit.errors import DataError
@@ -25,7 +35,7 @@ _ABOUT_READING = (Code.COLUMN_CHOICE, Code.LEFT_OUT, Code.UNITS)  # notes of a r
 
 
 def invert(
-    fitdir: FitFolder,
+    fitdir: FitOrDraws,
     reference: str,
     /,
     *,

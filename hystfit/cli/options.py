@@ -21,6 +21,10 @@ Text = Annotated[str | None, Parameter(group=FILE)]
 Part = Annotated[str | None, Parameter(group=SPLIT)]
 Flag = Annotated[bool, Parameter(group=SPLIT)]
 FitFolder = Annotated[Path, Parameter(help="folder written by `hystfit fit --out`")]
+FitOrDraws = Annotated[
+    Path,
+    Parameter(help="folder written by `hystfit fit --out`, or by `hystfit sample --out` for bands over the posterior"),
+]
 Trust = Annotated[
     bool,
     Parameter(help="open a fit that runs a Python file of yours, or whose files were edited after they were saved"),
