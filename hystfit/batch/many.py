@@ -102,6 +102,6 @@ def _described(work: Work) -> dict[str, Any]:
 def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row]]]:
     """Keys and rows of the loops of a task."""
     if isinstance(outcome, Exception):
-        reason = f"its process ended: {type(outcome).__name__}: {outcome}"
+        reason = f"the worker process failed: {type(outcome).__name__}: {outcome}"
         return [(source.key, [Row(source.name, source.file, None, Status.FAILED, reason)]) for source in chunk]
     return [(source.key, [Row.of(row) for row in rows]) for source, rows in zip(chunk, outcome, strict=True)]

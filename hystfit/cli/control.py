@@ -217,7 +217,7 @@ def export(
     )
     if result.obstacle("inverse") is None:
         what += (
-            " With i in place of f it reads wanted outputs, and prints the input, the output and the status (0: ok)."
+            " With i in place of f it reads desired outputs, and prints the input, the output and the status (0: ok)."
         )
     print(within(what, prose_width()))
     print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")

@@ -117,8 +117,8 @@ def design(
         turns = np.flatnonzero((values[1:] >= 0) != (values[:-1] >= 0))
         if not turns.size:
             raise ParameterError(
-                f"no derivative time gives a damping ratio of {damping_ratio}: the locus reaches {values.max() + damping_ratio:.2f}; "
-                "ask for less, or allow a larger static error or a faster filter"
+                f"no derivative time gives a damping ratio of {damping_ratio}: the largest on the root locus is "
+                f"{values.max() + damping_ratio:.2f}; choose a smaller ratio, a larger static error or a faster filter"
             )
         found: Any = brentq(miss, grid[turns[0]], grid[turns[0] + 1])
         td = float(found)
@@ -159,7 +159,7 @@ def assess(
         )
     notes = [f"{spare} {where}, largest sensitivity {sampled.sensitivity:.2f}"]
     if sampled.phase is not None and sampled.phase < 30:
-        notes.append(f"{spare} is little: the rate is too low for this loop, or its gain too high")
+        notes.append(f"{spare} is small: the rate is too low for this loop, or its gain too high")
     static = 1 / abs(1 + loop(0.0))
     return Design(controller, poles, _oscillating(poles), float(static), sampled, ideal, rate, tuple(notes))
 

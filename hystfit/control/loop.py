@@ -168,7 +168,7 @@ def run_loop(
 
     Raises:
         DataError: shapes that do not fit, numbers out of range.
-        ParameterError: the loop ran away.
+        ParameterError: the loop is unstable.
         PrecisionError: double precision is off.
     """
     require_x64()
@@ -197,7 +197,8 @@ def run_loop(
     u, y, ahead = map(np.asarray, traces)
     if not np.isfinite(y).all():
         raise ParameterError(
-            f"the loop ran away at {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s: lower the gains, sample faster, or give limits"
+            f"the loop is unstable, and its output is not finite from {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s on: lower the "
+            "gains, sample faster, or give limits"
         )
     saturated = int(np.count_nonzero((u <= limits[0]) | (u >= limits[1])))
     return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, ahead, saturated, _notes(u, saturated, limits))

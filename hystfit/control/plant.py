@@ -69,7 +69,7 @@ def identify_plant(u: Any, y: Any, dt: float, *, method: str = "output-error") -
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise DataError("u and y must be finite: interpolate or cut out missing samples")
     if np.ptp(u) == 0 or np.ptp(y) == 0:
-        raise DataError("input and output must move: record a step or a sweep")
+        raise DataError("input and output must not be constant: record a step or a sweep")
     if method not in ("output-error", "total-least-squares"):
         raise DataError(f"method must be output-error or total-least-squares, got {method!r}")
     place = _total_least_squares(u, y, dt)

@@ -285,7 +285,7 @@ class Convex(AbstractEstimator):
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried"
             if fit.score > _HARDLY * fit_ridge(system, (_WITHOUT,)).score:
-                note += ", and the model hardly helps to predict held-out samples"
+                note += ", and the model hardly improves the prediction of held-out samples"
                 severity = Severity.WARNING
         cost = 0.5 * fit.rss / size**2
         chosen = (Note(Code.CHOICE, note, severity),)

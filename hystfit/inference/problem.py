@@ -322,7 +322,7 @@ def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
     check_one_device(model)
     for record in data:
         if not record.used.any():
-            raise DataError(f"record {record.name!r}: no sample counts in the window")
+            raise DataError(f"record {record.name!r}: no usable sample in the window")
         if np.ptp(record.u) == 0:
             raise DataError(f"record {record.name!r}: the input is constant ({record.u[0]:g}); there is no loop to fit")
         if record.t is None and not model.rate_independent:

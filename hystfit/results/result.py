@@ -250,7 +250,7 @@ class FitResult(WithStatus):
 
         Raises:
             ModelError: the model needs time and there is none.
-            DataError: an input that cannot be used, or an offset is to be refitted and no output counts.
+            DataError: an input that cannot be used, or an offset is to be refitted without any usable output.
         """
         given = excitation_of(data, t, u=u, like=self.data[0])
         record = self.in_fitted_units(given)
@@ -266,7 +266,7 @@ class FitResult(WithStatus):
             y = type(model).free_run(model, driven.u, None if driven.t is None else driven.dt)[-len(record) :]
         if refit_offset:
             if not record.used.any():
-                raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
+                raise DataError(f"record {record.name!r}: no usable output, so that its offset cannot be refitted")
             y = y + float(np.mean((record.y - y)[record.used]))
         return self.to_unit_of(given, y)
 

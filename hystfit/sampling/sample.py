@@ -182,7 +182,7 @@ def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longes
         return []
     text = (
         f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is drift or creep, "
-        "which the model does not have. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
+        "which the model does not include. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
         "the drift"
     )
     return [warn(Code.INCOMPLETE, text)]
@@ -195,11 +195,11 @@ def _agreement_notes(result: FitResult, setup: Setup, draws: Float[np.ndarray, "
     if result.noise.refines and result.noise.name == setup.noise:
         reason = "the posterior includes the priors and the uncertainty of the noise, and need not be symmetric"
     elif result.noise.name == "iid":
-        reason = f"the fit takes its residuals as independent, the posterior has noise {setup.noise}"
+        reason = f"the fit assumes independent residuals, the posterior noise {setup.noise}"
     else:
         reason = (
-            f"the posterior weighs the samples by its noise model, least squares weighs them alike; noise={setup.noise!r} in the fit "
-            "gives the estimate of the posterior"
+            f"the posterior weights the samples by its noise model, least squares weights them equally; a fit with noise={setup.noise!r} "
+            "has the estimate of the posterior"
         )
     return differences(result, errors, "the posterior", reason)
 

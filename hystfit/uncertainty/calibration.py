@@ -112,9 +112,9 @@ class Calibration(WithStatus):
         """What the columns of the table mean."""
         low, high = self.coverage_band()
         return [
-            f"coverage: share of the 95 % intervals that hold the true value; with {len(self.ranks)} replicates, "
+            f"coverage: share of the 95 % intervals that contain the true value; with {len(self.ranks)} replicates, "
             f"{100 * low:.1f} % to {100 * high:.1f} % is consistent with 95 %",
-            "p: probability of ranks of the true values as uneven as these, where the errors are right",
+            "p: probability of ranks of the true values at least as uneven as these if the errors are calibrated",
         ]
 
     def __str__(self) -> str:
@@ -163,7 +163,7 @@ class Calibration(WithStatus):
             axes[1, k].plot(levels, [self.coverage(level)[k] for level in levels], color="#d55e00")
             axes[1, k].set_xlabel("level of the interval")
         axes[0, 0].set_ylabel("replicates\n(line: expected)", fontsize=8)
-        axes[1, 0].set_ylabel("covered\n(gray: 99 % by chance)", fontsize=8)
+        axes[1, 0].set_ylabel("coverage\n(gray: 99 % range of calibrated intervals)", fontsize=8)
         return figure
 
 

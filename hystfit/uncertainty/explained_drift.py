@@ -44,7 +44,7 @@ class DriftExplained:
         error = "" if self.stderr is None else f" +- {self.stderr:.2g}"
         per = f"{self.unit}/decade".lstrip("/")
         return (
-            f"the mean of {self.cycles} similar cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep makes "
+            f"the mean of {self.cycles} similar cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep explains "
             f"{self.modeled:.3g}{error}, its hysteresis alone {self.without_creep:.2g}, and {self.left:.2g} remains in the residuals"
         )
 
@@ -74,7 +74,7 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     found = drift(record.u, y, record.t, loops)
     if found is None or found.per_decade is None or found.r2_log is None:
         raise DataError(
-            f"record {record.name!r}: drift shows in four or more similar cycles over time, which it does not have"
+            f"record {record.name!r}: drift is measured over four or more similar cycles with time stamps, which this record does not have"
         )
     kept = np.isfinite(y)
 

@@ -163,10 +163,10 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         span, widest = other.block, float(np.nanmax(other.factor))
         text = (
             f"the {kind} uses {other.blocks} blocks of {span} samples, so that a 95 % interval reaches up to {widest:.2g} of its standard "
-            "errors to either side; it does not include errors that repeat every loop"
+            "errors to either side; it does not include errors that recur every loop"
         )
         notes.append(Note(Code.BLOCKS, text))
-        reason = f"with {other.blocks} blocks such an error is known to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
+        reason = f"from {other.blocks} blocks, a standard error is accurate to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
