@@ -47,7 +47,7 @@ def fit_many(
     Args:
         model: a model, its class or its name; "auto" compares models on each loop.
         loops: files, patterns such as "loops/*.csv", and records; every curve of a file is a loop.
-        folder: keeps finished rows; the same call resumes from them, and loops may have been added.
+        folder: keeps finished rows, from which the same call resumes; loops may be added in between.
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
         reading: arguments of `hystfit.read`, for files.

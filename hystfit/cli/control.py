@@ -41,7 +41,7 @@ def invert(
     (report.html).
 
     Args:
-        reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
+        reference: file with the desired output (--output names its column) and, where the model needs it, the time.
     """
     from hystfit.control.inverse import invert as solve
 

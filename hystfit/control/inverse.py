@@ -33,7 +33,7 @@ class Inverse:
         codes: `Status` of every sample as a number, shape (T,).
         start: state and input before the first sample: `simulate(model, u, dt, resume=start)` gives y.
         state: state and input after the last sample, from which another call continues.
-        obstacle: why the fitted model has no inverse over the whole range of its data; None where it has, and of a model that is given.
+        obstacle: why the fitted model has no inverse over the whole range of its data; None where it has one, or for a bare model.
     """
 
     u: np.ndarray
@@ -96,7 +96,7 @@ def invert(
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
         resume: state and last input before the first sample. None: the input on which the model, at rest, gives the first
             sample, as `simulate` starts; where rest gives the same output on every input, it rests on the input nearest zero.
-        limits: lowest and highest input, which every driver has; None for the range in which the model is known.
+        limits: lowest and highest input, such as those of the amplifier; None for the range in which the model is known.
 
     Raises:
         ModelError: no time for a model that needs it, a delay, no limits where a search needs them.

@@ -165,7 +165,7 @@ class Record:
 
         Args:
             code: of the note.
-            text: for people.
+            text: one sentence.
             severity: of the note.
         """
         note = Note(code, text, severity)

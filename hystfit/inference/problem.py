@@ -68,7 +68,7 @@ class Problem:
             model: gives the values of fixed parameters.
             data: one record or several.
             fix: names of parameters to hold, or names with values.
-            free: names of parameters to fit that the model holds by default.
+            free: names of parameters to fit that the model fixes by default.
             loss: how large residuals count.
 
         Raises:

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Status(enum.StrEnum):
-    """How a verb ended. Only `OK` is usable without a second thought; `advice` is the remedy for the others."""
+    """How a verb ended. Only `OK` is usable without reservation; `advice` is the remedy for the others."""
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"
@@ -105,7 +105,7 @@ _OF_VERB = {
 
 
 class WithStatus:
-    """What all results share: whether their `status` allows to use them, and what to do about it."""
+    """What all results share: whether their `status` allows using them, and what to do about it."""
 
     status: Any  # a `Status`: a field or a property
     verb: Any = "fit"  # whose advice applies

@@ -24,7 +24,7 @@ WITHOUT_TIME = (
 
 
 def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
-    """What is wrong with the data or worth knowing about them.
+    """Faults and noteworthy properties of the data.
 
     Equal notes are merged, and many that differ in their numbers alone; a note names its records where it does not hold for all.
     """

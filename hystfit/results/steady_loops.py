@@ -16,7 +16,7 @@ from jaxtyping import Float
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.quality.loops import cycles
-from hystfit.results.trades import Trade
+from hystfit.results.loop_kinds import LoopKind
 
 _CYCLES, _POINTS = 3, 400
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
@@ -124,7 +124,7 @@ class Excitation:
         low = min(float(r.u[r.used].min()) for r in data)
         high = max(float(r.u[r.used].max()) for r in data)
         interval, sine, points = _waveform(data)
-        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine, points)
+        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points)
 
     @property
     def inputs(self) -> np.ndarray:

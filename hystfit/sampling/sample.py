@@ -58,12 +58,12 @@ def sample(
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
         priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
         seed: of the draws.
-        folder: keeps the run while it goes; the same call with the same folder resumes after an interruption.
-        progress: called from time to time with a line of text and the fraction that is done.
+        folder: stores the run in progress; the same call with the same folder resumes after an interruption.
+        progress: called repeatedly with a line of text and the fraction that is done.
         **settings: of the sampler (`Nuts`, `Ensemble`, `Nested`): draws, chains, warmup, walkers, ...
 
     Returns:
-        Draws with a status; look at `usable` and `notes` first.
+        Draws with a status; check `usable` and `notes` before using them.
 
     Raises:
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.

@@ -1,8 +1,8 @@
 """Simulation-based calibration (Talts et al. 2018): whether the error bars of a setup have the coverage that they claim.
 
-Parameters are drawn from the prior, data simulated with a noise model, the posterior found, and the rank of the truth
-among its draws noted. If all is right the ranks are uniform. With another noise model assumed than the true one, the same
-study measures misspecification.
+Parameters are drawn from the prior, data are simulated with a noise model, the posterior is computed, and the rank of the true value
+among its draws is recorded. If the setup is calibrated, the ranks are uniform. With an assumed noise model other than the true one,
+the same study measures misspecification.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Calibration(WithStatus):
         return (1 + np.sum(ideal >= distances[:, None] - 1e-12, axis=1)) / (ideal.size + 1)
 
     def coverage(self, level: float = 0.95) -> np.ndarray:
-        """Part of the replicates whose central interval of this level holds the truth, by parameter."""
+        """Part of the replicates whose central interval of this level contains the true value, by parameter."""
         place = (self.ranks + 0.5) / (self.of + 1)
         return np.mean(np.abs(place - 0.5) < 0.5 * level, axis=0)
 
@@ -212,8 +212,8 @@ def calibrate(
         replicates: how many; at least 200 for a conclusion.
         spread: relative width of the priors about the model's values.
         priors: the user's own, by name.
-        fix: parameters to hold.
-        free: parameters to fit that the model holds.
+        fix: parameters that are not fitted.
+        free: parameters to fit that the model fixes by default.
         seed: of everything.
         folder: keeps finished chunks; the same call resumes from them.
         workers: processes on this machine.

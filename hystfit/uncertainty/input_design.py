@@ -182,7 +182,7 @@ def design(
         low, high: limits of the actuator; the input range of the fit by default.
         samples: length of the proposed input, at the records' sampling interval.
         aim: parameters whose errors count; all free ones by default.
-        method: "families" compares signals, "gradient" also optimizes one.
+        method: "families" compares signals, "gradient" also optimizes the turning points of one.
         steps: of the gradient method.
         seed: of random signals.
 

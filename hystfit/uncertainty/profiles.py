@@ -1,4 +1,4 @@
-"""Profile likelihoods: each parameter held along a path, all others refitted; confidence limits, or open sides.
+"""Profile likelihoods: each parameter fixed along a path, all others refitted; confidence limits, or open sides.
 
 The curvature at the optimum is local; a profile follows the likelihood as far as it matters (Raue et al. 2009; Wieland et al. 2021).
 """
