@@ -151,7 +151,7 @@ def run_loop(
     """Run a loop over a reference.
 
     Args:
-        plant: any model, or a `Stage` of three inputs and three axes, at rest on u0 before.
+        plant: any model, or a `Stage` of three inputs and three axes, in equilibrium at u0 before.
         reference: desired output, shape (T,); (T, 3) of a stage.
         rate: samples per second.
         feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) that

@@ -52,7 +52,7 @@ class AbstractRunningInverse(eqx.Module):
 
     @abc.abstractmethod
     def init(self, u0: Any = 0.0) -> Resume:
-        """The memory at rest on an input."""
+        """The memory in equilibrium at an input."""
 
     @abc.abstractmethod
     def step(self, memory: Resume, target: Any, dt: Any = 0.0) -> tuple[Resume, Answer]:
@@ -130,7 +130,7 @@ class InverseStep(AbstractRunningInverse):
         return cls(inverted, solver, *numbers, given=limits is not None)
 
     def init(self, u0: Any = 0.0) -> Resume:
-        """The model at rest on an input."""
+        """The model in equilibrium at an input."""
         u0 = jnp.asarray(u0, dtype=jnp.result_type(float))
         return Resume(self.model.init(u0), u0)
 

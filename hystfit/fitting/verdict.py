@@ -294,7 +294,7 @@ def _no_loop(data: Dataset) -> Note:
         text = "the input has no reversal of more than 1 % of its range: there is no loop in these data"
     else:
         text = (
-            f"{family.words()}; this model starts each of them at rest on its reversal point: use preisach-forc, which starts from "
+            f"{family.words()}; this model starts each of them in equilibrium at its reversal point: use preisach-forc, which starts from "
             "saturation"
         )
     return Note(Code.NO_LOOP, text, Severity.ERROR)
@@ -322,7 +322,7 @@ def _at_an_end(fitted: Fitted) -> Note | None:
         place, window = _window_from(record, int(turns[0]))
         held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
         which = "first"
-        remedy = f"the model starts at rest on the first input: fit the record from {place} on (window=)"
+        remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
         if held:
             window = None
             remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"

@@ -71,7 +71,7 @@ class BoucWenOscillator(AbstractHysteresis):
     r_unl: Scalar = param(0.3, bounds=(-5.0, 50.0), doc="stiffening on unloading, at the force Z")
     n: Scalar = param(1.0, bounds=(0.5, 12.0), fixed=True, doc="exponent of |z|")
     Z: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="force at which r_load and r_unl apply")
-    offset: Scalar = param(0.0, unit="y", per_record=True, doc="displacement that is read at rest", linear=True)
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="displacement reading at rest", linear=True)
     between: Between = eqx.field(static=True, default="bandlimited")
     substeps: int = eqx.field(static=True, default=4)
 

@@ -142,7 +142,7 @@ class Excitation:
 
     @property
     def step(self) -> Record:
-        """A step over the range, of a device that has rested on its lower end; as long as `loop`, so that one program serves both."""
+        """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
         size = max(_CYCLES * self.points, _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
         t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])

@@ -53,7 +53,7 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     """Compare the drift of a fitted record with that of the simulation of the fit.
 
     Creep moves the mean of a loop because the mean input stepped when the record began: state where the device rested before
-    (`Record.resting_on`), else the model assumes that it rested on the first input.
+    (`Record.resting_on`), else the model assumes that it rested at the first input.
 
     Args:
         result: of a model with creep (`LogCreep` or `LinearCreep`).

@@ -140,7 +140,7 @@ class Profiles(WithStatus):
         }
 
     def plot(self) -> Any:
-        """One panel a parameter, with its limits and the quadratic that its standard error implies; returns the matplotlib figure."""
+        """One panel per parameter, with its limits and the quadratic that its standard error implies; returns the matplotlib figure."""
         import matplotlib.pyplot as plt
 
         columns = min(3, len(self.profiles))

@@ -269,7 +269,7 @@ class _Blocks:
 
     @classmethod
     def of(cls, rows: list[tuple[np.ndarray, np.ndarray]], span: int) -> _Blocks:
-        """Blocks of about `span` samples of (residuals, Q) of each record, at least one a record."""
+        """Blocks of about `span` samples of (residuals, Q) of each record, at least one per record."""
         scores, grams = [], []
         for residual, Q in rows:
             edges = np.linspace(0, len(Q), max(round(len(Q) / span), 1) + 1).astype(int)
