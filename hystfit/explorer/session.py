@@ -98,7 +98,7 @@ class Session:
         self._first = {**first, "start": given}
 
     def scene(self) -> dict[str, Any]:
-        """What the page shows before it asks for anything."""
+        """What the page shows at first."""
         record, axis = self.record, self._axis
         used = record.used
         return {
