@@ -92,7 +92,7 @@ class Lag(AbstractHysteresis):
     """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
 
     The input of a sample acts over the whole interval before it, on average half an interval early: a fitted tau includes that half, and
-    belongs to the sampling rate of its records. `level` is the input at which the device rested before the record, so that a jump at
+    is valid for the sampling rate of its records. `level` is the input at which the device rested before the record, so that a jump at
     the first sample is smoothed too.
     """
 

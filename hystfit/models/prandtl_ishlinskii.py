@@ -59,7 +59,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
     Plays make the output lag (piezo, magnetics: counter-clockwise loops), stops make it lead (force against displacement of
     dampers and steel). One envelope, the identity, is the classical symmetric model; with "square" and "mirror" (a
     parabola and its mirror image) beside it, branches may bend differently up and down: the generalized model (after
-    Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that fade with the path that x has run:
+    Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that decay with the path length of x:
     w_h[j] exp(-path / s0) E[0, j], for steel that hardens or softens in its first cycles.
 
     The output is linear in w, hardening, rise, b and offset; its derivative in the thresholds r has kinks (a play that sticks

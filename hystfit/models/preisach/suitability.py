@@ -104,7 +104,7 @@ class PreisachCheck:
         record: its name.
         closures: of its loops.
         loops: congruency of its minor loops.
-        higher: errors by order of reversal; None where it was not asked for, or there are none above the first.
+        higher: errors by order of reversal; None where it was not requested, or there are none above the first.
         outcomes: of "wiping-out", "congruency" and "higher-order".
         notes: what they mean, one sentence each, in the same order.
     """
