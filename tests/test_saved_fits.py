@@ -385,6 +385,12 @@ def test_what_is_no_result_is_refused(saved, content):
 # -- one writer, and only over one's own ---------------------------------------------------------------------------------
 
 
+def test_a_run_that_is_refused_leaves_no_folder(result, tmp_path):
+    with pytest.raises(HystfitError, match="nonsense"):
+        hf.sample(result, priors={"nonsense": hf.priors.Normal(0.0, 1.0)}, folder=tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_second_run_in_a_folder_is_refused(result, tmp_path):
     hold = (
         "import sys\nfrom hystfit.results.folders import alone\n"

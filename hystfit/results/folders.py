@@ -24,8 +24,12 @@ _PATIENCE = 5.0  # seconds to wait for another process that moves its files in p
 
 @contextlib.contextmanager
 def alone(folder: str | Path, patience: float = 0.0) -> Iterator[None]:
-    """Lock a folder while the body runs; the lock is released when the process ends, however it ends."""
+    """Lock a folder while the body runs; the lock is released when the process ends, however it ends.
+
+    A folder that did not exist is made, and removed if the body leaves nothing in it.
+    """
     folder = Path(folder)
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as held:
@@ -42,6 +46,9 @@ def alone(folder: str | Path, patience: float = 0.0) -> Iterator[None]:
             finally:
                 with contextlib.suppress(OSError):  # an open file on Windows
                     (folder / _LOCK).unlink(missing_ok=True)
+                if made:
+                    with contextlib.suppress(OSError):  # not empty
+                        folder.rmdir()
     except OSError as error:
         within = error.filename is not None and Path(str(error.filename)).is_relative_to(folder)
         if within or (error.filename is None and error.errno in _OF_DISKS):

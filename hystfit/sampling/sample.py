@@ -71,9 +71,9 @@ def sample(
     require_x64()
     seed = require_seed(seed)
     chosen = _make(sampler, settings)
-    setup = prepare(result, noise=noise, priors=priors, by_residuals=not chosen.compares)
-    started = time.perf_counter()
     with contextlib.nullcontext() if folder is None else alone(folder):
+        setup = prepare(result, noise=noise, priors=priors, by_residuals=not chosen.compares)
+        started = time.perf_counter()
         place = None if folder is None else _claim(Path(folder), setup, result, chosen, seed)
         raw = chosen.run(setup, seed, place, progress or (lambda text, fraction: None))
     seconds = time.perf_counter() - started
