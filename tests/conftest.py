@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MAPS = Path("/proc/self/maps")
 # Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
 # worker that reaches the limit ends with a segmentation fault.
-MOST_MAPS = 30_000
+MOST_MAPS = 15_000
 LONGEST = (
     "sampling",
     "models",

@@ -299,6 +299,17 @@ def test_a_loop_that_loses_stiffness_is_refused():
     assert has(fit.notes, Code.MODEL_MISMATCH)
 
 
+def test_damage_outside_the_window_is_not_held_against_the_fit():
+    """Cycles of three sizes, repeated; the stiffness falls by half in the last six."""
+    u = np.concatenate([a * np.sin(np.linspace(0, 6 * np.pi, 600, endpoint=False)) for a in (0.4, 0.7, 1.0) * 4])
+    part = 1 - 0.5 * np.clip((np.arange(u.size) - 5400) / 900, 0, 1)
+    model = hf.BoucWenForce(kappa_x=0.3, kappa_w=1.0, rho=4.0, sigma=0.8, n=2.0)
+    y = np.asarray(hf.simulate(model, u)[0]) * part + 0.3 * u**3  # of which the model knows nothing: 1.3 % of the range
+    record = hf.Record(u, y)
+    for fitted, damaged in ((record, True), (record.window(stop=5000.0), False)):
+        assert has(hf.fit("bouc-wen-force", fitted, starts=1).notes, Code.MODEL_MISMATCH) == damaged
+
+
 def test_white_noise_as_large_as_the_loop_is_no_fault_of_the_model():
     """Neither is noise without a loop described by one, nor a loop that the model cannot make."""
     rng, truth = np.random.default_rng(0), hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)

@@ -571,6 +571,20 @@ def test_lost_stiffness_is_reported_for_damaged_loops_only():
     assert has(broken.findings, Code.DEGRADING)
 
 
+def test_the_part_before_the_damage_is_proposed_for_a_fit(tmp_path, capsys):
+    """Eighteen whole cycles of 200 samples, of three sizes; then every branch is softer than the one before."""
+    u = np.concatenate([signals.sine(3, 200, low=-a, high=a)[1] for a in (0.4, 0.7, 1.0) * 4])
+    part = np.exp(-0.002 * np.maximum(np.arange(u.size) - 3600, 0))
+    record = Record(u, steel(u) * part, 0.01 * np.arange(u.size))
+    report = check(record)
+    assert 34.0 < report.records[0].whole_until < 40.0  # the median of four branches shows the loss
+    assert not has(check(record.segment(0, 3600)).findings, Code.DEGRADING)
+    np.savetxt(tmp_path / "wall.csv", np.column_stack([record.t, u, record.y]), delimiter=",", header="t_s,u,y")
+    assert run(["check", str(tmp_path / "wall.csv")]) == 1  # no model determined by the whole record
+    end = report.records[0].whole_until
+    assert capsys.readouterr().out.rstrip().endswith(f"hystfit fit {tmp_path}/wall.csv --window=:{end:g}")
+
+
 def test_lost_strength_is_reported_where_no_two_cycles_have_one_stroke():
     t = np.linspace(0, 8, 1200)
     u = (0.2 + 0.1 * t) * np.sin(2 * np.pi * t)

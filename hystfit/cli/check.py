@@ -46,7 +46,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         content["preisach"] = properties.to_dict()
         text += f"\n\n{properties.text()}"
         status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
-    if report.advice is not None or any(note.option for note in report.findings):
+    if report.advice is not None or any(note.option for note in report.findings) or _whole_part(report) is not None:
         text += _next_commands(loops, reading, remarks, report)
 
     def save(folder: Path) -> None:
@@ -61,6 +61,8 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
     changed = dict(note.option for note in report.findings if note.option is not None)
     options = {name: True if value == "true" else value for name, value in (found | changed).items()}
     command = command_words(loops, dataclasses.replace(reading, **options))
+    if report.advice is None and not changed:
+        return f"\n\nNext: fit the part before the damage\nhystfit fit {command} --window=:{_whole_part(report):g}"
     if changed or report.advice is None:  # the advice is for the output as it was read
         return f"\n\nNext: look at the output that is proposed above\nhystfit check {command}"
     lines = [
@@ -69,3 +71,8 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
         f"hystfit fit {command} --model {report.advice.model}",
     ]
     return "\n".join(lines)
+
+
+def _whole_part(report: QualityReport) -> float | None:
+    """End of the part of a single damaged record that no damage is seen in."""
+    return report.records[0].whole_until if len(report.records) == 1 else None

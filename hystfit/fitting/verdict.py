@@ -81,12 +81,21 @@ class Fitted:
     @functools.cached_property
     def qualities(self) -> tuple[RecordQuality, ...]:
         """What is measured on each record; it takes longer than many a fit."""
-        return tuple(summarize(record) for record in self.data)
+        return tuple(summarize(record) for record in self.parts)
 
     @functools.cached_property
     def may_change(self) -> bool:
         """Whether some output may drift or some device degrade, so that `qualities` are worth their time."""
-        return any(may_change(record) for record in self.data)
+        return any(may_change(record) for record in self.parts)
+
+    @functools.cached_property
+    def parts(self) -> tuple[Record, ...]:
+        """Each record from its first to its last sample that counts: what happens outside a window is not held against the model."""
+        counted = [(record, np.flatnonzero(record.used)) for record in self.data]
+        return tuple(
+            record if at[-1] - at[0] + 1 == len(record) else record.segment(int(at[0]), int(at[-1]) + 1)
+            for record, at in counted
+        )
 
 
 def turns_back(data: Dataset) -> bool:

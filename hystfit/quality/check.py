@@ -15,6 +15,7 @@ from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
 from hystfit.quality.coverage import coverage_notes
+from hystfit.quality.damage import whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
@@ -126,7 +127,7 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         DataError: `data` holds no records.
     """
     dataset = Dataset.of(data)
-    records = tuple(summarize(record) for record in dataset)
+    records = tuple(_measured(record, single=len(dataset) == 1) for record in dataset)
     notes, determined = findings(records), determine(records, needs or {})
     family = recognize_family(dataset)
     if family is None:
@@ -141,6 +142,11 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         notes = (*about, *notes)
         determined = tuple(_by_family(item, family) if item.model == "preisach" else item for item in determined)
     return QualityReport(dataset.name, records, notes, determined)
+
+
+def _measured(record: Record, *, single: bool) -> RecordQuality:
+    quality = summarize(record)
+    return dataclasses.replace(quality, whole_until=whole_until(record, quality)) if single else quality
 
 
 def _by_family(item: Determination, family: ReversalFamily) -> Determination:

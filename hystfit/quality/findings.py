@@ -150,8 +150,16 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         yield warn(
             Code.DEGRADING,
             f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
-            f"{'after the largest stroke' if record.softens_with_stroke else 'before the damage'} (window=)",
+            f"{'after the largest stroke' if record.softens_with_stroke else 'before the damage'} (window=){_whole(record)}",
         )
+
+
+def _whole(record: RecordQuality) -> str:
+    """How long the device is undamaged."""
+    if record.whole_until is None:
+        return ""
+    unit = "samples" if record.sampling.rate is None else record.units["t"]
+    return f", of which the first {record.whole_until:g} {unit}".rstrip() + " show none"
 
 
 def _loss(record: RecordQuality) -> str:
