@@ -60,7 +60,7 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
 
-mutations: setup  ## put faults into library and surrogates, and see that the experiments notice each (experiments/MUTATIONS.md)
+mutations: setup  ## put faults into library and surrogates, and check that each makes an experiment fail (experiments/MUTATIONS.md)
 	$(BIN)/python experiments/mutations.py
 
 hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, killed saves, full disks, interrupts, NIST, random devices
@@ -73,7 +73,7 @@ hard: setup  ## generated and damaged data files, 20 000 of each, damaged fits, 
 benchmarks: setup  ## speed beside other programs: one table of ratios, which fails below the recorded floors
 	$(BIN)/python benchmarks/run.py
 
-smoke: setup  ## the cheaper benchmarks on little work, unjudged (PARTS= for all)
+smoke: setup  ## the cheaper benchmarks with little work, without floors (PARTS= for all)
 	$(BIN)/python benchmarks/run.py --quick $(PARTS)
 
 docs: setup  ## build the documentation in build/docs/site; DOCS=--quick without running notebooks and gallery, DOCS=--download with measured loops
@@ -89,7 +89,7 @@ package: setup  ## build the wheel and check that its data are found without the
 
 # Tests that touch every dependency. The oldest Python with the oldest versions that pyproject.toml declares, the newest with the newest.
 VERSIONED := tests/test_versions.py tests/test_saved_fits.py tests/test_bouc_wen.py tests/test_params.py
-versions: setup  ## a selection of tests under the oldest and the newest Python and dependencies that are to be had
+versions: setup  ## a selection of tests under the oldest and the newest available Python and dependencies
 	$(BIN)/python -m pip install --quiet 'uv>=0.8'
 	@status=0; for case in "3.11 lowest-direct" "3.13 highest"; do set -- $$case; \
 	  found=$$(PATH=$$(printf '%s:' "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/$$1.*/bin)$$PATH \

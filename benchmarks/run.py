@@ -1,7 +1,7 @@
 """All benchmarks in one process, as one table of ratios: `python benchmarks/run.py [--quick | --record] [PART ...]`.
 
 A ratio is the peer's time over that of hystfit. The run fails where a ratio is below its floor in `floors.json`. `--quick` proves that
-everything runs, on little work, and judges nothing; `--record` writes the floors anew, at `MARGIN` of the ratios found.
+everything runs, on little work, and judges nothing; `--record` rewrites the floors, at `MARGIN` of the ratios found.
 """
 
 from __future__ import annotations

@@ -198,11 +198,11 @@ def _check_eager(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: s
 def _check_time(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: str) -> None:
     """A model declared rate-independent runs without time, and its output does not depend on it."""
     if model.rate_independent:
-        _agree(simulate(model, probe.u)[0], y, f"{name} claims rate independence: it must not need dt")
+        _agree(simulate(model, probe.u)[0], y, f"{name} is declared rate independent: it must not need dt")
         _agree(
             simulate(model, probe.u, 7.0 * probe.dt[::-1])[0],
             y,
-            f"{name} claims rate independence: other times must give the same output",
+            f"{name} is declared rate independent: other times must give the same output",
         )
         return
     try:
@@ -327,7 +327,7 @@ def _check_columns(model: AbstractHysteresis, probe: Probe, name: str) -> None:
 
 @eqx.filter_jit
 def _inverted(inverse: AbstractStepInverse, u: Array, dt: Array, low: Array, high: Array) -> tuple[Array, ...]:
-    """Per sample: output, output for the input that the inverse gives, whether it claims to rise, and the inverse's own step."""
+    """Per sample: output, output for the input that the inverse gives, whether the output rises there, and the inverse's own step."""
     model = inverse.model
 
     def body(carry: tuple[Array, Array], sample: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
@@ -353,6 +353,6 @@ def _check_inverse(model: AbstractHysteresis, probe: Probe, name: str) -> None:
     y, again, rising, stepped = (
         np.asarray(a) for a in _inverted(inverse, *(jnp.asarray(v) for v in (probe.u, probe.dt, low, high)))
     )
-    _require(bool(rising.any()), f"{name}.step_inverse finds no sample at which the output rises with the input")
+    _require(bool(rising.any()), f"{name}.step_inverse: there is no sample at which the output rises with the input")
     _agree(stepped, y, f"{name}.step_inverse: advance must equal step", 1e-9)
     _agree(again[rising], y[rising], f"{name}.step_inverse must give an input with the same output", 1e-7)

@@ -212,7 +212,7 @@ plt.show()
 
 # %% [markdown]
 # ## The actuator changes
-# A day later it is warmer: slope, loop and rate have changed by some percent. The fixed inverse cannot correct for this, because
+# A day later it is warmer: slope, loop and rate have changed by a few percent. The fixed inverse cannot correct for this, because
 # there is no feedback. Now the filter runs on the sensor signal (here with 20 nm of noise) beside the inverse, and every half
 # second the inverse uses the filter's current model.
 

@@ -50,7 +50,12 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
 def test_profile_writes_limits(fitdir, tmp_path, capsys):
     assert run(["profile", str(fitdir), "--parameter", "tau", "--out", str(tmp_path / "q"), "--json"]) == 0
     row = json.loads(capsys.readouterr().out)["profiles"]["tau"]
+    tau = hf.load_fit(fitdir)["tau"]
     assert row["lower"] < 2.0 < row["upper"]
+    # the likelihood is nearly symmetric here: 1.96 standard errors to either side
+    assert [row["lower"], row["upper"]] == pytest.approx(
+        tau.value + 1.96 * tau.stderr * np.array([-1, 1]), abs=0.3 * tau.stderr
+    )
     assert (tmp_path / "q" / "profiles.png").stat().st_size > 0
 
 
@@ -60,7 +65,10 @@ def test_errors_by_every_rule(fitdir, tmp_path, capsys):
     assert (tmp_path / "e" / "errors.txt").read_text().strip() in text
     content = json.loads((tmp_path / "e" / "result.json").read_text())
     assert content["schema"] == "hystfit.errors/1"
-    assert content["parameters"]["tau"]["ratio"]["sandwich"] > 0
+    sandwich = hf.covariance(hf.load_fit(fitdir), "sandwich", block=20)
+    at = sandwich.names.index("tau")
+    assert content["parameters"]["tau"]["stderr"]["sandwich"] == pytest.approx(sandwich.stderr[at], rel=1e-6)
+    assert content["parameters"]["tau"]["ratio"]["sandwich"] == pytest.approx(sandwich.ratio[at], rel=1e-6)
     assert run(["errors", str(fitdir), "--block", "0"]) == 2
     assert "block" in capsys.readouterr().err
 
@@ -76,7 +84,9 @@ def test_calibrate_and_design_write_their_results(fitdir, tmp_path, capsys):
     assert run([*words, "--out", str(tmp_path / "d")]) == 0
     table = np.loadtxt(tmp_path / "d" / "input.csv", delimiter=",", skiprows=1)
     assert table.shape == (200, 2)
-    assert np.abs(table[:, 1]).max() <= 1.0
+    proposal = hf.design(hf.load_fit(fitdir), low=-1.0, high=1.0, method="families", samples=200)
+    np.testing.assert_allclose(table[:, 1], proposal.best.u, atol=1e-8)
+    assert 1.5 < np.ptp(table[:, 1]) <= 2.0
     assert json.loads((tmp_path / "d" / "result.json").read_text())["schema"] == "hystfit.design/1"
 
 

@@ -96,7 +96,7 @@ def test_a_candidate_that_cannot_be_fitted_is_named_and_left_out(tmp_path):
 
 def test_data_that_no_model_can_use_are_refused_as_such():
     flat = hf.Record(np.ones(50), np.arange(50.0))
-    with pytest.raises(hf.HystfitError) as refused:
+    with pytest.raises(hf.HystfitError, match="the input is constant") as refused:
         hf.compare(flat, ["bouc-wen", "duhem"])
     assert "no model" not in str(refused.value)
 

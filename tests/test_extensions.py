@@ -232,7 +232,10 @@ def test_draws_with_a_noise_model_and_a_sampler_of_ones_own(folder, fitted, tmp_
     np.testing.assert_array_equal(loaded.draws, posterior.draws)
     low, _, high = loaded.bands(record(), 0.9)
     assert np.mean((record().y > low) & (record().y < high)) == pytest.approx(0.9, abs=0.05)
-    assert len(posterior.derived()["loop_area"]) > 0
+    area = next(quantity for quantity in fitted.quantities if quantity.name == "loop_area")
+    areas = posterior.derived()["loop_area"]
+    assert np.mean(areas) == pytest.approx(area.value, abs=area.stderr)
+    assert np.std(areas) == pytest.approx(area.stderr, rel=0.3)  # 200 draws, and the errors of the fit to first order
 
 
 def test_classes_and_objects_do_as_well_as_files(folder, fitted):

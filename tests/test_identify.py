@@ -189,7 +189,9 @@ def test_only_excludes_fix_and_free():
 
 
 def test_the_default_model_is_that_of_the_paper():
-    assert isinstance(identify(loop_records()).model, Duhem)
+    model = identify(loop_records()).model
+    assert isinstance(model, Duhem)
+    assert (model.f.size, model.g.size) == (4, 3)  # f of order 3, g of order 2
 
 
 def test_an_identification_that_is_not_usable_gives_a_fit_that_is_not_usable():

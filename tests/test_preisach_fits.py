@@ -382,7 +382,11 @@ class TestEverettTable:
         assert np.diff(monotone.X, axis=1)[1:][lower].max() <= 1e-9
         # Nothing monotone is nearer than the projection: not the truth either.
         assert np.sum((monotone.X - noisy.X) ** 2) <= np.sum((table.X - noisy.X)[np.tril_indices(13, -1)] ** 2)
-        assert moved.rms > 0
+        change = (monotone.X - noisy.X)[np.tril_indices(13, -1)] / np.abs(noisy.X).max()
+        assert (moved.rms, moved.largest) == pytest.approx(
+            (100 * np.sqrt(np.mean(change**2)), 100 * np.abs(change).max())
+        )
+        assert 0 < moved.nodes < change.size
         assert monotone.monotone()[1].largest < 1e-6
 
     def test_steps_the_wrong_way_are_measured(self):

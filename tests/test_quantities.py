@@ -1,4 +1,4 @@
-"""Quantities of the trade of a fit: against the measured loop, draws from the covariance, closed forms, and the reasons for gaps."""
+"""Engineering quantities of a fit: against the measured loop, draws from the covariance, closed forms, and the reasons for gaps."""
 
 import dataclasses
 import os
@@ -10,12 +10,12 @@ import pytest
 
 import hystfit as hf
 from hystfit.quality.loops import loop_area
+from hystfit.results.loop_kinds import LoopKind
 from hystfit.results.measured_quantities import measured_quantities
 from hystfit.results.quantities import QUANTITIES, Unknown, applicable
 from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.report import html_report, text_report
 from hystfit.results.steady_loops import Excitation
-from hystfit.results.trades import Trade
 
 TRUTH = hf.BoucWen(c=1.2, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
 SAMPLES = 200  # in a cycle
@@ -226,27 +226,27 @@ def test_a_viscous_model_has_no_creep():
 
 
 @pytest.mark.parametrize(
-    ("u", "y", "trade"),
+    ("u", "y", "kind"),
     [
-        ("A/m", "T", Trade.MAGNETIC),
-        ("Oe", "emu", Trade.MAGNETIC),
-        ("kV/cm", "uC/cm2", Trade.FERROELECTRIC),
-        ("V", "um", Trade.ACTUATOR),
-        ("mm", "kN", Trade.DISPLACEMENT_DRIVEN),
-        ("N", "mm", Trade.FORCE_DRIVEN),
-        ("", "", Trade.OTHER),
+        ("A/m", "T", LoopKind.MAGNETIC),
+        ("Oe", "emu", LoopKind.MAGNETIC),
+        ("kV/cm", "uC/cm2", LoopKind.FERROELECTRIC),
+        ("V", "um", LoopKind.ACTUATOR),
+        ("mm", "kN", LoopKind.DISPLACEMENT_DRIVEN),
+        ("N", "mm", LoopKind.FORCE_DRIVEN),
+        ("", "", LoopKind.OTHER),
     ],
 )
-def test_units_decide_which_quantities_there_are(u, y, trade):
+def test_units_decide_which_quantities_there_are(u, y, kind):
     data = hf.Dataset.of(hf.Record(u=np.array([0.0, 1.0]), y=np.array([0.0, 1.0]), u_unit=u, y_unit=y))
-    assert Trade.of(data) is trade
-    structural = trade in (Trade.DISPLACEMENT_DRIVEN, Trade.FORCE_DRIVEN)
+    assert LoopKind.of(data) is kind
+    structural = kind in (LoopKind.DISPLACEMENT_DRIVEN, LoopKind.FORCE_DRIVEN)
     names = set(applicable(data, timed=False))
     assert {"loop_area", "coercive_input", "remanence", "hysteresis_percent", "stroke"} <= names
     assert ({"secant_stiffness", "equivalent_damping_percent"} <= names) == structural
     assert "creep_percent_per_decade" in applicable(data, timed=True)
     stiffness = QUANTITIES["secant_stiffness"].units(data)
-    assert stiffness == {Trade.DISPLACEMENT_DRIVEN: "kN/mm", Trade.FORCE_DRIVEN: "N/mm"}.get(trade, stiffness)
+    assert stiffness == {LoopKind.DISPLACEMENT_DRIVEN: "kN/mm", LoopKind.FORCE_DRIVEN: "N/mm"}.get(kind, stiffness)
 
 
 def test_gaps_have_their_reason(fit):

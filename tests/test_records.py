@@ -246,8 +246,9 @@ def test_predict_at_the_shell_converts_or_refuses(fitted, tmp_path, capsys):
     fitted.save(tmp_path / "fit", report=False)
     scaled = 1e3 * record.t, 1e3 * record.u, 1e3 * record.y
     nm = table(tmp_path / "nm.csv", "t_ms,u_mV,y_nm", *scaled)
-    assert run(["predict", str(tmp_path / "fit"), str(nm), "--json"]) in (0, 1)
+    assert run(["predict", str(tmp_path / "fit"), str(nm), "--json"]) == 1
     content = json.loads(capsys.readouterr().out)
+    assert content["status"] == "fit-not-usable"  # three parameters are fixed at wrong values
     assert content["metrics"]["test"]["rmse"] == pytest.approx(fitted.train.rmse, rel=1e-5)
     assert "units" in {note["code"] for note in content["notes"]}
     newton = table(tmp_path / "newton.csv", "t_s,u_V,y_N", record.t, record.u, record.y)

@@ -137,6 +137,20 @@ def test_tables_of_accuracy_agree_with_the_experiments():
     assert [line for line in quoted if line not in known] == []
 
 
+@pytest.mark.parametrize("name", ["control", "creep", "papers"])
+def test_tables_of_the_guide_agree_with_the_experiments(name):
+    """Every number with a decimal point in a table of these pages is a number of the results."""
+    known = {n for path in (ROOT / "experiments").glob("*/RESULTS.md") for n in numbers(path.read_text())}
+    page = (ROOT / "docs" / "guide" / f"{name}.md").read_text(encoding="utf-8")
+    quoted = numbers("\n".join(line for line in page.splitlines() if line.startswith("| ")))
+    assert quoted
+    assert quoted <= known
+
+
+def numbers(text: str) -> set[str]:
+    return set(re.findall(r"(?<![\w.])\d+\.\d+(?![\w.])", text))
+
+
 def links(path: Path) -> Iterator[str]:
     """Links and pictures of a Markdown file that lead to another file of the repository."""
     text = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)

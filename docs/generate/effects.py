@@ -1,4 +1,4 @@
-"""What each parameter does to the loop of a model, or to its answer to a step: one small plot a parameter, three values each."""
+"""What each parameter does to the loop of a model, or to its step response: one small plot per parameter, three values each."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def quantities() -> str:
-    """Every quantity of the trade with its definition and unit."""
+    """Every engineering quantity with its definition and unit."""
     units = {"u": "[u]", "y": "[y]", "force": "[force]", "path": "[displacement]"}
     rows = [(f"`{name}`", one.label, plain(one.doc), one.unit.format(**units)) for name, one in QUANTITIES.items()]
     return table(["name", "in a report", "definition", "unit"], rows)

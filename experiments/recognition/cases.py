@@ -1,7 +1,7 @@
 """Records of known kind: simulated ones of 1000 samples, and measured ones where their data are found.
 
 Every simulated record has white noise of its own seed. The kinds are those of the table in RESULTS.md; `usable` says whether some
-model in the box describes the record, so that a fit of it may be called usable.
+model of hystfit describes the record, so that a fit of it may be called usable.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MEASURED = {
     "degrading": ("struct_slotboom/trial2", "struct_slotboom/spc1"),
     "no loop": ("steel_resspylab/example_3",),
 }
-NOT_DESCRIBED = ("degrading", "noise only", "no loop")  # kinds that no model in the box describes
+NOT_DESCRIBED = ("degrading", "noise only", "no loop")  # kinds that no model of hystfit describes
 
 
 @dataclasses.dataclass(frozen=True)

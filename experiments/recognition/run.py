@@ -1,4 +1,4 @@
-"""Records of known kind: what `check` advises, which model the bare search takes, and how far it is from the best model in the box.
+"""Records of known kind: the advice of `check`, the model that the default search selects, and its error beside that of the best model.
 
     python experiments/recognition/run.py [--quick] [--out FOLDER]
 
@@ -21,29 +21,29 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.comparison import Comparison
 
 # Every family, with the filters that its records may need; those that need time are left out for records without it.
-BOX = (
+ALL_RECORDS = (
     "bouc-wen", "bouc-wen-asymmetric", "bouc-wen-force", "duhem", "preisach", "prandtl-ishlinskii-search",
 )  # fmt: skip
 TIMED = ("bouc-wen+log-creep", "bouc-wen+relaxation", "bouc-wen+second-order", "bouc-wen-force+viscous", "lag+bouc-wen")
 UNTIMED = ("preisach-magnetic",)
-FACTOR = 1.5  # error on left-out data, over that of the best model in the box, up to which the choice is right
+FACTOR = 1.5  # error on left-out data, over that of the best model, up to which the choice is right
 HEAD = [
-    "record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best in the box", "its error, %",
+    "record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best model", "its error, %",
 ]  # fmt: skip
 
 
-def box(case: Case) -> list[str]:
+def fittable(case: Case) -> list[str]:
     """The models that a record can be fitted with."""
     curves = case.kind == "reversal curves"
     timed = all(record.t is not None for record in case.data)
-    return ["preisach-forc"] if curves else [*BOX, *(TIMED if timed else UNTIMED)]
+    return ["preisach-forc"] if curves else [*ALL_RECORDS, *(TIMED if timed else UNTIMED)]
 
 
-def best_in_the_box(case: Case, chosen: Comparison) -> tuple[str, float]:
+def best_fitting(case: Case, chosen: Comparison) -> tuple[str, float]:
     """Name and error of the best model, among those of the search and those that it did not try."""
     tried = {row.asked for row in chosen.rows if row.score_percent is not None}
     rows = list(chosen.rows)
-    if others := [name for name in box(case) if name not in tried]:
+    if others := [name for name in fittable(case) if name not in tried]:
         try:
             rows += hf.compare(case.data, others, progress=lambda *_: None).rows
         except HystfitError as error:  # none of the others can be fitted
@@ -63,7 +63,7 @@ def judge(case: Case, quick: bool) -> tuple[list, bool, float | None]:
         row = [case.name, case.kind, advised, f"refused: {error}", "", None, "", None]
         return row, case.usable, None
     first = chosen.rows[0]
-    name, error = ("", None) if quick else best_in_the_box(case, chosen)
+    name, error = ("", None) if quick else best_fitting(case, chosen)
     ratio = first.score_percent / error if error and first.score_percent is not None else None
     row = [case.name, case.kind, advised, first.name, chosen.winner.status, first.score_percent, name, error]
     return row, chosen.winner.usable and not case.usable, ratio

@@ -1,4 +1,4 @@
-"""The fits of many loops: a table with a row a loop, the distribution of each parameter, and the loops that need attention."""
+"""The fits of many loops: a table with one row per loop, the distribution of each parameter, and the loops that need attention."""
 
 from __future__ import annotations
 

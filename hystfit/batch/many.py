@@ -47,7 +47,7 @@ def fit_many(
     Args:
         model: a model, its class or its name; "auto" compares models on each loop.
         loops: files, patterns such as "loops/*.csv", and records; every curve of a file is a loop.
-        folder: keeps finished rows; the same call resumes from them, and loops may have been added.
+        folder: keeps finished rows, from which the same call resumes; loops may be added in between.
         workers: processes on this machine.
         scheduler: address of a Dask scheduler to use instead.
         reading: arguments of `hystfit.read`, for files.
@@ -102,6 +102,6 @@ def _described(work: Work) -> dict[str, Any]:
 def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row]]]:
     """Keys and rows of the loops of a task."""
     if isinstance(outcome, Exception):
-        reason = f"its process ended: {type(outcome).__name__}: {outcome}"
+        reason = f"the worker process failed: {type(outcome).__name__}: {outcome}"
         return [(source.key, [Row(source.name, source.file, None, Status.FAILED, reason)]) for source in chunk]
     return [(source.key, [Row.of(row) for row in rows]) for source, rows in zip(chunk, outcome, strict=True)]

@@ -29,7 +29,7 @@ class Row(WithStatus):
         codes: of all notes.
         model: readable name.
         samples: that were fitted.
-        values, stderr: of the free parameters; the standard error is None where it means nothing.
+        values, stderr: of the free parameters; the standard error is None where it is undefined.
         rmse: root mean square error [y].
         error_percent, max_error_percent: rms and largest error, percent of the output's range.
         quantities: of the steady loop of the fitted model over the fitted input range (loss per cycle, coercivity, remanence, ...), and

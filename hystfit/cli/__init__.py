@@ -58,7 +58,7 @@ def run(arguments: Sequence[str]) -> int:
     except UnusedCliTokensError as error:
         extra = " ".join(error.unused_tokens or ())
         return _refuse(
-            f"unexpected argument {extra!r}: an option with several values is repeated (--parameter rho --parameter mu)"
+            f"unexpected argument {extra!r}: repeat an option to give it several values (--parameter rho --parameter mu)"
         )
     except UnknownOptionError as error:
         message, verb = str(error), arguments[0]

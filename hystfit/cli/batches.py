@@ -50,7 +50,7 @@ def batch(
 ) -> int:
     """Fit a model to each of many loops and tabulate the parameters.
 
-    Exit status 1: some loop could not be fitted, or its fit is not usable. With --out, the folder holds fits.csv (a row a loop),
+    Exit status 1: some loop could not be fitted, or its fit is not usable. With --out, the folder holds fits.csv (one row per loop),
     overview.html (the distribution of each parameter, and the loops that need attention) and reports of some loops. The same command
     resumes after an interruption, and loops may be added to it.
 

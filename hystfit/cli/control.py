@@ -51,7 +51,7 @@ def invert(
     (report.html).
 
     Args:
-        reference: file with the wanted output (--output names its column) and, where the model needs it, the time.
+        reference: file with the desired output (--output names its column) and, where the model needs it, the time.
     """
     from hystfit.control.inverse import invert as solve
 
@@ -227,7 +227,7 @@ def export(
     )
     if result.obstacle("inverse") is None:
         what += (
-            " With i in place of f it reads wanted outputs, and prints the input, the output and the status (0: ok)."
+            " With i in place of f it reads desired outputs, and prints the input, the output and the status (0: ok)."
         )
     print(within(what, prose_width()))
     print(f"  cc -std=c99 -O2 {shlex.join(map(str, files[1:3]))} -lm -o {name}")

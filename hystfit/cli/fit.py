@@ -80,7 +80,9 @@ def fit(
     if at and start == "model":
         raise ParameterError("--at replaces starting values estimated from the data: leave out --start model")
     if (settings := sequential.given()) and not is_sequential(method):
-        raise ParameterError(f"--{next(iter(settings))} is a setting of a sequential method: add --method rls, say")
+        raise ParameterError(
+            f"--{next(iter(settings))} is a setting of the sequential methods: add, for example, --method rls"
+        )
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
         "start": named_values(at, "--at") if at else start, **settings,

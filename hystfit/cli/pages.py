@@ -159,7 +159,9 @@ def calibrate_page(calibration: Calibration) -> Page:
             ("Coverage consistent with 95 %", f"{share(low)} to {share(high)}"),
         ]
         explained = calibration.explanations()
-        caption = "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of chance"
+        caption = (
+            "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of calibrated intervals"
+        )
         shown = [[Picture(calibration.plot(), caption, wide=True)]]
     answer += [
         ("Simulated data", f"{len(calibration.ranks)} sets, noise {calibration.truth}"),

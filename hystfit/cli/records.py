@@ -88,7 +88,7 @@ def _load_data_set(name: str, reading: Reading) -> Dataset:
     if reading.only is None:
         return data
     if len(data) == 1:
-        raise DataError(f"{name!r} holds one curve, so that --only {reading.only} has nothing to choose from")
+        raise DataError(f"{name!r} holds one curve: leave out --only {reading.only}")
     curves = select_curves([(record.name, record) for record in data], reading.only, name)
     return Dataset(tuple(record for _, record in curves), name=data.name)
 
@@ -140,7 +140,7 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"],
     data = Dataset.of(assemble(with_column(table, f"no {missing}", column), **options, treatment=treatment))
     if chosen:
         role = "reference" if missing == "input" else "input"
-        text = f"{role}: column {same}, {table.names[same]!r}, like {label!r} of the fit"
+        text = f"{role}: column {same}, {table.names[same]!r}, which matches {label!r} of the fit"
         data = data.map(lambda record: record.noted(Code.COLUMN_CHOICE, text))
     return data if missing == "input" else data.map(lambda record: record.replace(weight=np.zeros(len(record))))
 

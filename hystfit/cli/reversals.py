@@ -25,7 +25,7 @@ def forc(
     reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
 ) -> int:
-    """Draw the FORC diagram of reversal curves, and give its numbers.
+    """Draw the FORC diagram of reversal curves and compute its key numbers.
 
     The file holds one curve for each reversal (--by names the column that separates them). With --out, the folder holds the picture
     (forc.png), the density (forc.csv, forc.npz), the coercivity distribution (coercivity.csv) and a page (report.html).

@@ -102,7 +102,7 @@ class _State:
         say(f"== {step.name}: {_command(step)}")
         failed = [need for need in step.needs if self.rows[need]["exit_status"] not in _FINISHED]
         if failed:
-            say(f"not run: it needs {failed[0]}")
+            say(f"not run: step {failed[0]} failed or was not run")
             return self._note(step, exit_status=None, outcome=f"needs {failed[0]}")
         inputs, before = self._inputs(step), self.known.get(step.name, {})
         changed = _changed(before["inputs"], inputs) if "inputs" in before else "no earlier result"

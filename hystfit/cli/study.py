@@ -90,7 +90,7 @@ def _in_order(where: str, steps: Mapping[str, Step]) -> tuple[Step, ...]:
     try:
         TopologicalSorter({name: step.needs for name, step in steps.items()}).prepare()
     except CycleError as error:
-        raise DataError(f"{where}: steps need each other in a circle: {' -> '.join(error.args[1])}") from None
+        raise DataError(f"{where}: steps depend on each other in a cycle: {' -> '.join(error.args[1])}") from None
     ordered: dict[str, Step] = {}
 
     def place(name: str) -> None:

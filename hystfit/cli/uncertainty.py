@@ -38,13 +38,13 @@ def sample(
 ) -> int:
     """Sample the posterior of a saved fit.
 
-    Exit status 1: the chains have not converged, the fit is not usable, or its model lacks something that the residuals show (drift, a
-    misfit that recurs every loop). With --out, the folder holds posterior.nc, the fit, a page (report.html), pictures and the running
+    Exit status 1: the chains have not converged, the fit is not usable, or the residuals show an error of its model (drift, a misfit
+    that recurs every loop). With --out, the folder holds posterior.nc, the fit, a page (report.html), pictures and the running
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
         sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
-        noise: auto (chosen by the residuals), {noises}, or my_file.py:MyNoise.
+        noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         draws: draws per chain of nuts (1000) or per run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts (4); runs of nested (2).
@@ -130,7 +130,7 @@ def errors(
     With --out, the folder holds errors.txt.
 
     Args:
-        block: samples in a lag window or block; default: one cycle of the input, or five correlation times.
+        block: samples in a block; default: one cycle of the input, or five correlation times where those are longer.
         seed: random seed of the bootstrap.
     """
     from hystfit.uncertainty.robust_errors import standard_errors
@@ -157,10 +157,11 @@ def calibrate(
     trust: Trust = False,
     output: Output = STDOUT,
 ) -> int:
-    """Check by simulation whether the error bars of a saved fit hold. Exit status 1: they do not, or there are too few replicates.
+    """Check by simulation whether the error bars of a saved fit are calibrated.
 
-    The model, the input and the residuals of the fit define the simulated data. With --out, the folder holds calibration.png, a page
-    (report.html) and the finished replicates (run/), from which the same command resumes.
+    The model, the input and the residuals of the fit define the simulated data. Exit status 1: the error bars are not calibrated, or
+    there are too few replicates. With --out, the folder holds calibration.png, a page (report.html) and the finished replicates (run/),
+    from which the same command resumes.
 
     Args:
         noise: noise model of the simulated data, of the size of the residuals of the fit: {noises}.

@@ -22,7 +22,7 @@ class InverseBands:
     """A reference inverted by draws of a posterior.
 
     Attributes:
-        reference: wanted output, shape (T,).
+        reference: desired output, shape (T,).
         given: the inverse of the fitted model, whose input is what an experiment would apply.
         u: input that the inverse of each draw gives, shape (count, T).
         error: output of each draw for the input of `given`, minus the reference, shape (count, T): the tracking error if the
@@ -91,7 +91,7 @@ def inverse_bands(
 
     Args:
         posterior: its fit gives the input that is applied, its draws the bands.
-        reference: wanted output, shape (T,).
+        reference: desired output, shape (T,).
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
         limits: lowest and highest input; None for the range of the fitted input.
         count: draws used.

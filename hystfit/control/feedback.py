@@ -50,7 +50,7 @@ class Design:
         static_error: of a constant reference, in parts.
         margins: with the dead time of sampling; `ideal` without.
         rate: samples per second; None where the loop is continuous.
-        notes: what to mind.
+        notes: warnings.
     """
 
     controller: TransferFunction
@@ -86,8 +86,8 @@ def design(
     Args:
         omega, zeta: of the plant [rad/s, 1].
         gain: of the plant at rest, output over input.
-        damping_ratio: wanted of the closed loop.
-        static_error: wanted of a constant reference, in parts.
+        damping_ratio: desired for the closed loop.
+        static_error: desired for a constant reference, as a fraction of it.
         lag: ratio of zero to pole of the lag.
         zero: of the lag [rad/s].
         filter: T_f of the PD part [s]; None for a tenth of the time 1 / omega of the closed loop.
@@ -117,8 +117,8 @@ def design(
         turns = np.flatnonzero((values[1:] >= 0) != (values[:-1] >= 0))
         if not turns.size:
             raise ParameterError(
-                f"no derivative time gives a damping ratio of {damping_ratio}: the locus reaches {values.max() + damping_ratio:.2f}; "
-                "ask for less, or allow a larger static error or a faster filter"
+                f"no derivative time gives a damping ratio of {damping_ratio}: the largest on the root locus is "
+                f"{values.max() + damping_ratio:.2f}; choose a smaller ratio, a larger static error or a faster filter"
             )
         found: Any = brentq(miss, grid[turns[0]], grid[turns[0] + 1])
         td = float(found)
@@ -159,7 +159,7 @@ def assess(
         )
     notes = [f"{spare} {where}, largest sensitivity {sampled.sensitivity:.2f}"]
     if sampled.phase is not None and sampled.phase < 30:
-        notes.append(f"{spare} is little: the rate is too low for this loop, or its gain too high")
+        notes.append(f"{spare} is small: the rate is too low for this loop, or its gain too high")
     static = 1 / abs(1 + loop(0.0))
     return Design(controller, poles, _oscillating(poles), float(static), sampled, ideal, rate, tuple(notes))
 
@@ -215,7 +215,7 @@ class Controller(AbstractController):
         Args:
             transfer: of the controller.
             rate: samples per second.
-            anti_windup: feed back what the limits took away.
+            anti_windup: feed back the part of the input that the limits cut off.
 
         Raises:
             ParameterError: the rate is not positive, or too low for the controller's poles.

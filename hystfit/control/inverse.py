@@ -33,7 +33,7 @@ class Inverse:
         codes: `Status` of every sample as a number, shape (T,).
         start: state and input before the first sample: `simulate(model, u, dt, resume=start)` gives y.
         state: state and input after the last sample, from which another call continues.
-        obstacle: why the fitted model has no inverse over the whole range of its data; None where it has, and of a model that is given.
+        obstacle: why the fitted model has no inverse over the whole range of its data; None where it has one, or for a bare model.
     """
 
     u: np.ndarray
@@ -95,8 +95,8 @@ def invert(
         reference: desired output, shape (T,); where it is not finite, the input keeps its value.
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
         resume: state and last input before the first sample. None: the input on which the model, at rest, gives the first
-            sample, as `simulate` starts; where rest gives the same output on every input, it rests on the input nearest zero.
-        limits: lowest and highest input, which every driver has; None for the range in which the model is known.
+            sample, as `simulate` starts; where equilibrium gives the same output at every input, it starts at the input nearest zero.
+        limits: lowest and highest input, such as those of the amplifier; None for the range in which the model is known.
 
     Raises:
         ModelError: no time for a model that needs it, a delay, no limits where a search needs them.
@@ -198,7 +198,7 @@ def _rest_on(inverse: InverseStep, target: Array, dt: Array, middle: Array, edge
 
 
 def _start(inverse: InverseStep, target: Array, dt: Array) -> Resume:
-    """The state at rest whose output is the first sample; where there is none, at rest at the input nearest zero."""
+    """The state at rest whose output is the first sample; where there is none, in equilibrium at the input nearest zero."""
     low, high = float(inverse.low), float(inverse.high)
     middle = float(np.clip(0.0, low, high))
     if not bool(jnp.isfinite(target)):

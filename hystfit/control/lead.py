@@ -28,14 +28,14 @@ def lead(reference: Any, dt: Any, *, omega: float, zeta: float) -> np.ndarray:
     steps = np.asarray(dt, dtype=float)
     step = float(steps if steps.ndim == 0 else np.median(steps[1:]))
     if steps.ndim and not np.allclose(steps[1:], step, rtol=1e-6):
-        raise DataError("leading a reference takes derivatives: sample it evenly in time")
+        raise DataError("the inverse of a resonance differentiates the reference: sample it at equal time steps")
     if r.size < 5 or not step > 0:
         raise DataError(
-            f"leading a reference needs at least five samples and a positive time between them, got {r.size}, {step:g} s"
+            f"the inverse of a resonance needs a reference of at least five samples and a positive time step, got {r.size} and {step:g} s"
         )
     if omega * step > 1.0:
         raise DataError(
-            f"a resonance of {omega:g} rad/s needs samples closer than {1 / omega:.2g} s to be led, got {step:g} s: sample faster"
+            f"to invert a resonance of {omega:g} rad/s, the time step must be below {1 / omega:.2g} s, got {step:g} s: sample faster"
         )
     first, second = np.zeros_like(r), np.zeros_like(r)
     a, b, c, d, e = (r[k : r.size - 4 + k] for k in range(5))

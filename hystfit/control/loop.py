@@ -22,8 +22,8 @@ from hystfit.models.simulation import Resume
 class Loop(eqx.Module):
     """A plant with its feed-forward and feedback, sample by sample.
 
-    In sample k the controller takes r - y of sample k - 1, so that one sample of dead time belongs to every loop, and the input goes in a
-    straight line from u_(k-1) to u_k; `delay` samples of the sensor come on top.
+    In sample k the controller uses r - y of sample k - 1, so that every loop has one sample of dead time, and the input is linear from
+    u_(k-1) to u_k; the `delay` of the sensor is added to that.
 
     Attributes:
         plant: any model: hysteresis, creep or relaxation and resonance in a `Series`; or a stage of several inputs and outputs.
@@ -107,7 +107,7 @@ class LoopResult:
         t: times [s], shape (T,).
         reference, u, y, feedforward: of every sample, shape (T,), or (T, k) of a plant with k axes; y without sensor noise.
         saturated: how often an input was at a limit.
-        notes: what to mind.
+        notes: warnings.
     """
 
     t: np.ndarray
@@ -151,8 +151,8 @@ def run_loop(
     """Run a loop over a reference.
 
     Args:
-        plant: any model, or a `Stage` of three inputs and three axes, at rest on u0 before.
-        reference: wanted output, shape (T,); (T, 3) of a stage.
+        plant: any model, or a `Stage` of three inputs and three axes, in equilibrium at u0 before.
+        reference: desired output, shape (T,); (T, 3) of a stage.
         rate: samples per second.
         feedforward: input for every sample, of the reference's shape, such as `invert(...).u`; or an `InverseStep` (`StageInverse`) that
             computes it in the loop; None for none.
@@ -160,7 +160,7 @@ def run_loop(
         limits: lowest and highest input.
         noise: standard deviation of the sensor's white noise, in output units; one number, or one for each axis.
         resolution: of the sensor, in output units; one number, or one for each axis.
-        delay: of the sensor, in samples, beside the one sample that computing takes.
+        delay: of the sensor, in samples, in addition to the one sample of computing time.
         applied: the memory of a running inverse follows the applied input, feedback and limits included.
         u0: input before the first sample.
         seed: of the noise.
@@ -168,7 +168,7 @@ def run_loop(
 
     Raises:
         DataError: shapes that do not fit, numbers out of range.
-        ParameterError: the loop ran away.
+        ParameterError: the loop is unstable.
         PrecisionError: double precision is off.
     """
     require_x64()
@@ -197,7 +197,8 @@ def run_loop(
     u, y, ahead = map(np.asarray, traces)
     if not np.isfinite(y).all():
         raise ParameterError(
-            f"the loop ran away at {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s: lower the gains, sample faster, or give limits"
+            f"the loop is unstable, and its output is not finite from {np.argwhere(~np.isfinite(y))[0, 0] / rate:.3g} s on: lower the "
+            "gains, sample faster, or give limits"
         )
     saturated = int(np.count_nonzero((u <= limits[0]) | (u >= limits[1])))
     return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, ahead, saturated, _notes(u, saturated, limits))

@@ -52,7 +52,7 @@ class AbstractRunningInverse(eqx.Module):
 
     @abc.abstractmethod
     def init(self, u0: Any = 0.0) -> Resume:
-        """The memory at rest on an input."""
+        """The memory in equilibrium at an input."""
 
     @abc.abstractmethod
     def step(self, memory: Resume, target: Any, dt: Any = 0.0) -> tuple[Resume, Answer]:
@@ -60,7 +60,7 @@ class AbstractRunningInverse(eqx.Module):
 
         Args:
             memory: state and last input.
-            target: wanted output.
+            target: desired output.
             dt: time since the last sample [s].
         """
 
@@ -78,15 +78,15 @@ class AbstractRunningInverse(eqx.Module):
 class InverseStep(AbstractRunningInverse):
     """An inverse fed sample by sample: `memory = init(u0)`, then `memory, answer = step(memory, target, dt)`.
 
-    The memory is that of the model itself, moved by the input that is really given: a reference out of reach is met as well as
-    the limits allow, and what follows is right again. Make one with `InverseStep.of`.
+    The memory is that of the model itself, updated with the input that is actually applied: a reference out of reach is followed as
+    closely as the limits allow, and later samples are correct again. Make one with `InverseStep.of`.
 
     Attributes:
         model: what is inverted.
         solver: its one-sample inverse.
-        low, high: between which the input is held.
+        low, high: limits of the input.
         tolerance: miss of the output up to which a sample is met.
-        given: the limits are the user's; else they are the range in which the model is known.
+        given: whether the user set the limits; else they are the range in which the model is known.
     """
 
     model: AbstractHysteresis
@@ -130,7 +130,7 @@ class InverseStep(AbstractRunningInverse):
         return cls(inverted, solver, *numbers, given=limits is not None)
 
     def init(self, u0: Any = 0.0) -> Resume:
-        """The model at rest on an input."""
+        """The model in equilibrium at an input."""
         u0 = jnp.asarray(u0, dtype=jnp.result_type(float))
         return Resume(self.model.init(u0), u0)
 
@@ -141,7 +141,7 @@ class InverseStep(AbstractRunningInverse):
 
         Args:
             memory: state and last input.
-            target: wanted output.
+            target: desired output.
             dt: time since the last sample [s].
         """
         state, u0 = memory

@@ -52,8 +52,8 @@ class LinearPlant:
 def identify_plant(u: Any, y: Any, dt: float, *, method: str = "output-error") -> LinearPlant:
     """A second-order plant from a record of a step or a sweep around one working point.
 
-    "total-least-squares" (as Song et al. 2005) solves the difference equation with errors in all its columns, at the decimation whose
-    free run is best; its answer starts "output-error", which fits the free run itself and is not biased by noise.
+    "total-least-squares" (as Song et al. 2005) solves the difference equation with errors in all its columns, at the decimation with
+    the smallest simulation error; its result is the start of "output-error", which fits the simulated output and is not biased by noise.
 
     Args:
         u, y: input and output, shape (T,), evenly sampled; at rest before.
@@ -69,7 +69,7 @@ def identify_plant(u: Any, y: Any, dt: float, *, method: str = "output-error") -
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise DataError("u and y must be finite: interpolate or cut out missing samples")
     if np.ptp(u) == 0 or np.ptp(y) == 0:
-        raise DataError("input and output must move: record a step or a sweep")
+        raise DataError("input and output must not be constant: record a step or a sweep")
     if method not in ("output-error", "total-least-squares"):
         raise DataError(f"method must be output-error or total-least-squares, got {method!r}")
     place = _total_least_squares(u, y, dt)

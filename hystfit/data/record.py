@@ -124,7 +124,7 @@ class Record:
 
     def __repr__(self) -> str:
         unused = len(self) - int(self.used.sum())
-        parts = [f"{len(self)} samples" + (f" ({unused} do not count)" if unused else "")]
+        parts = [f"{len(self)} samples" + (f" ({unused} unused)" if unused else "")]
         parts += [
             f"{name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}".rstrip()
             for name, values, unit in (
@@ -165,7 +165,7 @@ class Record:
 
         Args:
             code: of the note.
-            text: for people.
+            text: one sentence.
             severity: of the note.
         """
         note = Note(code, text, severity)
@@ -186,7 +186,7 @@ class Record:
         if not (inside & self.used).any():
             unit = "samples" if self.t is None else self.t_unit
             raise DataError(
-                f"record {self.name!r}: no sample counts between {start} and {stop} {unit}; "
+                f"record {self.name!r}: no usable sample between {start} and {stop} {unit}; "
                 f"the record runs from {axis[0]:g} to {axis[-1]:g}"
             )
         return self.replace(weight=weight)
@@ -253,7 +253,7 @@ class Record:
         if interval is None:
             raise DataError("a sampling rate or a sampling interval is needed")
         timed = self.replace(t=interval * np.arange(len(self)), t_unit="s")
-        text = f"time from a sampling rate of {1 / interval:.6g} Hz (interval {interval:.6g} s), which was chosen by the user"
+        text = f"time from a sampling rate of {1 / interval:.6g} Hz (interval {interval:.6g} s), as given by the user"
         return timed.noted(Code.PREPARED, text)
 
     def with_sigma(self, sigma: Any) -> Record:

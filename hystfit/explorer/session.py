@@ -98,7 +98,7 @@ class Session:
         self._first = {**first, "start": given}
 
     def scene(self) -> dict[str, Any]:
-        """What the page shows before it asks for anything."""
+        """What the page shows at first."""
         record, axis = self.record, self._axis
         used = record.used
         return {
@@ -170,7 +170,7 @@ class Session:
             "free": [slider.name for slider in view.sliders if not slider.fitted and slider.name in fitted],
         }
         if not self._fitting.acquire(blocking=False):
-            raise ParameterError("a fit is running: wait for its end")
+            raise ParameterError("a fit is running: wait until it has finished")
         self._fit = {"state": "running", "began": time.monotonic()}
         threading.Thread(target=self._fitted, args=(view.choice, options), daemon=True).start()
         return self.fit_state()

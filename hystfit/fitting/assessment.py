@@ -39,7 +39,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
     if errors.correlation_time > 1.0 or errors.ratio != 1.0:
         change = f"{errors.ratio:.2g} times those for independent residuals"
         if 0.95 < errors.ratio < 1.05:
-            change = f"unchanged by that (factor {errors.ratio:.2g})"
+            change = f"unchanged (factor {errors.ratio:.2g})"
         text = (
             f"residuals are autocorrelated over {number(errors.correlation_time, '.3g')} samples; standard errors are {change}"
             f"{_slow_part(errors)}"

@@ -188,7 +188,7 @@ class _First(NamedTuple):
 
 @dataclasses.dataclass
 class _Candidate:
-    """A model in a comparison, and what the work on it has given so far.
+    """A model in a comparison, with the results so far.
 
     Attributes:
         name: of its row.
@@ -196,7 +196,7 @@ class _Candidate:
         result: the fit, where it is validated.
         first: the first fit, where there was one.
         failure: why there is no result.
-        seconds: what the work took.
+        seconds: time of its fits and validation.
     """
 
     name: str

@@ -22,8 +22,8 @@ class Row:
     """One model in a comparison.
 
     Attributes:
-        name: makes the model again, with the size and terms that were chosen.
-        asked: what was asked for: the same, a name without settings, or a search.
+        name: expression that recreates the model, with the chosen size and terms.
+        asked: the name as requested: the same, a name without settings, or a search.
         score_percent: error on left-out data, in percent of the output's range; None where it is not known.
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
@@ -48,7 +48,7 @@ class Row:
 
     @property
     def fitted(self) -> bool:
-        """Whether there was a fit at least of a first look."""
+        """Whether there was at least a quick first fit."""
         return self.in_sample_percent is not None
 
     def serves(self, purpose: Purpose) -> bool | None:
@@ -63,7 +63,7 @@ class Comparison:
     Attributes:
         rows: one for each model.
         winner: the fitted result of the first row.
-        fits: every fit that was completed, by what was asked for.
+        fits: every completed fit, by the requested name.
         left_out: what was left out, "blocks" or "future".
         purpose: models that cannot be used for it rank below the others.
         reason: why these models were tried.

@@ -30,13 +30,13 @@ _QUICK = 15  # evaluations of the outer search of a first look
 
 @dataclasses.dataclass(frozen=True)
 class LinearSystem:
-    """Responses of the samples that count to the linear parameters: what is left of a problem when the others are given.
+    """The linear least-squares problem for the linear parameters at given values of the others, on the samples that count.
 
     Attributes:
         columns: shape (n, p), weighted.
         target: measured output less the response with all weights zero, weighted, shape (n,).
         free: parameters without a lower bound, shape (p,), bool; the others are >= 0.
-        ridged: parameters that the regularization holds back (all but the offsets of records), shape (p,), bool.
+        ridged: parameters that the ridge penalizes (all but the offsets of records), shape (p,), bool.
         block: of each sample, which left-out block it belongs to, shape (n,).
         weight: of each sample, shape (n,).
     """
@@ -241,8 +241,9 @@ class Convex(AbstractEstimator):
     """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by a simplex outside.
 
     For plays, relays and creep weights: dozens of unknowns, of which many end on zero. With nonlinear parameters free (a lag, a
-    bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end. A wrong lag
-    asks for a strong ridge, whose cost is least at another wrong lag: they are then searched for with a weak ridge too.
+    bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end. At a wrong lag
+    cross-validation chooses a strong ridge, with which the cost has its minimum at another wrong lag. If the ridge is strong, the
+    search is therefore repeated with a weak one.
 
     Attributes:
         strengths: of the ridge, among which blocks left out choose.
@@ -285,7 +286,7 @@ class Convex(AbstractEstimator):
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried"
             if fit.score > _HARDLY * fit_ridge(system, (_WITHOUT,)).score:
-                note += ", and the model hardly helps to predict held-out samples"
+                note += ", and the model hardly improves the prediction of held-out samples"
                 severity = Severity.WARNING
         cost = 0.5 * fit.rss / size**2
         chosen = (Note(Code.CHOICE, note, severity),)

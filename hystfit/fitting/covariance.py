@@ -31,7 +31,7 @@ class Uncertainty:
     """Covariance and standard errors of a fit.
 
     Attributes:
-        covariance: of the free parameters in physical units, shape (p, p); NaN where it means nothing.
+        covariance: of the free parameters in physical units, shape (p, p); NaN where it is undefined.
         joint: the same with the parameters that the data do not determine, whose variances are large; 0 at a
             bound where parameters there are held, NaN where inactive.
         determined: whether the data determine each parameter, shape (p,), bool.

@@ -25,7 +25,7 @@ class Estimate:
         costs: cost that each start reached, shape (starts,); not finite where one failed.
         penalty: what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
             without regularization.
-        notes: what was chosen on the way.
+        notes: choices that were made.
         left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
         toward_zero: the penalty is a ridge: nothing but its diagonal, toward zero.
         linearized: `Problem.linearize_misfit` at x, where the estimator ended with it.
@@ -64,5 +64,5 @@ class AbstractEstimator(eqx.Module):
         """Fit from starts of shape (S, p) in unconstrained coordinates; the first is the data-driven one."""
 
     def quick(self) -> AbstractEstimator:
-        """The same with tolerances for a first look at a model; by default as it is."""
+        """The same with tolerances for a quick first fit of a model; by default as it is."""
         return self

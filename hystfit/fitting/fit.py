@@ -64,25 +64,25 @@ def fit(
             (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
             estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
             "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
-        fix: parameters to hold, at a given value ({"c": 0.15}), else at the value of the model given, or at the one read off
-            the records where `start` is "data" and the model is given by name.
-        free: parameters to fit that the model holds by default.
-        start: "data" reads starting values off the records, "model" takes the model's own; values by name ({"tau": 0.01}) replace
-            those read off the records.
-        starts: number of starting points: the data-driven one, and a Latin hypercube about it; at most so many of a model that
-            reads several off the records.
+        fix: parameters that are not fitted, at a given value ({"c": 0.15}); without a value, at that of the model, or at the one estimated
+            from the records if `start` is "data" and the model is given by name.
+        free: parameters to fit that the model fixes by default.
+        start: "data" estimates starting values from the records, "model" takes the model's own; values by name ({"tau": 0.01}) replace
+            those estimated from the records.
+        starts: number of starting points: the data-driven one, and a Latin hypercube about it; for a model that estimates several
+            starting points from the records, the largest number of these.
         seed: of the starting points.
-        loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that bends at 1 % of the output's range.
+        loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that reduces the influence of errors above 1 % of the range.
         noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
-            slow (Ornstein-Uhlenbeck) and independent noise learned from them. "iid" treats residuals as independent. "ou" (slow and
-            independent noise), "ar1", "student-t", "discrepancy" (model error that repeats every loop), my_noise.py:MyNoise or a
+            slow (Ornstein-Uhlenbeck) and independent noise estimated from them. "iid" treats residuals as independent. "ou" (slow and
+            independent noise), "ar1", "student-t", "discrepancy" (model error that recurs every loop), my_noise.py:MyNoise or a
             class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
-            standard errors under a repeating misfit need "discrepancy" (the notes say when).
+            standard errors with recurring errors need "discrepancy" (the notes say when).
         test: records to report the error on, never fitted; or a data frame with the same columns.
         **settings: of a sequential identifier, see `hystfit.identify`.
 
     Returns:
-        A result with a status; look at `usable` and `notes` before using its numbers.
+        A result with a status; check `usable` and `notes` before using its numbers.
 
     Raises:
         HystfitError: data, names or settings that cannot be used; the message names the remedy.

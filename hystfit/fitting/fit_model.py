@@ -102,7 +102,10 @@ def _with_noise(
     refined = refine(problem, estimate.x, noise)
     label, notes = refined.noise.name, estimate.notes
     if not refined.converged:
-        notes = (*notes, warn(Code.SOLVER, f"the {label} noise model did not converge: its errors are rough"))
+        notes = (
+            *notes,
+            warn(Code.SOLVER, f"the {label} noise model did not converge: its standard errors are approximate"),
+        )
     predicted = zip(problem.data, problem.predict(refined.x), strict=True)
     squares = sum(np.sum((r.weight * (r.y - y) ** 2)[r.used]) for r, y in predicted)
     cost = 0.5 * float(squares) / problem.scales.y**2

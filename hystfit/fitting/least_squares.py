@@ -40,7 +40,7 @@ class LeastSquares(AbstractEstimator):
         gain: decrease of the cost promised by the linear model, relative to it, below which "lm" has converged too.
         max_steps: in a round.
         rounds: of further steps for the best start and the first.
-        brief: a first look at a model: the polish and the trust region take few evaluations, whether they converge or not.
+        brief: a quick first fit of a model: the polish and the trust region take few evaluations, whether they converge or not.
     """
 
     needs_starts: ClassVar[bool] = True

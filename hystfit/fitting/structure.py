@@ -94,7 +94,7 @@ class Structure:
             "operator": f"{self.operator}s instead of {other.operator}s",
             "envelopes": envelopes,
             "degree": f"a single-valued part of degree {self.degree}",
-            "rest": f"rest on the {'first input' if self.rest == 'first' else 'input 0'} before the record",
+            "rest": f"rest at the {'first input' if self.rest == 'first' else 'input 0'} before the record",
             "lag": f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag",
             "creep": f"{'adding' if self.creep else 'leaving out'} creep",
             "rate": rates[self.rate],

@@ -30,7 +30,7 @@ class TableReading(AbstractEstimator):
         model, records = problem.model, list(problem.data)
         if not isinstance(model, TabulatedPreisach):
             raise ModelError(
-                f"a table is read for the model everett-table alone, got {type(model).__name__}: use preisach in compositions, and "
+                f"only everett-table can be read off the curves, got {type(model).__name__}: use preisach in compositions, and "
                 "method='auto' for other models"
             )
         if held := [name for name, *_ in problem.space.fixed() if name.partition("[")[0] in ("w", "slopes")]:

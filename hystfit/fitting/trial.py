@@ -28,7 +28,7 @@ class Trial:
 
     Attributes:
         metrics: error of the prediction.
-        baselines: error of plain descriptions fitted to the same records as the model.
+        baselines: error of simple descriptions fitted to the same records as the model.
         status: `OK`, `ROUGH` or `POOR`.
         notes: reasons, numbers, assumptions, and a warning where the records leave the fitted range.
     """

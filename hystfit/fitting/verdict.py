@@ -181,8 +181,8 @@ def _delayed(fitted: Fitted) -> Note | None:
     clock = f"{delay.seconds:.3g} {record.t_unit}".rstrip()
     return warn(
         Code.DELAY,
-        f"the output of {record.name!r} comes {delay.samples:.1f} samples ({clock}) after the input, a pure delay that this model does "
-        "not have: put delay+ in front of it",
+        f"the output of {record.name!r} has a pure delay of {delay.samples:.1f} samples ({clock}), which this model does not include: put "
+        "delay+ in front of it",
     )
 
 
@@ -196,8 +196,8 @@ def _drifting(fitted: Fitted) -> Note | None:
     size = f"{drifting.trend:.3g} {drifting.units['y']}".rstrip()
     return warn(
         Code.DRIFT,
-        f"the output of {drifting.name!r} drifts by {size} over the record, apart from its loops: models have no steady drift, subtract it "
-        "before the fit",
+        f"the output of {drifting.name!r} drifts by {size} over the record, apart from its loops: no model includes a steady drift, so "
+        "subtract it before the fit",
     )
 
 
@@ -213,12 +213,12 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     # Smooth weights may outnumber the samples: their penalty was chosen on left-out data, which test them.
     smooth = fitted.model.estimator == "preisach" and fitted.estimate.penalty is not None
     if train.n < _FEWEST or (train.n <= parameters and not smooth):
-        text = f"{train.n} samples for {parameters} parameters: the fit is not tested by any sample"
+        text = f"{train.n} samples for {parameters} parameters: too few samples to test the fit"
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
     shares = (fitted.model.hysteretic_share(record.u, record.dt) for record in data)
     share = max((share for share in shares if share is not None), default=1.0)
     if percent <= POOR and share < _LEAST_SHARE:
-        text = f"hysteresis takes {100 * share:.2g} % of the dissipated energy: the data show damping, and no hysteresis of the spring"
+        text = f"hysteresis accounts for {100 * share:.2g} % of the dissipation: the data show damping, but no hysteresis of the spring"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
@@ -300,10 +300,10 @@ def _noise_notes(fitted: Fitted) -> list[Note]:
 def _no_loop(data: Dataset) -> Note:
     family = recognize_family(data)
     if family is None:
-        text = "the input never turns back by more than 1 % of its range: there is no loop in these data"
+        text = "the input has no reversal of more than 1 % of its range: there is no loop in these data"
     else:
         text = (
-            f"{family.words()}; this model starts each of them at rest on its reversal point: use preisach-forc, which starts from "
+            f"{family.words()}; this model starts each of them in equilibrium at its reversal point: use preisach-forc, which starts from "
             "saturation"
         )
     return Note(Code.NO_LOOP, text, Severity.ERROR)
@@ -334,7 +334,7 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     else:
         place, window = _window_from(record, int(turns[0]))
         which = "first"
-        remedy = f"the model starts at rest on the first input: fit the record from {place} on (window=)"
+        remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
         if held:
             window = None
             remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"

@@ -132,7 +132,7 @@ class AbstractIdentifier(eqx.Module):
 
         Args:
             model: structure and, where the identifier needs them, starting values.
-            data: the records that it will run over.
+            data: the records on which it will run.
             **settings: by keyword, each with a default.
         """
 

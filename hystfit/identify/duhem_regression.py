@@ -181,7 +181,7 @@ class DuhemRegressor(eqx.Module):
         if rows.target.size < self.p:
             raise DataError(
                 f"{rows.target.size} usable steps cannot determine {self.p} parameters: give more samples (those at which "
-                "the input does not move or the output is missing do not count), or lower the orders of f and g"
+                "the input is constant or the output is missing are not usable), or lower the orders of f and g"
             )
         return rows
 

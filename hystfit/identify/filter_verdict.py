@@ -52,7 +52,7 @@ def undetermined(shape: Sequence[str], data: Dataset, *, follows: bool) -> Note 
     return warn(
         Code.NOT_DETERMINED,
         f"the data cannot separate {', '.join(shape)}: the input has {described}. The model "
-        f"{'predicts' if follows else 'does not predict even'} this input; for others excite several amplitudes "
+        f"{'predicts' if follows else 'does not even predict'} this input; for other inputs, excite several amplitudes "
         "(signal amplitude-sweep)",
     )
 
@@ -91,7 +91,7 @@ def innovations(average: float, memory: float) -> Note:
     width = max(NIS_BAND, _NIS_SIGMAS / math.sqrt(max(memory, 1.0)))
     text = f"mean normalized innovation squared over the last tenth: {average:.3g} (1 +- {width:.2g} for a consistent filter)"
     if average > 1 + width:
-        text += "; the filter is overconfident: increase noise or walk, or use a model with more freedom"
+        text += "; the filter is overconfident: increase noise or walk, or use a more flexible model"
     elif average < 1 - width:
         text += "; the filter is underconfident: decrease noise or walk"
     consistent = abs(average - 1) <= width

@@ -166,7 +166,7 @@ def check_weights(weights: Sequence[float | int] | np.ndarray, p: int) -> np.nda
     if array.ndim not in (1, 2) or array.shape[-1] != p or array.shape[0] == 0:
         raise ParameterError(f"weights must have shape ({p},) or (K, {p}), got {array.shape}")
     if not (np.isfinite(array).all() and (array > 0).all()):
-        raise ParameterError("weights must be positive and finite: a zero weight never corrects its parameter")
+        raise ParameterError("weights must be positive and finite: a parameter of weight zero is never corrected")
     if array.ndim == 2:
         ratio = np.log(array[1:]) - np.log(array[:-1])  # the largest relative decrease is the smallest ratio
         leads = np.all(ratio <= ratio.min(axis=1, keepdims=True) + _SLACK, axis=0)

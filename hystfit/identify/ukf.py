@@ -185,7 +185,7 @@ class Ukf(AbstractIdentifier):
         return UkfState(mean, self.prior, jnp.zeros((), self.z0.dtype), jnp.array([-1.0, 0, 0, 0, 0, 1.0]))
 
     def restart(self, state: UkfState, u: Scalar) -> UkfState:
-        """Start of a record: the states are at rest on u with their prior; parameters and their covariance are kept."""
+        """Start of a record: the states are in equilibrium at u with their prior; parameters and their covariance are kept."""
         tally = state.tally.at[0].add(1.0)
         s, root = self.states, self.prior
         root = root.at[s:, s:].set(triangular(state.root[s:].T))

@@ -276,5 +276,5 @@ def _check(name: str, prior: Any) -> None:
     widths += [values["upper"] - values["lower"]] if "upper" in values else []
     if not all(np.isfinite(width) and width > 0 for width in widths) or not np.isfinite(values.get("mean", 0.0)):
         raise ParameterError(
-            f"the prior of {name!r} ({prior}) is flat or has no width: posterior draws need a proper one"
+            f"the prior of {name!r} ({prior}) is flat or has no width: posterior draws need a proper prior"
         )

@@ -68,7 +68,7 @@ class Problem:
             model: gives the values of fixed parameters.
             data: one record or several.
             fix: names of parameters to hold, or names with values.
-            free: names of parameters to fit that the model holds by default.
+            free: names of parameters to fit that the model fixes by default.
             loss: how large residuals count.
 
         Raises:
@@ -322,7 +322,7 @@ def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
     check_one_device(model)
     for record in data:
         if not record.used.any():
-            raise DataError(f"record {record.name!r}: no sample counts in the window")
+            raise DataError(f"record {record.name!r}: no usable sample in the window")
         if np.ptp(record.u) == 0:
             raise DataError(f"record {record.name!r}: the input is constant ({record.u[0]:g}); there is no loop to fit")
         if record.t is None and not model.rate_independent:

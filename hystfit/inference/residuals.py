@@ -1,4 +1,4 @@
-"""Analysis of residuals: autocorrelation, error that repeats every loop, heavy tails, and the noise model that fits them."""
+"""Analysis of residuals: autocorrelation, error that recurs every loop, heavy tails, and the noise model that fits them."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class ResidualAnalysis:
 
     @functools.cached_property
     def repeating(self) -> Repeating | None:
-        """Error that repeats with input and direction; None where the input has too few reversals, or residuals are white."""
+        """Error that recurs with input and direction; None where the input has too few reversals, or residuals are white."""
         return _repeating(self) if self.correlated else None
 
     @functools.cached_property

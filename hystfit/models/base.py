@@ -30,7 +30,7 @@ Use = Literal["inverse", "export"]
 
 
 class AbstractHysteresis(AbstractDynamics):
-    """A hysteresis model: `init` returns the state at rest on an input, `step` advances it by one sample (`AbstractDynamics`).
+    """A hysteresis model: `init` returns the state in equilibrium at an input, `step` advances it by one sample (`AbstractDynamics`).
 
     A model must give `rate_independent` (`ClassVar[bool]`; compositions derive it from their parts), `init` and `step`. All other
     methods are optional: each has a default, a model overrides those that it can do better, `start` first, and `Sum` and `Series`

@@ -19,7 +19,7 @@ class CPart:
         static void @f@_init(double *s, double u0)
         static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
 
-    `init` sets the state at rest on the input u0; `step` returns the output at u1, dt after u0, and writes the new state to `next`
+    `init` sets the state in equilibrium at the input u0; `step` returns the output at u1, dt after u0, and writes the new state to `next`
     unless that is 0; `next` may be `s`. `legendre(c, n, x)`, a Legendre series, is at hand.
 
     Attributes:

@@ -50,7 +50,7 @@ class LogCreep(AbstractHysteresis):
         (0.01,), bounds=(-0.5, 0.5), scale=0.02, vector=True, doc="creep per decade of time, polynomial in x / span"
     )
     span: Scalar = param(
-        1.0, bounds=(0.0, np.inf), unit="y", fixed=True, doc="displacement that the polynomial is in parts of"
+        1.0, bounds=(0.0, np.inf), unit="y", fixed=True, doc="displacement by which x is divided in the polynomial"
     )
     tau: Float[Array, " modes"] = param(
         _TAU, bounds=(0.0, np.inf), unit="s", fixed=True, doc="time constants of the relaxations"
@@ -66,7 +66,7 @@ class LogCreep(AbstractHysteresis):
 
     @classmethod
     def spanning(cls, shortest: float, longest: float, **fields: object) -> LogCreep:
-        """Relaxations, two a decade, for times from `shortest` to `longest` [s] after a step; gamma stays per decade since 0.1 s.
+        """Relaxations, two per decade, for times from `shortest` to `longest` [s] after a step; gamma stays per decade since 0.1 s.
 
         Args:
             shortest: time after a step from which the creep is logarithmic [s].

@@ -115,7 +115,9 @@ def _determined(advice: Advice | None, report: QualityReport) -> Advice | None:
     if not undetermined & {judged_as(name) for name in advice.model.split("+")}:
         return advice
     best = min(hysteresis, key=lambda item: _RANK[item.verdict])
-    return None if best.model in undetermined else Advice(best.model, "the first model that so few samples determine")
+    return (
+        None if best.model in undetermined else Advice(best.model, "the first model that these few samples determine")
+    )
 
 
 def _lagging(report: QualityReport, kinds: tuple[DataKind, ...], verdicts: dict[str, Determination]) -> Advice:

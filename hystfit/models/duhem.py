@@ -50,7 +50,7 @@ class Duhem(AbstractHysteresis):
     rate_independent: ClassVar[bool] = True
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     needs: ClassVar[Needs] = Needs(
-        amplitudes=2, too_few="f and g are seen along one pair of branches, and trade off within it"
+        amplitudes=2, too_few="f and g are observed on one pair of branches, where they trade off"
     )
 
     alpha: Scalar = param(

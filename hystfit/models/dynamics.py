@@ -92,7 +92,7 @@ class Lag(AbstractHysteresis):
     """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
 
     The input of a sample acts over the whole interval before it, on average half an interval early: a fitted tau includes that half, and
-    belongs to the sampling rate of its records. `level` is the input at which the device rested before the record, so that a jump at
+    is valid for the sampling rate of its records. `level` is the input at which the device rested before the record, so that a jump at
     the first sample is smoothed too.
     """
 
@@ -109,7 +109,7 @@ class Lag(AbstractHysteresis):
         check_rest(self.rest)
 
     def init(self, u0: Scalar) -> State:
-        """State: the outputs of the two lags, at rest on `level` or, where rest = "first", on the first input."""
+        """State: the outputs of the two lags, in equilibrium at `level` or, where rest = "first", at the first input."""
         return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (2,))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
@@ -163,7 +163,7 @@ class SecondOrder(AbstractHysteresis):
     zeta: Scalar = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")
 
     def init(self, u0: Scalar) -> State:
-        """State: output and its rate, at rest on u0."""
+        """State: output and its rate, in equilibrium at u0."""
         return jnp.stack([u0, jnp.zeros_like(u0)])
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:

@@ -38,7 +38,7 @@ class Entry:
     """A model that users choose by name.
 
     Attributes:
-        maker: "module:attribute" within `hystfit.models`, imported when it is asked for.
+        maker: "module:attribute" within `hystfit.models`, imported when it is used.
         place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
         doc: what it is for, one line.
         variant: whether a model of this class is this variant; the last entry that fits gives its name.
@@ -145,7 +145,7 @@ MODELS: dict[str, Entry] = {
     "preisach-forc-signed": Entry(
         "preisach.signed:SignedPreisach.of",
         "core",
-        "as preisach-forc, with weights of either sign: closer to the curves, no inverse",
+        "like preisach-forc, with weights of either sign: closer to the curves, no inverse",
         compared_on=("reversal-curves",),
         preset={"n": 40, "spacing": "reversal-curves"},
     ),

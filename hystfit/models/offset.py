@@ -18,7 +18,7 @@ from hystfit.params.param import param
 
 
 class Offset(AbstractHysteresis):
-    """A constant of its own for each record:  y = value."""
+    """A separate constant for each record:  y = value."""
 
     rate_independent: ClassVar[bool] = True
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL

@@ -71,7 +71,7 @@ class BoucWenOscillator(AbstractHysteresis):
     r_unl: Scalar = param(0.3, bounds=(-5.0, 50.0), doc="stiffening on unloading, at the force Z")
     n: Scalar = param(1.0, bounds=(0.5, 12.0), fixed=True, doc="exponent of |z|")
     Z: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="force at which r_load and r_unl apply")
-    offset: Scalar = param(0.0, unit="y", per_record=True, doc="displacement that is read at rest", linear=True)
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="displacement reading at rest", linear=True)
     between: Between = eqx.field(static=True, default="bandlimited")
     substeps: int = eqx.field(static=True, default=4)
 
@@ -209,7 +209,7 @@ class BoucWenOscillator(AbstractHysteresis):
         weight[:REACH] = weight[-REACH:] = 0.0
         if np.array_equal(weight, record.weight):
             return record
-        text = f"the first and last {REACH} samples do not count: the band-limited force there depends on samples outside the record"
+        text = f"the first and last {REACH} samples have weight 0: the band-limited force there depends on samples outside the record"
         return record.replace(weight=weight).noted(Code.PREPARED, text)
 
     def start(self, records: Sequence[Record]) -> BoucWenOscillator:
@@ -241,7 +241,7 @@ class BoucWenOscillator(AbstractHysteresis):
             lines.append(f"the spring is not dissipative: r_load + r_unl = {load + unload:.3g} is negative")
         if load < 0 and float(self.n) > 1:
             lines.append(
-                f"a hardening spring with n = {float(self.n):.3g} > 1 is infinite at a finite displacement: keep n <= 1"
+                f"a hardening spring with n = {float(self.n):.3g} > 1 has an infinite force at a finite displacement: keep n <= 1"
             )
         if dt is not None:
             lines += self._coarse(u, dt)
@@ -266,8 +266,8 @@ class BoucWenOscillator(AbstractHysteresis):
         turns = float(np.max(dt)) * np.sqrt(tangent / float(self.m))
         if turns / self.substeps > _STABLE:
             lines.append(
-                f"a step of Runge-Kutta is {turns / self.substeps:.2g} / (largest angular frequency), and it is stable up to {_STABLE}: "
-                f"take substeps={int(np.ceil(turns / _STABLE))} or more, or sample faster"
+                f"a Runge-Kutta step is {turns / self.substeps:.2g} / (largest angular frequency), and the method is stable up to "
+                f"{_STABLE}: take substeps={int(np.ceil(turns / _STABLE))} or more, or sample faster"
             )
         if float(self.r_unl) * power < -1:
             lines.append("the tangent on unloading is negative at the largest force: r_unl is too small for a spring")

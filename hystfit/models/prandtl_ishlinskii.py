@@ -59,14 +59,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
     Plays make the output lag (piezo, magnetics: counter-clockwise loops), stops make it lead (force against displacement of
     dampers and steel). One envelope, the identity, is the classical symmetric model; with "square" and "mirror" (a
     parabola and its mirror image) beside it, branches may bend differently up and down: the generalized model (after
-    Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that fade with the path that x has run:
+    Al Janaideh et al. 2009). `hardening` adds, for the first envelope, weights that decay with the path length of x:
     w_h[j] exp(-path / s0) E[0, j], for steel that hardens or softens in its first cycles.
 
     The output is linear in w, hardening, rise, b and offset; its derivative in the thresholds r has kinks (a play that sticks
     does not feel its width). B_k are the Bernstein polynomials of degree n = number of rise_i, continued by straight lines outside
     0 <= x <= 1: with w, rise >= 0 and no b the output of plays never falls while the input rises, and an inverse exists. `of` therefore
     gives plays a rising polynomial; stops, whose loops may descend, get Legendre coefficients of either sign. Before the record the input
-    rested on `level`, or on the record's first input where rest = "first".
+    rested at `level`, or at the record's first input where rest = "first".
 
     Raises:
         ModelError: an unknown envelope, operator or rest, or weights whose shape does not fit the thresholds.
@@ -76,7 +76,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the plays or stops"
     )
     r: Float[Array, " plays"] = param(
-        bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, in parts of the input range"
+        bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, as fractions of the input range"
     )
     b: Float[Array, " degree"] = param(
         (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"

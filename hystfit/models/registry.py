@@ -79,7 +79,7 @@ def _chosen(name: str, given: str) -> dict[str, int | bool | str]:
         if not mark or key not in known or key in chosen:
             has = MODELS[name].shown() or "no settings"
             raise ModelError(
-                f"{name}: settings are NAME=VALUE, each once, joined by colons; got {pair!r}, where it has {has}"
+                f"{name}: settings are NAME=VALUE, each once, joined by colons; got {pair!r}; it has {has}"
             )
         kind = type(known[key])
         try:

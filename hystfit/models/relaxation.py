@@ -46,7 +46,7 @@ class Relaxation(AbstractHysteresis):
             raise ModelError(f"one weight per time constant: got {self.a.shape} and {self.tau.shape}")
 
     def init(self, u0: Scalar) -> State:
-        """State: the slow followers z, at rest on u0."""
+        """State: the slow followers z, in equilibrium at u0."""
         return jnp.broadcast_to(u0, self.tau.shape)
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:

@@ -35,7 +35,7 @@ class AbstractDynamics(eqx.Module):
 
     @abc.abstractmethod
     def init(self, u0: Scalar) -> State:
-        """State of the model at rest on the input u0, with no history."""
+        """State of the model in equilibrium at the input u0, with no history."""
 
     @abc.abstractmethod
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
@@ -149,7 +149,7 @@ def simulate(
             f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
         )
     u, dt = _checked_drive(model, u, dt)
-    # dt[0] counts: a device that rested on another input than u[0] has moved for that long when the first sample is read.
+    # dt[0] counts: a device that rested at another input than u[0] has moved for that long when the first sample is read.
     try:
         y, *end = _run(model, u, dt, resume)
         return y, Resume(*end)

@@ -118,7 +118,7 @@ class Note:
 
     Attributes:
         code: what it is about.
-        text: one sentence for people.
+        text: one sentence.
         severity: how much it matters.
         option: of `hystfit.read`, or the window of a fit, which the note proposes: its name and value. It is not saved.
     """

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Status(enum.StrEnum):
-    """How a verb ended. Only `OK` is usable without a second thought; `advice` is the remedy for the others."""
+    """How a verb ended. Only `OK` is usable without reservation; `advice` is the remedy for the others."""
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"
@@ -49,15 +49,15 @@ class Status(enum.StrEnum):
 _ADVICE = {
     Status.OK: "usable",
     Status.NOT_CONVERGED: "the solver did not converge: use more starts, method='trf', or fix what the data do not determine",
-    Status.POOR: "the model does not describe this loop: try hystfit compare, or a model with more freedom",
+    Status.POOR: "the model does not describe this loop: try hystfit compare, or a more flexible model",
     Status.ROUGH: (
-        "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where this error is allowed"
+        "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where such an error is acceptable"
     ),
     Status.NO_LOOP: "there is no loop in these data: measure full cycles of a larger amplitude, or fit a curve instead",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
     Status.INCOMPLETE: (
-        "the residuals show that the model lacks something, so that its parameters are biased by more than the intervals show: add "
-        "what is missing (creep, a lag, more terms); noise='discrepancy' includes only what recurs every loop"
+        "the residuals show that the model is incomplete, so that its parameters are biased by more than the intervals show: add "
+        "the missing part (creep, a lag, more terms); noise='discrepancy' includes only what recurs every loop"
     ),
     Status.BIASED: (
         "noise biases the rate: use output-error least squares (method='lm'), or integrated_regression where the method "
@@ -74,7 +74,7 @@ _ADVICE = {
     Status.FAILED: "nothing could be fitted: see the notes, and fix parameters that the data do not determine",
     Status.OPEN: "the data do not bound some parameters: measure at other amplitudes (hystfit design), or fix them",
     Status.MISCALIBRATED: (
-        "the error bars of this setup do not hold: try another noise model, or another input (hystfit design)"
+        "the error bars of this setup are not calibrated: try another noise model, or another input (hystfit design)"
     ),
     Status.TOO_FEW: "too few replicates for a conclusion: use 200 or more",
     Status.NO_MODEL: "these data determine no model: measure full cycles at several amplitudes",
@@ -94,15 +94,18 @@ _OF_VERB = {
         "the identified rate is not positive: decimate by input increment, or use output-error least squares (method='lm')"
     ),
     ("identify", Status.POOR): (
-        "the free run does not follow the record: use output-error least squares (method='lm') or another model"
+        "the simulation does not follow the record: use output-error least squares (method='lm') or another model"
     ),
     ("batch", Status.FAILED): "no loop has a usable fit: the table gives the reason for each",
-    ("calibrate", Status.OK): "the error bars of this setup hold, as far as this number of replicates can show",
+    (
+        "calibrate",
+        Status.OK,
+    ): "the error bars of this setup are calibrated, as far as this number of replicates can show",
 }
 
 
 class WithStatus:
-    """What all results share: whether their `status` allows to use them, and what to do about it."""
+    """What all results share: whether their `status` allows using them, and what to do about it."""
 
     status: Any  # a `Status`: a field or a property
     verb: Any = "fit"  # whose advice applies

@@ -14,7 +14,7 @@ _COMMAND = re.compile(r"\s*(?:\$ )?(?:hystfit|cc|printf) ")  # whole, to be copi
 def within(text: str, width: int) -> str:
     """The text with lines of at most `width` columns.
 
-    A longer line goes on below the beginning of its bullet or of its last column. Commands, and rows of numbers that are too wide,
+    A longer line is continued below the beginning of its bullet or of its last column. Commands, and rows of numbers that are too wide,
     stay as they are.
     """
     return "\n".join(_wrapped(line, width) for line in text.split("\n"))

@@ -225,7 +225,7 @@ def conversion(source: str, target: str) -> float | None:
 
     Args:
         source: unit of the values.
-        target: unit wanted.
+        target: desired unit.
 
     Raises:
         DataError: they are units of different quantities.

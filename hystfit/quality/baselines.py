@@ -1,4 +1,4 @@
-"""Errors of plain descriptions of the data, with which the error of a fit is compared."""
+"""Errors of simple descriptions of the data, with which the error of a fit is compared."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PLAYED = (0, 2, 3, *range(1 + _DEGREE, _ROWS))
 
 @dataclasses.dataclass(frozen=True)
 class Baselines:
-    """Root mean square errors of plain descriptions, on the samples that count, and the extent of these samples [y].
+    """Root mean square errors of simple descriptions, on the samples that count, and the extent of these samples [y].
 
     Attributes:
         span: largest minus smallest measured output.
@@ -44,7 +44,7 @@ class Baselines:
 
     @classmethod
     def of(cls, train: Dataset, test: Sequence[Record] | None = None, *, refit_offset: bool = False) -> Baselines:
-        """Fit the plain descriptions, with an offset for each record.
+        """Fit the simple descriptions, with an offset for each record.
 
         Args:
             test: records to judge; those fitted by default. One that was not fitted has the offset of the first record.

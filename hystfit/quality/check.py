@@ -41,7 +41,7 @@ class QualityReport:
     Attributes:
         name: of the data set.
         records: what was measured on each record.
-        findings: what is wrong with the data or worth knowing about them.
+        findings: faults and noteworthy properties of the data.
         determines: which models the data determine, the recommended one first.
         advice: which model to try first; None where the data determine none.
     """

@@ -70,8 +70,8 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
             notes.append(
                 warn(
                     Code.EXTRAPOLATION,
-                    f"the input goes {size(beyond)} beyond the fitted range ({known.low:.4g} to {size(known.high)}): the prediction "
-                    "there is extrapolation",
+                    f"the input leaves the fitted range ({known.low:.4g} to {size(known.high)}) by {size(beyond)}: the prediction there is "
+                    "extrapolation",
                 )
             )
     return tuple(notes)

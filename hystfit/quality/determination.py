@@ -175,7 +175,7 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
     if facts.too_few:
         return [_few_words(facts)]
     if needs.loop and facts.reversals == 0:
-        return ["the input never turns back: without a loop, hysteresis cannot be distinguished from a curve"]
+        return ["the input never reverses: without a loop, hysteresis cannot be distinguished from a curve"]
     if needs.time and not facts.timed:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
     if needs.loop and facts.charges:
@@ -253,7 +253,7 @@ def _judge_creep(facts: _Facts) -> tuple[Verdict, tuple[str, ...]]:
         return Verdict.NO, (f"no creep above the noise during holds of up to {facts.longest_hold} samples",)
     if facts.lags:
         return Verdict.PARTLY, (
-            "the output keeps moving after the input has turned: creep or a lag. Compare with and without creep, or measure a "
+            "the output keeps moving after the input has reversed: creep or a lag. Compare with and without creep, or measure a "
             "step or hold over several decades of time",
         )
     return Verdict.NO, ("no hold and no logarithmic drift: measure a step or hold over several decades of time",)

@@ -159,7 +159,7 @@ def _is_rest(values: list[float], start: int, stop: int, tolerance: float) -> bo
 def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whether the output stays at its largest or smallest value while the input moves on, shape (T,).
 
-    Counted are runs of four samples or more that repeat this value exactly while u goes on in its direction by more than 2 % of its
+    Counted are runs of four samples or more that repeat this value exactly while u moves on in its direction by more than 2 % of its
     range; slow or rounded signals, which repeat values elsewhere too, are not counted, nor is backlash, which begins at a reversal, nor
     the limits of a device that stays at them for much of the record, as a switch does.
 

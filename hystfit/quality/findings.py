@@ -24,7 +24,7 @@ WITHOUT_TIME = (
 
 
 def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
-    """What is wrong with the data or worth knowing about them.
+    """Faults and noteworthy properties of the data.
 
     Equal notes are merged, and many that differ in their numbers alone; a note names its records where it does not hold for all.
     """
@@ -72,7 +72,7 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
         yield warn(
             Code.CLIPPED,
             f"{record.clipped} samples of the output stay at its limit while the input moves: check for a saturated "
-            "sensor; fits leave them out where the output reaches this limit at a slope",
+            "sensor; fits leave them out where the output reaches this limit with a steep slope",
         )
     if record.spikes:
         yield warn(
@@ -86,8 +86,8 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
             remedy = f"--smooth {length} (smooth={length}) reduces them below {MOST:g} %"
         yield warn(
             Code.CHATTER,
-            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and models produce "
-            f"loops from them: {remedy}",
+            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and each "
+            f"false reversal makes a small loop in a model: {remedy}",
         )
 
 
@@ -108,13 +108,13 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         clock = f"{record.delay.seconds:.3g} {record.units['t']}".rstrip()
         yield Note(
             Code.DELAY,
-            f"the output comes {record.delay.samples:.1f} samples ({clock}) after the input, a pure delay: loops are judged with the "
-            "input delayed by it, and models fitted with delay+ in front",
+            f"the output has a pure delay of {record.delay.samples:.1f} samples ({clock}): loops are judged with the input delayed by the "
+            "same time, and models are fitted with delay+ in front",
         )
     if record.falls:
         yield Note(
             Code.FALLING,
-            "the output falls as the input rises: loops are judged with the input mirrored, and models fitted with negate+ in front",
+            "the output falls as the input rises: loops are judged with the input mirrored, and models are fitted with negate+ in front",
         )
     if y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
         yield Note(
@@ -129,13 +129,13 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     """Whether there are loops, and of which shape."""
     shape = record.shape
     if record.motion.monotonic:
-        yield warn(Code.NO_LOOP, "monotonic input: it never turns back, so there is no loop")
+        yield warn(Code.NO_LOOP, "the input is monotonic, so there is no loop")
     if shape is None:
         return
     if shape.crossing:
         yield warn(
             Code.CROSSING,
-            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): no model here "
+            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): no model of hystfit "
             "describes that; fit the signed quantity of which the output is an even function, or one half of the input range",
         )
     elif shape.circulation is None:
@@ -170,12 +170,12 @@ def _loss(record: RecordQuality) -> str:
         return f"stiffness with the largest stroke so far (Mullins effect): later branches reach {left} of the output of earlier ones"
     if record.weakens:
         left = percent(record.strength_left)
-        return f"strength (damage): late loops reach {left} of the output of shorter ones before"
+        return f"strength (damage): late loops reach {left} of the output of earlier, shorter ones"
     if record.softens:
         left = percent(record.unloading_left)
-        return f"stiffness (damage): after late reversals {left} of the first stiffness is left"
+        return f"stiffness (damage): after late reversals, {left} of the initial unloading stiffness remains"
     left = percent(record.stiffness_left)
-    return f"stiffness (damage or backlash): late loops keep {left} of the first stiffness at the same stroke"
+    return f"stiffness (damage or backlash): late loops have {left} of the initial stiffness at the same stroke"
 
 
 def _changes(record: RecordQuality) -> Iterator[Note]:
@@ -195,8 +195,8 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         size = f"{record.trend:.3g} {record.units['y']}".rstrip()
         yield warn(
             Code.DRIFT,
-            f"the output drifts by {size} over the record ({share:.2g} % of its range), apart from the loops: models have no steady "
-            "drift, subtract it before the fit",
+            f"the output drifts by {size} over the record ({share:.2g} % of its range), apart from the loops: no model includes a steady "
+            "drift, so subtract it before the fit",
         )
     if lag is not None and record.lags and record.slow_lag is None and not record.dynamic:
         clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
@@ -215,7 +215,7 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
     if record.speed_dependent:
         reason = "the area of the loop changes with frequency"
         if lag is not None and record.leads:
-            reason = f"it turns {-lag.samples:.1f} samples before the input"
+            reason = f"it reverses {-lag.samples:.1f} samples before the input"
         yield warn(Code.SPEED_DEPENDENT, f"the output depends on the input's speed ({reason}): add a velocity term")
 
 

@@ -34,7 +34,7 @@ _Measured = TypeVar("_Measured")
 
 
 def _once(measure: Callable[[Record], _Measured]) -> Callable[[Record], _Measured]:
-    """Measure a record once in its life: a search asks for the same records with every model, and a measurement takes 0.2 s."""
+    """Measure a record only once: a search needs the same records for every model, and a measurement takes 0.2 s."""
     known: weakref.WeakKeyDictionary[Record, _Measured] = weakref.WeakKeyDictionary()
 
     @functools.wraps(measure)

@@ -27,7 +27,7 @@ def check_size(size: int, raw: bytes) -> None:
     if size > allowed(len(raw)):
         raise DataError(
             f"its contents would take {size / 2**20:.0f} MiB, and the file has {len(raw) / 2**20:.3g} MiB: it is damaged or "
-            "no measurement. If it is one, save fewer or shorter columns"
+            "not a measurement. If it is one, save fewer or shorter columns"
         )
 
 

@@ -206,7 +206,7 @@ def _spans(good: np.ndarray, table: Table, title: str, gaps: str, notes: list[No
         notes.append(Note(Code.LEFT_OUT, f"left out: {short} pieces of a single row"))
     spans = [(start, stop) for start, stop in spans if stop - start > 1]
     if not spans:
-        raise DataError(f"{where}: no two rows with input follow each other")
+        raise DataError(f"{where}: no two successive rows have an input")
     return spans
 
 

@@ -254,18 +254,20 @@ def _is_driven_by_temperature(table: Table, free: list[int], kinds: dict[int, st
 
 
 def _by_wave(table: Table, i: int, o: int) -> tuple[tuple[int, int], Note]:
-    """Input and output of two columns of which either may drive: the input is the plainer wave, else the first of the two; and a note."""
+    """Input and output of two columns of which either may drive, and a note: the input has smaller harmonics, else it is the first."""
     parts = [_overtones(table.columns[k]) for k in (i, o)]
     names = [table.names[k] for k in (i, o)]
     swap = f"if wrong, set --input and --output (input={names[1]!r}, output={names[0]!r})"
     if parts[1] * _PLAINER < parts[0]:
-        text = f"{names[1]!r} is the plainer wave of the two and is taken for the input; if wrong, set --input and --output"
+        text = (
+            f"{names[1]!r} has the smaller harmonics and is assumed to be the input; if wrong, set --input and --output"
+        )
         return (o, i), warn(Code.COLUMN_CHOICE, text)
     if parts[0] * _PLAINER < parts[1]:
         return (i, o), Note(
-            Code.COLUMN_CHOICE, f"{names[0]!r} is the plainer wave of the two and is taken for the input; {swap}"
+            Code.COLUMN_CHOICE, f"{names[0]!r} has the smaller harmonics and is assumed to be the input; {swap}"
         )
-    text = f"either of {names[0]!r} and {names[1]!r} may be the input, and {names[0]!r} is taken; {swap}"
+    text = f"{names[0]!r} and {names[1]!r} could each be the input, and {names[0]!r} is assumed to be; {swap}"
     return (i, o), warn(Code.COLUMN_CHOICE, text)
 
 

@@ -35,5 +35,5 @@ def _noted(record: Record, copies: Sequence[str]) -> Record:
         return record
     named = ", ".join(copies[:_NAMED]) + (f" and {len(copies) - _NAMED} more" if len(copies) > _NAMED else "")
     verb = "repeats" if len(copies) == 1 else "repeat"
-    text = f"left out: {named} {verb} {record.name} in all numbers; a copy is no further measurement"
+    text = f"left out: {named} {verb} {record.name} in all numbers; a copy is not a further measurement"
     return record.noted(Code.LEFT_OUT, text, Severity.WARNING)

@@ -64,7 +64,7 @@ def split_curves(
     if number[-1] == 0:
         if (numbering := _numbering_apart(table, choice)) is not None:
             curves = _of_several_rows(_by_column(table, numbering, notes), table, choice, notes)
-            text = f"{len(curves)} curves, numbered by column {table.names[numbering]!r}: the samples jump from each to the next"
+            text = f"{len(curves)} curves, numbered by column {table.names[numbering]!r}: the samples jump from one curve to the next"
             notes.append(Note(Code.CURVES, text))
             return curves, True
         _suggest(table, choice, notes)
@@ -86,8 +86,8 @@ def split_curves(
         return [("", pieces[0])], False
     if choice.time is None and _follow_each_other(table.columns[choice.input], table.columns[choice.output], pieces):
         text = (
-            f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the one before ends, and the input "
-            "runs back"
+            f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the previous one ends, and the input "
+            "reverses"
         )
         notes.append(Note(Code.CURVES, text))
         return [("", np.concatenate(pieces))], False

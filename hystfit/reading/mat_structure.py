@@ -45,7 +45,7 @@ def _unpacked(data: bytes, most: int) -> bytes:
     except zlib.error as error:
         raise DataError(f"a compressed element cannot be unpacked ({error}): it is damaged, save it again") from error
     if len(content) > most:
-        raise DataError("it unpacks to many times its size: it is damaged or no measurement")
+        raise DataError("it unpacks to many times its size: it is damaged or not a measurement")
     return content
 
 

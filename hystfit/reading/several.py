@@ -172,6 +172,6 @@ def _check_clocks(paths: Sequence[str], tables: Sequence[Table], clocks: Sequenc
     apart = float(np.nanmax(np.abs(times[0] - times[1])))
     if apart > 0.5 * float(np.nanmedian(np.diff(times[0]))):
         raise DataError(
-            f"the times of {paths[0]!r} and {paths[1]!r} differ by up to {apart:.4g} s: the samples of input and output are "
-            "not taken together. Resample one of them, or read without time (time=False)"
+            f"the times of {paths[0]!r} and {paths[1]!r} differ by up to {apart:.4g} s: input and output were "
+            "not sampled at the same times. Resample one of them, or read without time (time=False)"
         )

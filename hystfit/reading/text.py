@@ -238,7 +238,7 @@ def _check_thousands(text: Text, block: Block) -> list[Note]:
         return [Note(Code.FILE_FORMAT, f"{words} (--decimal {other})")]
     raise DataError(
         f"{text.source}, line {block.index[row] + 1}: ambiguous: in {cell!r} the {mark!r} could be "
-        "the decimal mark or set thousands apart; give decimal='.' or decimal=',' (--decimal, decimal=)"
+        "the decimal mark or separate thousands; give decimal='.' or decimal=',' (--decimal, decimal=)"
     )
 
 

@@ -85,7 +85,7 @@ def _untimed(record: Record, clock: CoarseClock) -> Record:
     rate = f"{clock.samples / seconds:.6g}"
     text = (
         f"time stamps advance by {clock.step:g} {record.t_unit} every {clock.samples:g} samples: the time of each sample is "
-        f"unknown, and the record is used without time. If the samples are evenly spaced, --rate {rate} (rate={rate}) gives it"
+        f"unknown, and the record is used without time. If the samples are evenly spaced, give their rate: --rate {rate} (rate={rate})"
     )
     return record.replace(t=None, t_unit="s").noted(Code.COARSE_CLOCK, text, Severity.WARNING)
 
@@ -98,7 +98,7 @@ def _relabeled(record: Record, u: str, y: str) -> Record:
             text = f"the unit of the {role} is {unit}, which was chosen by the user"
             record = record.replace(**{field: unit}).noted(Code.UNITS, text)
         if unit and old and old != unit and (parse_unit(old) is None or parse_unit(unit) is None):
-            text = f"the unit {old!r} of the file is replaced by {unit!r}, which was chosen by the user"
+            text = f"the unit {old!r} of the file is replaced by {unit!r}, as given by the user"
             record = record.replace(**{field: unit}).noted(Code.UNITS, text)
     return record.in_units(u, y)
 

@@ -28,7 +28,7 @@ def unfolded(table: Table) -> tuple[Table, int, int] | None:
     columns[rising] = np.concatenate([table.columns[rising][order], table.columns[falling][order[::-1]]])
     columns[falling] = np.full(both.rows, np.nan)
     names = ", ".join(repr(table.names[k]) for k in (rising, falling))
-    text = f"rising and falling branch stand in two columns, {names}: they follow each other as one loop over {table.names[drive]!r}"
+    text = f"the rising and the falling branch are in two columns, {names}: they are joined to one loop over {table.names[drive]!r}"
     return (
         dataclasses.replace(both, columns=tuple(columns), notes=(*table.notes, Note(Code.CURVES, text))),
         drive,

@@ -1,4 +1,4 @@
-"""Whether an error is small enough: limits that depend on what the data admit, and the error beside plain descriptions."""
+"""Whether an error is small enough: limits that depend on the data, and the error relative to those of simple descriptions."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ class ParameterEstimate:
     Attributes:
         name, unit, doc: what it is.
         value: in `unit`.
-        stderr: standard error; None where it means nothing (fixed, on a bound, not determined).
+        stderr: standard error; None where it is undefined (fixed, on a bound, not determined).
         lower, upper: bounds; None where there is none.
-        fixed: whether it was held.
+        fixed: whether it was not fitted.
         at_bound: "lower" or "upper" where it reached a bound.
         identifiable: whether the data determine it; None where it was fixed.
     """

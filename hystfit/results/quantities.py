@@ -1,4 +1,4 @@
-"""Quantities of the trade that follow from a model: their definitions, and an estimate of one."""
+"""Engineering quantities that follow from a model: their definitions, and an estimate of one."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.steady_loops import SteadyLoops
-from hystfit.results.trades import REMANENT, STRUCTURAL, Trade
 
 _APART = 2.0  # standard errors between a model's quantity and the measured one that a report mentions
 
@@ -25,21 +25,21 @@ class Quantity:
         doc: what it is.
         unit: with {u}, {y}, {force} and {path} for the units of input, output, force and displacement.
         of_loops: its value for each loop; None for the creep, which follows from a step.
-        trades: for which it is defined; None for all.
-        leads: trades in whose reports it stands at the top, in the order of the registry.
+        kinds: of loops for which it is defined; None for all.
+        leads: kinds in whose reports it comes first, in the order of the registry.
     """
 
     label: str
     doc: str
     unit: str
     of_loops: Callable[[SteadyLoops], np.ndarray] | None
-    trades: frozenset[Trade] | None = None
-    leads: frozenset[Trade] = frozenset()
+    kinds: frozenset[LoopKind] | None = None
+    leads: frozenset[LoopKind] = frozenset()
 
     def units(self, data: Dataset) -> str:
         """Its unit on these records; empty where they have none."""
         u, y = data.units["u"], data.units["y"]
-        force, path = (u, y) if Trade.of(data) is Trade.FORCE_DRIVEN else (y, u)
+        force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
         text = self.unit.format(u=u, y=y, force=force, path=path).strip()
         return text if (u and y) or "/" not in text else ""
 
@@ -52,7 +52,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "coercive_input": Quantity(
         "coercivity (half width)", "half the width of the loop, in input, at the middle of the output", "{u}",
-        lambda loops: loops.coercive_input, leads=REMANENT | {Trade.OTHER},
+        lambda loops: loops.coercive_input, leads=REMANENT | {LoopKind.OTHER},
     ),
     "remanence": Quantity(
         "remanence (half height)", "half the height of the loop, in output, at the middle of the input", "{y}",
@@ -60,23 +60,23 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "hysteresis_percent": Quantity(
         "hysteresis (of the stroke)", "largest height of the loop in percent of the stroke", "%",
-        lambda loops: 100 * loops.gap.max(1) / loops.stroke, leads=frozenset({Trade.ACTUATOR, Trade.OTHER}),
+        lambda loops: 100 * loops.gap.max(1) / loops.stroke, leads=frozenset({LoopKind.ACTUATOR, LoopKind.OTHER}),
     ),
     "stroke": Quantity(
         "stroke", "range of the output over the steady loop", "{y}", lambda loops: loops.stroke,
-        leads=frozenset({Trade.ACTUATOR}),
+        leads=frozenset({LoopKind.ACTUATOR}),
     ),
     "secant_stiffness": Quantity(
         "secant stiffness", "force over displacement between the ends of the steady loop", "{force}/{path}",
-        lambda loops: loops.secant_stiffness, trades=STRUCTURAL, leads=STRUCTURAL,
+        lambda loops: loops.secant_stiffness, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     "equivalent_damping_percent": Quantity(
         "equivalent damping", "damping ratio: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
-        lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), trades=STRUCTURAL, leads=STRUCTURAL,
+        lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
         "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of the step", "%", None,
-        leads=frozenset(Trade),
+        leads=frozenset(LoopKind),
     ),
 }  # fmt: skip
 
@@ -87,11 +87,11 @@ def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
     Args:
         timed: whether the model depends on time, without which there is no creep.
     """
-    trade = Trade.of(data)
+    kind = LoopKind.of(data)
     return tuple(
         name
         for name, one in QUANTITIES.items()
-        if (one.trades is None or trade in one.trades) and (one.of_loops is not None or timed)
+        if (one.kinds is None or kind in one.kinds) and (one.of_loops is not None or timed)
     )
 
 

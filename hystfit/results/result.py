@@ -33,12 +33,12 @@ class FitResult(WithStatus):
     """A fitted model, its errors, and the problem that it solved.
 
     Attributes:
-        problem: model, records, free parameters and loss, to go on from.
-        x: free parameters where the fit ended, physical units, shape (p,).
-        status: only `Status.OK` is usable without a second thought.
+        problem: model, records, free parameters and loss, for further computations.
+        x: estimate of the free parameters, physical units, shape (p,).
+        status: only `Status.OK` is usable without reservation.
         notes: what is not determined, which bounds were reached, what was chosen.
         parameters: free and fixed ones.
-        covariance: of the free parameters, shape (p, p), NaN where it means nothing; `free_names` is their order.
+        covariance: of the free parameters, shape (p, p), NaN where it is undefined; `free_names` is their order.
         joint: the same with the parameters that the data do not determine, for quantities that combine them; NaN
             without influence. None of sequential methods.
         train: metrics on the fitted samples; `test` on others, None where none were given.
@@ -49,9 +49,9 @@ class FitResult(WithStatus):
         method: the estimator's name; `starts` and `in_best_basin`, how many starts and how many of them agree.
         compile_s, run_s: seconds that the fit spent compiling and running; None where it was not measured.
         noise: behind the standard errors.
-        baselines: what plain descriptions leave of the fitted samples; `test_baselines` of the test records, None where there are none.
+        baselines: errors of simple descriptions (line, curve, ten plays); `test_baselines` on the test records, None without any.
         left_out: cross-validation error [y]; None where it is unknown.
-        provenance: versions, seed, data checksums, date; for people.
+        provenance: versions, seed, data checksums, date; never read back.
     """
 
     problem: Problem
@@ -113,7 +113,7 @@ class FitResult(WithStatus):
     def quantities(self) -> tuple[QuantityEstimate, ...]:
         """Engineering quantities (coercivity, remanence, loss per cycle, hysteresis in percent, ...), with standard errors.
 
-        Which ones there are follows from the units of the records and from the model: see `hystfit.results.quantities`.
+        The units of the records and the model decide which ones are computed: see `hystfit.results.quantities`.
         """
         return _view("quantity_estimates:quantity_estimates")(self)
 
@@ -235,7 +235,7 @@ class FitResult(WithStatus):
         return y if factor in (None, 1.0) else factor * y
 
     def predict(self, data: Any, t: Any = None, *, u: Any = None, refit_offset: bool = False) -> np.ndarray:
-        """Free run over an input, shape (T,), with the parameters of the record where it was fitted.
+        """Simulated output over an input, shape (T,), with the parameters of the record where it was fitted.
 
         `predict(record)`, `predict(frame)` and `predict(u, t)` are the same for a record, a data frame and arrays. Another record than
         those fitted is predicted with the per-record parameters of the first.
@@ -250,7 +250,7 @@ class FitResult(WithStatus):
 
         Raises:
             ModelError: the model needs time and there is none.
-            DataError: an input that cannot be used, or an offset is to be refitted and no output counts.
+            DataError: an input that cannot be used, or an offset is to be refitted without any usable output.
         """
         given = excitation_of(data, t, u=u, like=self.data[0])
         record = self.in_fitted_units(given)
@@ -266,7 +266,7 @@ class FitResult(WithStatus):
             y = type(model).free_run(model, driven.u, None if driven.t is None else driven.dt)[-len(record) :]
         if refit_offset:
             if not record.used.any():
-                raise DataError(f"record {record.name!r}: no output counts, so that its offset cannot be refitted")
+                raise DataError(f"record {record.name!r}: no usable output, so that its offset cannot be refitted")
             y = y + float(np.mean((record.y - y)[record.used]))
         return self.to_unit_of(given, y)
 

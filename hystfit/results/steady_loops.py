@@ -16,7 +16,7 @@ from jaxtyping import Float
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.quality.loops import cycles
-from hystfit.results.trades import Trade
+from hystfit.results.loop_kinds import LoopKind
 
 _CYCLES, _POINTS = 3, 400
 _MOST_CYCLES = 50
@@ -132,7 +132,7 @@ class Excitation:
         high = max(float(r.u[r.used].max()) for r in data)
         interval, sine, points = _waveform(data)
         count = _cycles_of_path(data, high - low) if hardens else _CYCLES
-        return cls(low, high, interval, Trade.of(data) is Trade.FORCE_DRIVEN, sine, points, count)
+        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count)
 
     @property
     def inputs(self) -> np.ndarray:
@@ -150,7 +150,7 @@ class Excitation:
 
     @property
     def step(self) -> Record:
-        """A step over the range, of a device that has rested on its lower end; as long as `loop`, so that one program serves both."""
+        """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
         size = max(self.cycles * self.points, _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
         t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])

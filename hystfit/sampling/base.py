@@ -67,8 +67,8 @@ class AbstractSampler(abc.ABC):
         Args:
             setup: the posterior: `setup.target` is a log density in whitened coordinates q, with its mode near 0.
             seed: of the draws.
-            folder: keeps the run while it goes, so that the same call resumes after an interruption; None keeps nothing.
-            report: called from time to time with a line of text and the fraction that is done.
+            folder: stores the run in progress, so that the same call resumes after an interruption; None keeps nothing.
+            report: called repeatedly with a line of text and the fraction that is done.
         """
 
     def check_counts(self, least: Mapping[str, int]) -> None:

@@ -55,7 +55,7 @@ class Posterior(WithStatus):
         stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
         convergence: R-hat and effective sizes.
         status: only `Status.OK` is usable; `Status.POOR_FIT` means draws of a model that does not describe the data,
-            `Status.INCOMPLETE` that it lacks something which the residuals show.
+            `Status.INCOMPLETE` that the residuals show an error of the model.
         notes: choices and problems.
         priors: in words, by parameter.
         seconds: wall time of sampling.
@@ -99,7 +99,7 @@ class Posterior(WithStatus):
         return rows
 
     def summary(self) -> Table:
-        """`table` for people."""
+        """`table` as readable text."""
         numbers = [Column("mean"), Column("sd", form=".3g"), Column("2.5 %"), Column("97.5 %")]
         checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
         columns = [Column("parameter"), *numbers, Column("unit", left=True), *checks]
@@ -107,7 +107,7 @@ class Posterior(WithStatus):
         return Table(columns, [[row[key] for key in keys] for row in self.table()])
 
     def derived_table(self) -> Table:
-        """Derived quantities for people."""
+        """Derived quantities as readable text."""
         numbers = [Column(head) for head in ("median", "2.5 %", "97.5 %")]
         columns = [Column("quantity"), *numbers, Column("unit", left=True)]
         keys = ("median", "lower", "upper", "unit")

@@ -1,8 +1,8 @@
 """Predictive draws: a further measurement, given what the fitted records determine of model and noise.
 
-They include the spread of the parameters, of those that each record has for itself (an offset) over the fitted records where the record
-is not one of them, and of the noise: white and slow noise of stationary size, with innovations resampled from those of the fitted
-records (`hystfit.inference.noise.innovations`), and an error that repeats as the residuals determine it. They do not include an error
+They include the uncertainty of the parameters; for a record that was not fitted, the spread of per-record parameters (the offset) over
+the fitted records; and the noise: white and slow noise of stationary size, with innovations resampled from those of the fitted
+records (`hystfit.inference.noise.innovations`), and a recurring error as the residuals determine it. They do not include an error
 of the model at amplitudes, frequencies or levels that were not fitted.
 """
 

@@ -59,12 +59,12 @@ def sample(
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
         priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
         seed: of the draws.
-        folder: keeps the run while it goes; the same call with the same folder resumes after an interruption.
-        progress: called from time to time with a line of text and the fraction that is done.
+        folder: stores the run in progress; the same call with the same folder resumes after an interruption.
+        progress: called repeatedly with a line of text and the fraction that is done.
         **settings: of the sampler (`Nuts`, `Ensemble`, `Nested`): draws, chains, warmup, walkers, ...
 
     Returns:
-        Draws with a status; look at `usable` and `notes` first.
+        Draws with a status; check `usable` and `notes` before using them.
 
     Raises:
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
@@ -195,7 +195,7 @@ def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longes
         return []
     text = (
         f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is drift or creep, "
-        "which the model does not have. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
+        "which the model does not include. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
         "the drift"
     )
     return [warn(Code.INCOMPLETE, text)]
@@ -208,11 +208,11 @@ def _agreement_notes(result: FitResult, setup: Setup, draws: Float[np.ndarray, "
     if result.noise.refines and result.noise.name == setup.noise:
         reason = "the posterior includes the priors and the uncertainty of the noise, and need not be symmetric"
     elif result.noise.name == "iid":
-        reason = f"the fit takes its residuals as independent, the posterior has noise {setup.noise}"
+        reason = f"the fit assumes independent residuals, the posterior noise {setup.noise}"
     else:
         reason = (
-            f"the posterior weighs the samples by its noise model, least squares weighs them alike; noise={setup.noise!r} in the fit "
-            "gives the estimate of the posterior"
+            f"the posterior weights the samples by its noise model, least squares weights them equally; a fit with noise={setup.noise!r} "
+            "has the estimate of the posterior"
         )
     return differences(result, errors, "the posterior", reason)
 

@@ -28,9 +28,9 @@ from hystfit.results.result import FitResult
 from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
-_RECURS = "part of the residuals recurs every loop: the model lacks something, and its parameters are biased by more than chance. "
-_WIDENS = "noise='discrepancy' widens the intervals for what recurs"
-_WIDENED = "The intervals are widened for what recurs"
+_RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
+_WIDENS = "noise='discrepancy' widens the intervals for this error"
+_WIDENED = "The intervals are widened for this error"
 _PRIOR_SCALES = 10.0  # standard deviation in natural sizes that weights have before any data
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
@@ -122,7 +122,7 @@ def prepare(
     target = Target.about(problem.density, jnp.asarray(z), jnp.asarray(_widths(problem, refined.root)))
     center, factor, value = whiten_by_curvature(_mode(target))
     if not np.isfinite(value):
-        raise DataError("the posterior is not finite at the fit: look at the fit's status and notes first")
+        raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(jnp.asarray(center), jnp.asarray(factor)))
     return Setup(problem, NOISES.label(choice), target, tuple(notes))
 

@@ -63,7 +63,7 @@ def track_adaptively(
 
     Args:
         filters: start at the first model; three of them for a stage.
-        plant: the true model, or a `Stage`; it starts at rest on zero input.
+        plant: the true model, or a `Stage`; it starts in equilibrium at zero input.
         reference: desired output, shape (T,), or poses of shape (T, 3) of a stage.
         dt: sampling interval [s].
         block: samples between two updates of the inverse.

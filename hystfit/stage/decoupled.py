@@ -49,7 +49,7 @@ class StageInverse(AbstractRunningInverse):
         return cls(jax.tree.map(lambda *leaves: jnp.stack(leaves), *inverses), jacobian)
 
     def init(self, u0: Any = 0.0) -> Resume:
-        """The actuators at rest on voltages, shape () or (3,)."""
+        """The actuators in equilibrium at voltages, shape () or (3,)."""
         u0 = jnp.broadcast_to(jnp.asarray(u0, dtype=self.jacobian.dtype), (3,))
         return eqx.filter_vmap(lambda inverse, u: inverse.init(u))(self.inverses, u0)
 

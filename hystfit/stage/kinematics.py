@@ -98,7 +98,7 @@ def drive_in_turn(t: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
     Args:
         t: times of the signal [s], shape (T,).
-        u: the signal [V], shape (T,). Each actuator rests on its first value before its turn and on its last value after it.
+        u: the signal [V], shape (T,). Each actuator rests at its first value before its turn and at its last value after it.
 
     Returns:
         Times, shape (3 T,), and voltages, shape (3 T, 3).

@@ -149,7 +149,7 @@ class Stage(eqx.Module):
         return Population(stages, named(1), named(2))
 
     def init(self, u0: Float[Array, " 3"]) -> State:
-        """State at rest on voltages, without history: states of the actuators and modes, static pose of the previous sample."""
+        """State in equilibrium at voltages, without history: states of the actuators and modes, static pose of the previous sample."""
         u0 = jnp.clip(u0, self.low, self.high)
         states = jax.vmap(lambda model, u: model.init(u))(self.actuators, u0)
         length = jax.vmap(lambda model, s, u: model.step(s, u, u, jnp.zeros(()))[1])(self.actuators, states, u0)
@@ -178,12 +178,12 @@ class Stage(eqx.Module):
         return jnp.concatenate([stacks.ravel(), modal.ravel(), static]), pose
 
     def run(self, u: Float[Array, "T 3"], dt: Signal) -> Float[Array, "T 3"]:
-        """Poses for voltages, from rest on the first sample; traced, so `jax.vmap` simulates populations."""
+        """Poses for voltages, from rest at the first sample; traced, so `jax.vmap` simulates populations."""
         before = jnp.concatenate([u[:1], u[:-1]])
         return jax.lax.scan(lambda s, sample: self.step(s, *sample), self.init(u[0]), (before, u, dt))[1]
 
     def simulate(self, u: Any, dt: Any = 1 / RATE, *, finer: int = 1) -> np.ndarray:
-        """Poses for voltages, shape (T, 3), from rest on the first sample.
+        """Poses for voltages, shape (T, 3), from rest at the first sample.
 
         Args:
             u: voltages, shape (T, 3).

@@ -1,8 +1,8 @@
 """Simulation-based calibration (Talts et al. 2018): whether the error bars of a setup have the coverage that they claim.
 
-Parameters are drawn from the prior, data simulated with a noise model, the posterior found, and the rank of the truth
-among its draws noted. If all is right the ranks are uniform. With another noise model assumed than the true one, the same
-study measures misspecification.
+Parameters are drawn from the prior, data are simulated with a noise model, the posterior is computed, and the rank of the true value
+among its draws is recorded. If the setup is calibrated, the ranks are uniform. With an assumed noise model other than the true one,
+the same study measures misspecification.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Calibration(WithStatus):
         return (1 + np.sum(ideal >= distances[:, None] - 1e-12, axis=1)) / (ideal.size + 1)
 
     def coverage(self, level: float = 0.95) -> np.ndarray:
-        """Part of the replicates whose central interval of this level holds the truth, by parameter."""
+        """Part of the replicates whose central interval of this level contains the true value, by parameter."""
         place = (self.ranks + 0.5) / (self.of + 1)
         return np.mean(np.abs(place - 0.5) < 0.5 * level, axis=0)
 
@@ -112,9 +112,9 @@ class Calibration(WithStatus):
         """What the columns of the table mean."""
         low, high = self.coverage_band()
         return [
-            f"coverage: share of the 95 % intervals that hold the true value; with {len(self.ranks)} replicates, "
+            f"coverage: share of the 95 % intervals that contain the true value; with {len(self.ranks)} replicates, "
             f"{100 * low:.1f} % to {100 * high:.1f} % is consistent with 95 %",
-            "p: probability of ranks of the true values as uneven as these, where the errors are right",
+            "p: probability of ranks of the true values at least as uneven as these if the errors are calibrated",
         ]
 
     def __str__(self) -> str:
@@ -163,7 +163,7 @@ class Calibration(WithStatus):
             axes[1, k].plot(levels, [self.coverage(level)[k] for level in levels], color="#d55e00")
             axes[1, k].set_xlabel("level of the interval")
         axes[0, 0].set_ylabel("replicates\n(line: expected)", fontsize=8)
-        axes[1, 0].set_ylabel("covered\n(gray: 99 % by chance)", fontsize=8)
+        axes[1, 0].set_ylabel("coverage\n(gray: 99 % range of calibrated intervals)", fontsize=8)
         return figure
 
 
@@ -212,8 +212,8 @@ def calibrate(
         replicates: how many; at least 200 for a conclusion.
         spread: relative width of the priors about the model's values.
         priors: the user's own, by name.
-        fix: parameters to hold.
-        free: parameters to fit that the model holds.
+        fix: parameters that are not fitted.
+        free: parameters to fit that the model fixes by default.
         seed: of everything.
         folder: keeps finished chunks; the same call resumes from them.
         workers: processes on this machine.

@@ -19,11 +19,11 @@ _STEP = 1e-3  # finite difference, in standard errors: the output is nearly line
 
 @dataclasses.dataclass(frozen=True)
 class DriftExplained:
-    """Drift of the mean of similar cycles, measured and as a fit explains it, all per decade of time since the record began.
+    """Drift of the mean of similar cycles, measured and as explained by a fit, all per decade of time since the record began.
 
     Attributes:
         measured: slope of the measured means against log10 of time [unit of y per decade], and `r2`, the variance that it explains.
-        modeled: the same slope in the fit's free run.
+        modeled: the same slope in the simulation of the fit.
         stderr: of `modeled`, from the fit's covariance; None where that is not known.
         without_creep: the slope in the fitted model without its creep: the settling of its hysteresis.
         left: slope of the residual means.
@@ -44,16 +44,16 @@ class DriftExplained:
         error = "" if self.stderr is None else f" +- {self.stderr:.2g}"
         per = f"{self.unit}/decade".lstrip("/")
         return (
-            f"the mean of {self.cycles} similar cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep makes "
+            f"the mean of {self.cycles} similar cycles drifts by {self.measured:.3g} {per} (R2 {self.r2:.3f}); the fit's creep explains "
             f"{self.modeled:.3g}{error}, its hysteresis alone {self.without_creep:.2g}, and {self.left:.2g} remains in the residuals"
         )
 
 
 def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
-    """Compare the drift of a fitted record with that of the fit's free run.
+    """Compare the drift of a fitted record with that of the simulation of the fit.
 
-    Creep moves the mean of a loop because the mean input stepped when the record began: say where the device rested before
-    (`Record.resting_on`), else the model takes it to have rested on the first input.
+    Creep moves the mean of a loop because the mean input stepped when the record began: state where the device rested before
+    (`Record.resting_on`), else the model assumes that it rested at the first input.
 
     Args:
         result: of a model with creep (`LogCreep` or `LinearCreep`).
@@ -74,7 +74,7 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     found = drift(record.u, y, record.t, loops)
     if found is None or found.per_decade is None or found.r2_log is None:
         raise DataError(
-            f"record {record.name!r}: drift shows in four or more similar cycles over time, which it does not have"
+            f"record {record.name!r}: drift is measured over four or more similar cycles with time stamps, which this record does not have"
         )
     kept = np.isfinite(y)
 

@@ -182,7 +182,7 @@ def design(
         low, high: limits of the actuator; the input range of the fit by default.
         samples: length of the proposed input, at the records' sampling interval.
         aim: parameters whose errors count; all free ones by default.
-        method: "families" compares signals, "gradient" also optimizes one.
+        method: "families" compares signals, "gradient" also optimizes the turning points of one.
         steps: of the gradient method.
         seed: of random signals.
 
@@ -243,13 +243,16 @@ def _notes(
         text = f"the input {best!r} determines {combination}, which the present data do not"
         notes.append(Note(Code.CLOSES, text))
     if None in present.values():
-        text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to that"
+        text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to the prior"
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is optimal for the fitted values: repeat it after the next fit"))
     for note in coverage_notes(result.data):
-        text = f"{note.text}. The design takes the model as true and does not propose inputs that test it"
+        text = f"{note.text}. The design assumes that the model is correct and does not propose inputs that test it"
         notes.append(dataclasses.replace(note, text=text))
-    source, reason = "the present data alone", "design weighs the data against a wide prior and no other regularization"
+    source, reason = (
+        "the present data alone",
+        "the design combines the data with a wide prior and no other regularization",
+    )
     return (*notes, *differences(result, present, source, reason))
 
 

@@ -1,4 +1,4 @@
-"""Profile likelihoods: each parameter held along a path, all others refitted; confidence limits, or open sides.
+"""Profile likelihoods: each parameter fixed along a path, all others refitted; confidence limits, or open sides.
 
 The curvature at the optimum is local; a profile follows the likelihood as far as it matters (Raue et al. 2009; Wieland et al. 2021).
 """
@@ -140,7 +140,7 @@ class Profiles(WithStatus):
         }
 
     def plot(self) -> Any:
-        """One panel a parameter, with its limits and the quadratic that its standard error implies; returns the matplotlib figure."""
+        """One panel per parameter, with its limits and the quadratic that its standard error implies; returns the matplotlib figure."""
         import matplotlib.pyplot as plt
 
         columns = min(3, len(self.profiles))
@@ -214,7 +214,7 @@ def profile(
                 text = f"the data do not bound {curve.name} towards {bound}: a symmetric error bar is meaningless"
                 notes.append(warn(Code.OPEN_SIDE, text))
     notes += [
-        warn(Code.AT_BOUND, f"{name} lies on its {side} bound in the fit")
+        warn(Code.AT_BOUND, f"{name} is at its {side} bound in the fit")
         for name, side in zip(problem.space.names, sides, strict=True)
         if side and name in profiles
     ]
@@ -232,7 +232,7 @@ def _reason(result: FitResult, noise: str | type[AbstractNoise]) -> str:
     if has(result.notes, Code.REGULARIZED):
         return "the fit includes the regularization, the profile does not"
     if noise in ("auto", result.noise.name):
-        return "the likelihood is not symmetric about its maximum, which one standard error cannot show"
+        return "the likelihood is not symmetric about its maximum, which a single standard error cannot express"
     return f"the profile assumes noise {NOISES.label(noise)}, the fit {result.noise.name}"
 
 

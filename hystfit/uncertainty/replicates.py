@@ -47,8 +47,8 @@ class Study:
         method: "laplace" (curvature at the mode: least squares), "nuts" or "emcee".
         spread: relative width of the priors.
         priors: the user's own, by name.
-        fix: parameters held.
-        free: parameters fitted that the model holds.
+        fix: parameters that are not fitted.
+        free: fitted parameters that the model fixes by default.
         seed: of everything.
     """
 

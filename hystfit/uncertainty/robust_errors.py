@@ -1,4 +1,4 @@
-"""Standard errors by other rules: sandwich and block bootstrap beside the plain covariance."""
+"""Standard errors by other methods: sandwich and block bootstrap beside the plain covariance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hystfit.results.agreement import differences
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.errors/1"
-FEWEST = {"iid": 1, "sandwich": 6, "bootstrap": 8}  # blocks from which intervals hold the truth as often as they should
+FEWEST = {"iid": 1, "sandwich": 6, "bootstrap": 8}  # blocks from which intervals have their nominal coverage
 _NAMED = 6  # parameters named in a note
 _RANK = 1e-12  # square of the smallest singular value, over that of the largest, of a direction that counts
 _DRAWS = 1000  # of the bootstrap
@@ -67,13 +67,13 @@ class Covariance:
 
 @dataclasses.dataclass(frozen=True)
 class StandardErrors:
-    """Standard errors of a fit by every rule, side by side.
+    """Standard errors of a fit by every method, side by side.
 
     Attributes:
         result: the fit.
-        errors: of each free parameter by rule, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
+        errors: of each free parameter by method, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
             where the data do not determine the parameter.
-        factors: half a 95 % interval over the error, by rule but "fit", shape (p,).
+        factors: half a 95 % interval over the error, by method except "fit", shape (p,).
         block: samples of a block; None where the records hold too few of them.
         notes: what is missing and why.
     """
@@ -86,11 +86,11 @@ class StandardErrors:
 
     @property
     def ratios(self) -> dict[str, np.ndarray]:
-        """Errors by rule over those for independent residuals."""
+        """Errors by method over those for independent residuals."""
         return {rule: error / self.errors["iid"] for rule, error in self.errors.items() if rule != "iid"}
 
     def table(self) -> Table:
-        """Errors by rule, of parameters that have one, and at the end their typical ratio to those for independent residuals."""
+        """Errors by method, of parameters that have one, and at the end their typical ratio to those for independent residuals."""
         heads = {"fit": "fit", "iid": "independent"}
         rules = [Column(heads.get(rule, rule), key=rule, form=".3g") for rule in self.errors]
         rows: list[list[Any]] = []
@@ -137,7 +137,7 @@ def _typical(ratio: np.ndarray) -> float:
 
 
 def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 0) -> StandardErrors:
-    """Errors of a least-squares fit by every rule: the report's own, independent residuals, sandwich, block bootstrap.
+    """Standard errors of a least-squares fit by every method: as reported, for independent residuals, sandwich, block bootstrap.
 
     Args:
         result: a least-squares fit.
@@ -163,10 +163,10 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         span, widest = other.block, float(np.nanmax(other.factor))
         text = (
             f"the {kind} uses {other.blocks} blocks of {span} samples, so that a 95 % interval reaches up to {widest:.2g} of its standard "
-            "errors to either side; it does not include errors that repeat every loop"
+            "errors to either side; it does not include errors that recur every loop"
         )
         notes.append(Note(Code.BLOCKS, text))
-        reason = f"with {other.blocks} blocks such an error is known to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
+        reason = f"from {other.blocks} blocks, a standard error is accurate to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
     unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
@@ -188,7 +188,7 @@ def covariance(
 
     "sandwich" corrects the residuals of each block for its leverage and counts degrees of freedom (CR2: Bell and McCaffrey 2002);
     "bootstrap" gives the corrected scores of each block random signs and sizes and studentizes every draw (wild bootstrap: Webb 2023;
-    MacKinnon, Nielsen and Webb 2023). Neither includes an error that repeats every loop.
+    MacKinnon, Nielsen and Webb 2023). Neither includes an error that recurs every loop.
 
     Args:
         result: a least-squares fit.
@@ -269,7 +269,7 @@ class _Blocks:
 
     @classmethod
     def of(cls, rows: list[tuple[np.ndarray, np.ndarray]], span: int) -> _Blocks:
-        """Blocks of about `span` samples of (residuals, Q) of each record, at least one a record."""
+        """Blocks of about `span` samples of (residuals, Q) of each record, at least one per record."""
         scores, grams = [], []
         for residual, Q in rows:
             edges = np.linspace(0, len(Q), max(round(len(Q) / span), 1) + 1).astype(int)

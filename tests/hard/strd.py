@@ -76,7 +76,7 @@ LAWS: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class Curve(AbstractHysteresis):
-    """A curve without memory, y = law(b, u); it asks for no reversal of its input."""
+    """A curve without memory, y = law(b, u); it needs no reversal of its input."""
 
     rate_independent: ClassVar[bool] = True
     from_saturation: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleMethodOverride]

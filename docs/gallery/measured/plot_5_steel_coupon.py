@@ -2,8 +2,8 @@
 Steel coupon: stops with cyclic hardening
 =========================================
 
-Cyclic stress and strain of an S355J2 coupon. Weighted stops describe kinematic hardening. Their weights change with the path that the
-strain has run, which describes cyclic hardening. The model has no yield plateau, so the first loading has the largest errors.
+Cyclic stress and strain of an S355J2 coupon. Weighted stops describe kinematic hardening. Their weights change with the
+accumulated strain path, which describes cyclic hardening. The model has no yield plateau, so the first loading has the largest errors.
 
 Data: ``steel_resspylab/example_2``, A. de Castro e Sousa, RESSPyLab, MIT license.
 """

@@ -2,7 +2,7 @@
 Asymmetric piezo loop: generalized Bouc-Wen
 ===========================================
 
-A strongly driven piezo actuator bends its loop and saturates earlier on one side. The generalized law has a skew, an exponent for the
+At high drive, the loop of a piezo actuator is curved and saturates earlier on one side. The generalized law has a skew, an exponent for the
 sharpness of the knee, and a bent backbone.
 """
 

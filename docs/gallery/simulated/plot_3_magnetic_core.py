@@ -2,8 +2,8 @@
 Magnetic core: symmetric Preisach plane
 =======================================
 
-Loops of four amplitudes of a simulated magnetic material. A material that remembers no sign of its own has a symmetric plane: mirror
-cells share one weight, which halves the unknowns.
+Loops of four amplitudes of a simulated magnetic material. A material without a preferred direction of magnetization has a
+symmetric plane: mirror cells share one weight, which halves the number of unknowns.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 Damper: force against displacement
 ==================================
 
-Growing cycles of a simulated yielding damper. The output leads the input, so plays do not apply: stops do, or the Bouc-Wen force law,
-whose six parameters have a meaning.
+Growing cycles of a simulated yielding damper. The output leads the input, so the models for it are stops, not plays, or the Bouc-Wen force
+law, whose six parameters have a physical meaning.
 """
 
 import numpy as np

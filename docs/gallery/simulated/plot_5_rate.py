@@ -20,5 +20,5 @@ result = hf.fit("bouc-wen-force+saturating-rate", data, starts=4)
 result.plot("loop")
 
 # %%
-# Cross-validation shows what the rate term is worth.
+# Cross-validation shows how much the rate term improves the prediction.
 print(hf.compare(data, ["bouc-wen-force", "bouc-wen-force+saturating-rate", "prandtl-ishlinskii-stop"]))

@@ -2,8 +2,8 @@
 Staircase: the inverse with creep
 =================================
 
-The voltage that makes a simulated piezo actuator follow a staircase: the model is fitted to a sweep, the inverse compensates hysteresis
-and creep. The actuator is driven with this voltage; for comparison with the best constant gain.
+The voltage that makes a simulated piezo actuator follow a staircase: the model is fitted to a sweep, and its inverse compensates
+hysteresis and creep. The actuator is driven with this voltage and, for comparison, with the best constant gain.
 """
 
 import matplotlib.pyplot as plt

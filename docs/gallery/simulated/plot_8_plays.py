@@ -2,7 +2,7 @@
 Closed minor loops: weighted plays
 ==================================
 
-A device with return-point memory: every minor loop closes. Weighted plays (Prandtl-Ishlinskii) share that memory; their weights follow
+A device with return-point memory: every minor loop closes. Weighted plays (Prandtl-Ishlinskii) have that memory too; their weights follow
 from a convex solve, and their inverse is exact. A Bouc-Wen law, whose minor loops do not close, fits less well.
 """
 

@@ -3,9 +3,9 @@
  * Made by hystfit @version@. C99, no library beyond math.h, no allocation; all memory is in struct @name@.
  *
  *     @name@ h;
- *     @name@_init(&h, 0.0);                  at rest on an input
+ *     @name@_init(&h, 0.0);                  in equilibrium at an input
  *     y = @name@_step(&h, u, dt);            forward: output for the next input, dt after the last
- *     status = @name@_inverse(&h, y, dt, &u);  inverse: input for the next wanted output
+ *     status = @name@_inverse(&h, y, dt, &u);  inverse: input for the next desired output
  *@obstacle@
  * After each call h.status holds @NAME@_OK or what is wrong. An input that is NaN, infinite or too large for the model's arithmetic changes
  * nothing: the last output is returned, and the status is @NAME@_NOT_FINITE.

@@ -46,7 +46,7 @@ static void mdlInitializeSampleTimes(SimStruct *S)
 static void mdlInitializeConditions(SimStruct *S)
 {
     double *clock = (double *)ssGetDWork(S, CLOCK);
-    clock[STARTED] = 0.0; /* the device is at rest on the first input */
+    clock[STARTED] = 0.0; /* the device is in equilibrium at the first input */
 }
 
 static double advanced(SimStruct *S, @name@ *h)

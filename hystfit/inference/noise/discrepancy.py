@@ -1,4 +1,4 @@
-"""Model error that repeats every loop, as a Gaussian process over input and direction."""
+"""Model error that recurs every loop, as a Gaussian process over input and direction."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CURVE = 0.7  # prior standard deviation of the log size of the curve about the 
 
 
 class LoopDiscrepancy(OrnsteinUhlenbeck):
-    """Model error that repeats every loop: a Gaussian process in (input, direction), added to slow and independent noise.
+    """Model error that recurs every loop: a Gaussian process in (input, direction), added to slow and independent noise.
 
     Squared-exponential covariance in the input with inducing points over its range, independent on rising and falling branches; its
     weights are integrated out. The error is the same in every cycle, so standard errors do not fall with the number of cycles.
@@ -34,7 +34,7 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
     has_shapes: ClassVar[bool] = True
     covers: ClassVar[frozenset[Code]] = OrnsteinUhlenbeck.covers | {Code.REPEATING_RESIDUALS}
     noise_loop: Scalar = param(
-        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the error that repeats"
+        1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of the recurring error"
     )
     noise_length: Scalar = param(
         0.3, bounds=(0.08, 3.0), scale=0.3, doc="input range over which that error changes, relative to the whole range"

@@ -49,7 +49,7 @@ def fit_forc(
 
 @dataclasses.dataclass(frozen=True)
 class ForcDiagram:
-    """FORC distribution rho = -1/2 d2M / dHr dH over reversal field Hr and field H, the field's picture of a density.
+    """FORC distribution rho = -1/2 d2M / dHr dH over reversal field Hr and field H.
 
     Attributes:
         reversal, field: grid lines, shapes (R,) and (F,).
@@ -83,7 +83,7 @@ class ForcDiagram:
 
 @dataclasses.dataclass(frozen=True)
 class ForcNumbers:
-    """What a FORC diagram shows, in numbers.
+    """Key numbers of a FORC diagram.
 
     Attributes:
         peak: coercivity and interaction of the largest density [u].

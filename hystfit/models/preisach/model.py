@@ -70,7 +70,7 @@ class Preisach(AbstractPlane):
         turning_pairs=(3, 10),
         direction="counter-clockwise",
         regularized=True,
-        too_few="relays that they do not switch stay undetermined; regularize, or measure first-order reversal curves",
+        too_few="weights of relays that never switch are not determined; regularize, or measure first-order reversal curves",
     )
 
     w: Float[Array, " cells"] = param(
@@ -127,7 +127,7 @@ class Preisach(AbstractPlane):
             )
         if self.slopes.shape not in ((0,), (self.intervals,)):
             raise ModelError(
-                f"slopes must have no value or {self.intervals}, one an interval, got shape {self.slopes.shape}"
+                f"slopes must have no value or {self.intervals}, one per interval, got shape {self.slopes.shape}"
             )
         if eqx.is_array(self.levels) and not isinstance(self.levels, Tracer):
             center = None if isinstance(self.center, Tracer) else float(self.center)
@@ -358,7 +358,7 @@ class Preisach(AbstractPlane):
 
 def _size_words(model: Preisach) -> str:
     state = "" if model.from_saturation else f", {model.initial} before the record"
-    return f"{model.n} cells an axis, {model.spacing} levels{state}"
+    return f"{model.n} cells per axis, {model.spacing} levels{state}"
 
 
 def _start_at_an_end(records: Sequence[Record]) -> bool:

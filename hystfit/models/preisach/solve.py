@@ -21,7 +21,7 @@ class PreisachFit:
     """A fitted Preisach model and what the data determine of it.
 
     Attributes:
-        model: as seen by the first record.
+        model: with the parameters of the first record.
         offsets: of every record, shape (R,).
         nrmse_percent: error on the samples that counted, percent of the output's range.
         smoothness: strength that blocks left out chose.

@@ -104,7 +104,7 @@ class PreisachCheck:
         record: its name.
         closures: of its loops.
         loops: congruency of its minor loops.
-        higher: errors by order of reversal; None where it was not asked for, or there are none above the first.
+        higher: errors by order of reversal; None where it was not requested, or there are none above the first.
         outcomes: of "wiping-out", "congruency" and "higher-order".
         notes: what they mean, one sentence each, in the same order.
     """
@@ -243,7 +243,7 @@ def _wiping_words(closures: Closures, minor: np.ndarray) -> tuple[Outcome, str]:
         if closures.percent is not None:
             which = (
                 f"only the major loop closes ({closures.at.size} times, within {closures.percent[1]:.2g} % of the range), which "
-                "shows that the device repeats"
+                "shows that the loop is repeatable"
             )
         return "untested", (
             f"{which}: wiping-out cannot be tested; drive minor loops inside larger ones, such as 0, 150, 100, 180, 120 V"
@@ -252,8 +252,8 @@ def _wiping_words(closures: Closures, minor: np.ndarray) -> tuple[Outcome, str]:
     rms = float(np.sqrt(np.mean(closures.gap[minor] ** 2)) / closures.span * 100)
     outcome = _outcome(worst)
     return outcome, (
-        f"wiping-out {_verb(outcome)}: over {int(minor.sum())} closed minor loops the output comes back within {rms:.2g} % rms, "
-        f"{worst:.2g} % at most, of the range"
+        f"wiping-out {_verb(outcome)}: over {int(minor.sum())} closed minor loops the output returns within {rms:.2g} % rms and "
+        f"{worst:.2g} % at most of the range"
     )
 
 

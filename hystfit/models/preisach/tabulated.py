@@ -22,7 +22,7 @@ class TabulatedPreisach(Preisach):
     The table is interpolated as in the paper: bilinear in rectangles, which is a uniform density in each cell off the diagonal,
     and linear in the triangles on the diagonal, which is a piecewise linear single-valued part (`slopes`) and no mass. `fit` reads
     the values off the curves without a least-squares solve. Masses may have either sign; the inverse needs a table that rises with
-    alpha and falls with beta, and `fit` moves it to the nearest of these where noise has left another.
+    alpha and falls with beta: `fit` replaces a table that noise made non-monotone by the nearest monotone one.
     """
 
     estimator: ClassVar[str] = "everett-table"

@@ -18,9 +18,9 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
+from hystfit.results.loop_kinds import LoopKind
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
-from hystfit.results.trades import Trade
 from hystfit.results.user_code import checksums
 
 _NAMED = 4  # parameters named one by one
@@ -110,10 +110,10 @@ def _error(result: FitResult) -> str:
 
 
 def _numbers(result: FitResult) -> list[tuple[str, str]]:
-    trade, rows = Trade.of(result.data), []
+    kind, rows = LoopKind.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if trade not in one.leads:
+        if kind not in one.leads:
             continue
         if q.value is None:
             rows.append((_capital(one.label), "unknown" if q.reason is None else q.reason.text))

@@ -22,7 +22,7 @@ def parameter_table(result: FitResult, *, meaning: bool = False) -> Table:
 
 
 def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
-    """Quantities of the trade with their standard errors, those of the measured loops, and the reason where one is unknown."""
+    """Engineering quantities with their standard errors, those of the measured loops, and the reason where one is unknown."""
     left = lambda head: Column(head, left=True)
     columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), Column("measured"), left("")]
     rows = [_quantity_row(q) for q in result.quantities]

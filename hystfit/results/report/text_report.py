@@ -17,7 +17,7 @@ from hystfit.results.result import FitResult
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
 _MOST_ITEMS = 16  # of a list
-_STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are allowed"}
+_STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are acceptable"}
 _VERDICT = frozenset(
     {
         Code.ACCURACY,
