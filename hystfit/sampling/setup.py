@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -77,6 +78,14 @@ def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise])
     return name, [Note(Code.NOISE_MODEL, f"noise model {name}: {reasons}")]
 
 
+def _fewer(name: str) -> str:
+    """What reduces the free parameters of a model."""
+    smaller = re.sub(r"plays=\d{2,}", "plays=10", name)
+    if smaller == name:
+        return "fix most of them, or fit a model with fewer cells"
+    return f"fit fewer plays first, with model={smaller!r}"
+
+
 def prepare(
     result: FitResult,
     *,
@@ -98,8 +107,7 @@ def prepare(
     problem = result.problem.with_loss("linear")
     if len(problem.space) > _MOST:
         raise ParameterError(
-            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): fix most of them, or use fewer cells "
-            "or plays"
+            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): {_fewer(result.name)}"
         )
     residuals = analyze(problem, result.x)
     choice, notes = choose_noise(residuals, noise)
