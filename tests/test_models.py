@@ -398,7 +398,7 @@ def test_settings_shown_are_those_of_the_plain_name(name):
 @pytest.mark.parametrize(
     ("expression", "message"),
     [
-        ("bouc-wen:schem=exact", "got 'schem=exact', where it has scheme=semi-implicit"),
+        ("bouc-wen:schem=exact", "got 'schem=exact'; it has scheme=semi-implicit"),
         ("bouc-wen:", "NAME=VALUE"),
         ("bouc-wen:scheme=exact:scheme=exact", "each once"),
         ("offset:value=3+bouc-wen", "no settings"),
