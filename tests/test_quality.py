@@ -577,12 +577,14 @@ def test_the_part_before_the_damage_is_proposed_for_a_fit(tmp_path, capsys):
     part = np.exp(-0.002 * np.maximum(np.arange(u.size) - 3600, 0))
     record = Record(u, steel(u) * part, 0.01 * np.arange(u.size))
     report = check(record)
+    fast = check(record.replace(t=1e-6 * record.t)).records[0].whole_until
+    assert fast == pytest.approx(1e-6 * report.records[0].whole_until)
     assert 34.0 < report.records[0].whole_until < 40.0  # the median of four branches shows the loss
     assert not has(check(record.segment(0, 3600)).findings, Code.DEGRADING)
     np.savetxt(tmp_path / "wall.csv", np.column_stack([record.t, u, record.y]), delimiter=",", header="t_s,u,y")
     assert run(["check", str(tmp_path / "wall.csv")]) == 1  # no model determined by the whole record
     end = report.records[0].whole_until
-    assert capsys.readouterr().out.rstrip().endswith(f"hystfit fit {tmp_path}/wall.csv --window=:{end:g}")
+    assert capsys.readouterr().out.rstrip().endswith(f"hystfit fit {tmp_path}/wall.csv --window=:{end:.10g}")
 
 
 def test_lost_strength_is_reported_where_no_two_cycles_have_one_stroke():

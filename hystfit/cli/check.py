@@ -62,7 +62,7 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
     options = {name: True if value == "true" else value for name, value in (found | changed).items()}
     command = command_words(loops, dataclasses.replace(reading, **options))
     if report.advice is None and not changed:
-        return f"\n\nNext: fit the part before the damage\nhystfit fit {command} --window=:{_whole_part(report):g}"
+        return f"\n\nNext: fit the part before the damage\nhystfit fit {command} --window=:{_whole_part(report):.10g}"
     if changed or report.advice is None:  # the advice is for the output as it was read
         return f"\n\nNext: look at the output that is proposed above\nhystfit check {command}"
     lines = [

@@ -90,7 +90,7 @@ class Fitted:
 
     @functools.cached_property
     def parts(self) -> tuple[Record, ...]:
-        """Each record from its first to its last sample that counts: what happens outside a window is not held against the model."""
+        """Each record from its first to its last sample that counts: the verdict does not depend on what lies outside a window."""
         counted = [(record, np.flatnonzero(record.used)) for record in self.data]
         return tuple(
             record if at[-1] - at[0] + 1 == len(record) else record.segment(int(at[0]), int(at[-1]) + 1)

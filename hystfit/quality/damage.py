@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hystfit.data.record import Record
 from hystfit.quality.loops import cycles
 from hystfit.quality.record_quality import WHOLE, RecordQuality
@@ -23,9 +21,10 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
 
     Returns:
         A time [unit of t], or a number of samples for a record without time; None for an undamaged record, for one that is softer after
-        larger strokes (Mullins effect), and for damage from the start.
+        larger strokes (Mullins effect), for damage from the start, and where the clock is unusable, in which a window is given.
     """
-    if not quality.degrading or quality.softens_with_stroke:
+    timed = quality.sampling.rate is not None
+    if not quality.degrading or quality.softens_with_stroke or timed != (record.t is not None):
         return None
     ends = (cycles(record.u, quality.motion.threshold)[:, -1] + 1).tolist()
     sound = lambda end: _is_whole(summarize(record.segment(0, end)))
@@ -36,7 +35,7 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
         middle = (low + high) // 2
         low, high = (middle, high) if sound(ends[middle - 1]) else (low, middle)
     end = ends[low - 1]
-    return float(end) if quality.sampling.rate is None or record.t is None else float(np.round(record.t[end - 1], 6))
+    return float(end) if record.t is None else float(record.t[end - 1])
 
 
 def _is_whole(quality: RecordQuality) -> bool:

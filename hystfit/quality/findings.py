@@ -158,8 +158,9 @@ def _whole(record: RecordQuality) -> str:
     """How long the device is undamaged."""
     if record.whole_until is None:
         return ""
-    unit = "samples" if record.sampling.rate is None else record.units["t"]
-    return f", of which the first {record.whole_until:g} {unit}".rstrip() + " show none"
+    until = f"{record.whole_until:.10g}"
+    place = f"sample {until}" if record.sampling.rate is None else f"{until} {record.units['t']}".rstrip()
+    return f"; no damage is seen before {place}"
 
 
 def _loss(record: RecordQuality) -> str:
