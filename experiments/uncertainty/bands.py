@@ -3,7 +3,7 @@
 Beside the coverage stands a proper score, the continuous ranked probability score (CRPS: Gneiting and Raftery 2007), under the noise
 model that `hf.sample` chooses and under independent noise.
 
-A coverage counts only where the chains have converged.
+A coverage counts only where the chains have converged: they are extended until then, up to the last number of `DRAWS`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.predictive import predictive_draws
 
-SETTINGS = {"chains": 4, "draws": 2000, "warmup": 500}
+SETTINGS = {"chains": 4, "warmup": 500}
+DRAWS = (2000, 4000, 8000)  # of each chain
 COUNT = 400  # predictive draws
 BAND = 0.9
 
@@ -104,7 +105,7 @@ def run(results: Results) -> dict[str, str]:
         if loaded is not None:
             rows += [_stored(results, case, loaded[0], noise) for noise in ("auto", "iid")]
     head = ["set", "noise model", "90 % bands cover, %", "mean width, % of range", "CRPS, % of range", "error of the median, % of range",
-            "least ESS", "largest R-hat", "divergent, %", "status of the chains"]  # fmt: skip
+            "draws", "least ESS", "largest R-hat", "divergent, %", "status of the chains"]  # fmt: skip
     return {"Predictive bands of 90 % on measured samples that were not fitted": table(head, rows)}
 
 
@@ -133,9 +134,19 @@ def crps(draws: np.ndarray, y: np.ndarray) -> float:
     return float(np.mean(np.mean(np.abs(draws - y), axis=0) - apart))
 
 
+def until_converged(fit: hf.FitResult, noise: str, run: Path) -> hf.Posterior:
+    """Draws of the fewest numbers of `DRAWS` with which the chains converge; of the last number where they do not."""
+    more = dict(noise=noise, seed=0, folder=run, **SETTINGS)
+    for number in DRAWS[:-1]:
+        made = hf.sample(fit, "nuts", draws=number, **more)
+        if made.status is not Status.NOT_CONVERGED:
+            return made
+    return hf.sample(fit, "nuts", draws=DRAWS[-1], **more)
+
+
 def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str, run: Path) -> dict[str, object]:
-    """A row of the table, and the numbers in it; the chains are stored in the folder `run` and resumed from there."""
-    made = hf.sample(fit, "nuts", noise=noise, seed=0, folder=run, **SETTINGS)
+    """A row of the table, and the numbers in it; the chains are stored in the folder `run` and extended from there."""
+    made = until_converged(fit, noise, run)
     draws, y = predictive_draws(made, held, COUNT, 0)[:, held.used], held.y[held.used]
     low, middle, high = np.quantile(draws, [0.5 - BAND / 2, 0.5, 0.5 + BAND / 2], axis=0)
     span, words = float(np.ptp(y)), "default" if noise == "auto" else noise
@@ -154,6 +165,11 @@ def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str, run: Path) ->
     chosen = f"default ({made.noise})" if noise == "auto" else noise
     chains = made.convergence
     percent = [100 * inside, 100 * float(np.mean(high - low)) / span, 100 * score, 100 * error]
-    of_chains = [float(np.min(chains.bulk)), float(np.max(chains.rhat)), 100 * float(np.mean(made.stats["diverging"]))]
+    of_chains = [
+        made.draws.shape[0] * made.draws.shape[1],
+        float(np.min([chains.bulk, chains.tail])),
+        float(np.max(chains.rhat)),
+        100 * float(np.mean(made.stats["diverging"])),
+    ]
     row = [name, chosen, *percent, *of_chains, str(made.status)]
     return {"row": row, "numbers": numbers}
