@@ -244,6 +244,17 @@ def test_only_a_model_that_serves_the_purpose_stops_others():
         assert (judge.rows[1].score_percent is None) == (purpose == "prediction")
 
 
+def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validated():
+    data = stepped_loops()
+    error = hf.compare(data, ["duhem"]).rows[0].in_sample_percent
+    for share, validated in ((0.8, False), (1.05, True)):
+        judge = _Judge(data, "blocks", "prediction", 0, {})
+        judge.rows.append(Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={}))
+        judge.run(["duhem"], _Shown(lambda *_: None, ["duhem"]), Workers(1))
+        assert (judge.rows[1].score_percent is not None) == validated
+        assert judge.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
+
+
 def _numbers(comparison):
     rows = [(r.name, r.asked, r.score_percent, r.in_sample_percent, r.parameters, r.status) for r in comparison.rows]
     return rows, {name: result.x.tolist() for name, result in comparison.fits.items()}

@@ -80,6 +80,23 @@ def test_estimators_reach_one_optimum(fitted, piezo, method):
         assert abs(other[name].value - fitted[name].value) < part * fitted[name].stderr
 
 
+@pytest.mark.parametrize("method", ["lm", "trf"])
+def test_parameters_of_a_record_without_weight_stay_where_they_start(method):
+    """The third record has zero weight: its offset does not move, and the others are fitted as they are without it."""
+    truth, u = hf.BoucWen(c=1.0, mu=0.5, tau=3.0, rho=0.5), np.sin(2 * np.pi * T)
+    data = [record(truth, a * u, seed=k, name=f"r{k}") for k, a in enumerate((0.5, 0.7, 0.85, 1.0))]
+    whole, alone = (Problem(hf.BoucWen(), hf.Dataset.of(some)) for some in (data, [*data[:2], data[3]]))
+    part = whole.reweighted([one.weight * (k != 2) for k, one in enumerate(data)])
+    start = whole.space.clip(whole.space.vector(whole.model) + 0.05)
+    without, there = whole.space.names.index("offset@r2"), np.arange(start.size) != whole.space.names.index("offset@r2")
+    ends = [
+        ESTIMATORS.make(method).estimate(problem, problem.space.unconstrained(x)[None]).x
+        for problem, x in ((part, start), (alone, start[there]))
+    ]
+    assert ends[0][without] == pytest.approx(start[without], rel=1e-9)
+    np.testing.assert_allclose(ends[0][there], ends[1], rtol=1e-4, atol=1e-4)
+
+
 def test_errors_equal_linear_regression():
     """A model that is linear in all that is free: covariance = sigma^2 (A'A)^-1."""
     u = sweep()
@@ -365,6 +382,7 @@ def test_a_start_from_which_no_step_is_finite_ends_in_silence():
     """The steps shrink until powers of their inverse overflow; warnings are errors here."""
     start, low, high = np.array([1.0, 2.0]), np.zeros(2), np.full(2, np.inf)
     problem = Mock(
+        idle=np.zeros(2, dtype=bool),
         spec=Problem,
         space=SimpleNamespace(
             scale=np.ones(2), lower=low, upper=high, physical=lambda z: z, clip=lambda x: np.clip(x, low, high)

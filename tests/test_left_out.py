@@ -70,6 +70,24 @@ def test_nothing_of_what_is_predicted_enters_its_fit(model):
     assert after**2 - before**2 == pytest.approx(extra, rel=0.01)
 
 
+PLAYS = hf.PrandtlIshlinskii.of(6).replace(w=np.array([0.5, 0.1, 0.3, 0.0, 0.4, 0.2]))
+CELLS = hf.Preisach.of(8).replace(w=np.full(36, 0.05))
+
+
+@pytest.mark.parametrize("truth", [bouc_wen(), PLAYS, CELLS], ids=["bouc-wen", "plays", "preisach"])
+def test_the_offset_of_a_left_out_record_is_fitted_to_it(truth):
+    """Any constant may be added to the outputs of a record; nothing else of it enters the fit of the others."""
+    errors = []
+    for offsets in ((0.0, 0.0, 0.0, 0.0), (3.0, -2.0, 40.0, 1.0)):
+        data = [
+            (one := record(truth, 0.01, k, a * np.sin(2 * np.pi * T), str(k))).replace(y=one.y + shift)
+            for k, (a, shift) in enumerate(zip((0.5, 0.7, 0.85, 1.0), offsets, strict=True))
+        ]
+        errors.append(left_out_error(hf.fit(truth, data), "blocks"))
+    assert errors[0] == pytest.approx(0.01, rel=0.15)
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+
+
 def test_missing_creep_shows_in_the_future():
     made = record(hf.Series(bouc_wen(), hf.LogCreep(gamma=0.08)), noise=0.002)
     plain, creeping = (hf.fit(name, made) for name in ("bouc-wen", "bouc-wen+log-creep"))

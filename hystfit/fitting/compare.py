@@ -56,20 +56,20 @@ def compare(
 ) -> Comparison:
     """Fit several models and rank them by their cross-validation error.
 
-    With three or more records, whole ones are held out, in at most ten groups; otherwise five contiguous blocks of each record.
-    The input drives the model through a held-out block, but its output is not fitted. Single samples are never held out, because
-    they are correlated with their neighbors. Test data are not used. Among models within 2 % of the smallest error, those whose
-    fit converged and those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
+    With three or more records, whole ones are held out, in at most ten groups, and their offsets are fitted to them; otherwise five
+    contiguous blocks of each record. The input drives the model through a held-out block, but its output is not fitted. Single samples
+    are never held out, because they are correlated with their neighbors. Test data are not used. Among models within 2 % of the smallest
+    error, those whose fit converged and those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
 
     Args:
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their first fit has
-            more than twice the cross-validation error of the best model. A first fit starts from two points and is judged on the
-            fitted samples; that of a model with elements has its default size, is judged by cross-validation, and may have three
-            times the error. On records with a resonance, models without one follow only where the search, which has none, has at most
-            twice the error of the best.
+            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their fit errs more
+            than the best model does in cross-validation, or their first fit has more than twice that error. A first fit starts from
+            two points and is judged on the fitted samples; that of a model with elements has its default size, is judged by
+            cross-validation, and may have three times the error. On records with a resonance, models without one follow only where
+            the search, which has none, has at most twice the error of the best.
         left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -193,6 +193,7 @@ class _Candidate:
     Attributes:
         name: of its row.
         row: once it is validated, stopped, or has failed.
+        fitted: the fit, before its validation.
         result: the fit, where it is validated.
         first: the first fit, where there was one.
         failure: why there is no result.
@@ -201,6 +202,7 @@ class _Candidate:
 
     name: str
     row: Row | None = None
+    fitted: FitResult | None = None
     result: FitResult | None = None
     first: _First | None = None
     failure: Exception | None = None
@@ -270,7 +272,11 @@ class _Judge:
         while waiting:
             for one in waiting:
                 one.row = self._excluded_row(one)
-            each(self._validate, _contenders([one for one in waiting if one.row is None]))
+            contenders = _contenders([one for one in waiting if one.row is None])
+            each(self._fit, contenders)
+            for one in contenders:
+                one.row = one.row or self._beaten_row(one)
+            each(self._validate, [one for one in contenders if one.row is None])
             waiting = self._keep_finished(waiting, shown)
 
     def _timed(
@@ -314,22 +320,27 @@ class _Judge:
             return first
         return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
 
-    def _validate(self, one: _Candidate, progress: Callable[[str], object]) -> None:
-        """Fit a model and measure its error on left-out data."""
+    def _fit(self, one: _Candidate, progress: Callable[[str], object]) -> None:
+        """Fit a model of the size that suits the data."""
         name = one.name
         progress("fit")
         if name == SEARCH:
-            result = fit_model(SEARCH, self.data, FitOptions(seed=self.seed))
+            one.fitted = fit_model(SEARCH, self.data, FitOptions(seed=self.seed))
+            return
+        given = self.named.get(name, name)
+        model = make_model(given)
+        # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
+        sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
+        first = one.first.error if one.first else None
+        if not sized and (choice := choose_size(model, self.data, progress, first)).notes:
+            one.fitted = fit_model(choice.model, self.data, FitOptions(seed=self.seed)).with_notes(*choice.notes)
         else:
-            given = self.named.get(name, name)
-            model = make_model(given)
-            # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
-            sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
-            first = one.first.error if one.first else None
-            if not sized and (choice := choose_size(model, self.data, progress, first)).notes:
-                result = fit_model(choice.model, self.data, FitOptions(seed=self.seed)).with_notes(*choice.notes)
-            else:
-                result = fit_model(given, self.data, FitOptions(seed=self.seed))
+            one.fitted = fit_model(given, self.data, FitOptions(seed=self.seed))
+
+    def _validate(self, one: _Candidate, progress: Callable[[str], object]) -> None:
+        """Measure the error of a fit on left-out data."""
+        name, result = one.name, one.fitted
+        assert result is not None
         progress("cross-validation")
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "blocks" and np.isfinite(score):
@@ -352,6 +363,7 @@ class _Judge:
     def _first_fit(self, one: _Candidate, progress: Callable[[str], object]) -> None:
         """A first fit, which decides whether a model is validated; the models that users chose, and a search, are validated."""
         if self.named or one.name == SEARCH:
+            self._fit(one, progress)
             self._validate(one, progress)
             return
         model = make_model(one.name)
@@ -386,6 +398,32 @@ class _Judge:
             f"of {best:.2g} % (hystfit compare --models {name} validates it)"
         )
         return Row(name, name, None, error, None, first.parameters, 0.0, Status.UNTESTED, note)
+
+    def _beaten_row(self, one: _Candidate) -> Row | None:
+        """The row of a model that errs more on the samples it was fitted to than another on left-out data; None for the others."""
+        best, result = self._best(), one.fitted
+        if best is None or result is None:
+            return None
+        weight = np.asarray(result.problem.objective.batch.weight)
+        squares = float(np.sum(weight * result.problem.residuals(result.x) ** 2))
+        error = 100 * np.sqrt(squares / weight.sum()) / self._span
+        if error <= _EQUAL * best:
+            return None
+        note = (
+            f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error of another model, "
+            f"{best:.2g} % (hystfit compare --models {one.name} validates it)"
+        )
+        return Row(
+            result.name,
+            one.name,
+            None,
+            error,
+            result.train.max_error_percent,
+            len(result.free_names),
+            0.0,
+            Status.UNTESTED,
+            note,
+        )
 
     @property
     def _span(self) -> float:

@@ -16,7 +16,7 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.blocks import chosen, parts, spread
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
-from hystfit.models.design import FAR
+from hystfit.models.design import FAR, left_out_squares
 from hystfit.outcome import Code, Note, Severity
 
 STRENGTHS = tuple(10.0**k for k in range(-10, 1))
@@ -83,8 +83,7 @@ class LinearSystem:
     def origin(self) -> np.ndarray:
         """One level for the offsets of all records, zeros for all others, shape (p,).
 
-        Normal equations would square the size of an output far from zero. The offset of a record that is left out must not be its own
-        mean, so that all have one; where zero is near, zero.
+        Normal equations would square the size of an output far from zero. Where zero is near, the level is zero.
         """
         constant = np.flatnonzero(self.free & ~self.ridged)
         alike = [
@@ -200,7 +199,10 @@ class RidgeFit:
 
 
 def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) -> RidgeFit:
-    """Solve, with the strength whose error on contiguous blocks left out in turn is smallest."""
+    """Solve, with the strength whose error on contiguous blocks left out in turn is smallest.
+
+    The offset of a record that is left out as a whole is fitted to it.
+    """
     grams, scale, counts = system.normal()
     total, n = grams.sum(axis=0), counts.sum()
     dead = ~np.isfinite(scale)
@@ -209,9 +211,9 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
     for strength in strengths:
         error = 0.0
         for gram, count in zip(grams, counts, strict=True):
-            w = solve_normal(total - gram, system.free, held * strength * (n - count) + dead)
-            r = np.append(-w, 1.0)
-            error += max(float(r @ gram @ r), 0.0)
+            others = total - gram
+            w = solve_normal(others, system.free, held * strength * (n - count) + dead)
+            error += left_out_squares(gram, w, ~held & (np.diag(others)[:-1] == 0))
         left_out.append(np.sqrt(error / system.weight.sum()))
     best = int(np.argmin(left_out))
     ridge = held * strengths[best] * n + dead

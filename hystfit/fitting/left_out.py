@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
+from jaxtyping import Float
 
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
@@ -27,7 +28,8 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
         result: the fit of all data; refits start there. Samples are not left out one by one, because residuals are autocorrelated.
         scheme: "blocks" leaves out in turn whole records, in at most ten groups, where there are three or more, else contiguous
             fifths of each; "future" predicts the third, fourth and fifth part of every record from a fit to what came before
-            (Buerkner et al. 2020), which tests whether creep and drift are understood.
+            (Buerkner et al. 2020), which tests whether creep and drift are understood. The offset of a record that is left out as a
+            whole is fitted to it; its other own parameters, such as an initial state, keep the values of the fit of all data.
 
     Raises:
         ParameterError: an unknown scheme.
@@ -67,12 +69,37 @@ def _refitted(
     squares, total = 0.0, 0.0
     for seen, asked in splits:
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
-        predicted = training.predict(ESTIMATORS.make(name).estimate(training, z[None]).x)
+        fitted = ESTIMATORS.make(name).estimate(training, z[None]).x
+        predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))
         for mask, record, y in zip(asked, problem.data, predicted, strict=True):
             held = mask & record.used
             squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
             total += float(record.weight[held].sum())
     return float(np.sqrt(squares / total)) if total else float("nan")
+
+
+def _with_absent_records(
+    problem: Problem, x: np.ndarray, fitted: np.ndarray, idle: np.ndarray
+) -> Float[np.ndarray, " p"]:
+    """Fitted parameters, and those of records absent from the fit: offsets that fit them best, and else their values in x.
+
+    Args:
+        problem: with all records.
+        x: the fit of all records, physical, shape (p,).
+        fitted: the fit without some records, shape (p,).
+        idle: which parameters belong to these, shape (p,), bool.
+    """
+    changed, shifts = np.where(idle, x, fitted), idle & problem.space.offsets
+    if not shifts.any():
+        return changed
+    residual, jacobian = problem.linearize(changed)
+    root = np.sqrt(np.asarray(problem.objective.batch.weight))
+    owner = np.array([-1 if record is None else record for *_, record in problem.space.sources])
+    for record in np.unique(owner[shifts]):
+        at = np.flatnonzero(shifts & (owner == record))
+        weighted = root[record][:, None] * np.column_stack([jacobian[record][:, at], residual[record]])
+        changed[at] -= np.linalg.lstsq(weighted[:, :-1], weighted[:, -1])[0]
+    return changed
 
 
 def bic(result: FitResult) -> float:

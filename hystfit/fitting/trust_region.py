@@ -19,6 +19,8 @@ _QUICK, _QUICK_EVALUATIONS = 1e-3, 40
 class TrustRegion(AbstractEstimator):
     """scipy's `least_squares(method="trf")` in physical coordinates, each parameter in units of its scale.
 
+    Parameters of records without weight stay where they start: rounding would move them without limit.
+
     Attributes:
         tolerance: on cost, step and gradient.
         max_evaluations: of the residuals, for each start.
@@ -34,15 +36,22 @@ class TrustRegion(AbstractEstimator):
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
-        scale, lower, upper = problem.space.scale, problem.space.lower, problem.space.upper
-        solutions = []
+        at = np.flatnonzero(~problem.idle)
+        scale, lower, upper = (part[at] for part in (problem.space.scale, problem.space.lower, problem.space.upper))
+        ends, solutions = [], []
         for z in starts:
-            x0 = np.clip(problem.space.physical(z) / scale, lower / scale, upper / scale)
+            start = problem.space.clip(problem.space.physical(z))
+
+            def whole(v: np.ndarray, start: np.ndarray = start) -> np.ndarray:
+                x = start.copy()
+                x[at] = v * scale
+                return x
+
             with np.errstate(all="ignore"):  # of trial steps that are not taken
                 solution = scipy.optimize.least_squares(
-                    lambda v: problem.misfit(v * scale),
-                    x0,
-                    jac=lambda v: problem.linearize_misfit(v * scale)[1] * scale,  # type: ignore[arg-type]
+                    lambda v: problem.misfit(whole(v)),
+                    start[at] / scale,
+                    jac=lambda v: problem.linearize_misfit(whole(v))[1][:, at] * scale,  # type: ignore[arg-type]
                     bounds=(lower / scale, upper / scale),
                     x_scale="jac",
                     ftol=self.tolerance,
@@ -51,8 +60,9 @@ class TrustRegion(AbstractEstimator):
                     max_nfev=self.max_evaluations,
                 )
             solutions.append(solution)
+            ends.append(problem.space.clip(whole(solution.x)))
         costs = np.array([s.cost if np.isfinite(s.cost) else np.inf for s in solutions])
-        best = solutions[int(np.argmin(costs))]
+        number = int(np.argmin(costs))
+        best = solutions[number]
         evaluations = int(sum(s.nfev for s in solutions))
-        x = problem.space.clip(best.x * scale)
-        return Estimate(x, float(best.cost), best.status > 0, str(best.message), evaluations, costs)
+        return Estimate(ends[number], float(best.cost), best.status > 0, str(best.message), evaluations, costs)

@@ -185,6 +185,12 @@ class Problem:
         """Which samples of the batch count, shape (R, T), bool."""
         return np.asarray(self.objective.batch.weight) > 0
 
+    @property
+    def idle(self) -> np.ndarray:
+        """Which parameters belong to a record of which no sample counts, shape (p,), bool."""
+        empty = ~self.used.any(axis=1)
+        return np.array([record is not None and empty[record] for *_, record in self.space.sources], dtype=bool)
+
     def at_bound(self, x: np.ndarray, tolerance: float = 1e-4) -> list[Side | None]:
         """Which bound each parameter has reached, if any.
 

@@ -61,3 +61,19 @@ class DesignMatrix:
         """The same with one row per sample."""
         blocks = tuple(dataclasses.replace(block, columns=block.columns[self.index]) for block in self.blocks)
         return DesignMatrix(blocks, self.rest[self.index], np.arange(self.index.size))
+
+
+def left_out_squares(gram: np.ndarray, weights: np.ndarray, own: np.ndarray) -> float:
+    """Sum of squared residuals of samples that were left out of a fit.
+
+    Args:
+        gram: their normal matrix [[A'A, A'y], [y'A, y'y]], shape (p + 1, p + 1).
+        weights: of the fit, shape (p,).
+        own: offsets of records that were left out as a whole, shape (p,), bool. Only the samples left out determine them, so that they
+            take their least-squares values.
+    """
+    r = np.append(-weights, 1.0)
+    at = np.flatnonzero(own & (np.diag(gram)[:-1] > 0))
+    if at.size:
+        r[at] -= np.linalg.solve(gram[np.ix_(at, at)], gram[at] @ r)
+    return max(float(r @ gram @ r), 0.0)

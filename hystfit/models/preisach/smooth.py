@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.design import FAR, Block, DesignMatrix
+from hystfit.models.design import FAR, Block, DesignMatrix, left_out_squares
 from hystfit.models.nonnegative import solve_nonnegative
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
@@ -81,6 +81,7 @@ class SmoothSystem:
         judged: blocks of samples that are left out in turn to choose the smoothness, shape (blocks,), bool.
         roughness: matrix of the smoothness penalty, shape (p, p).
         bounded: which weights are >= 0, shape (p,).
+        offsets: which weights are offsets of single records, shape (p,), bool.
         reach: part of each cell that the samples that count switched both ways, shape (p,), 0 for cells never touched; NaN for
             weights that belong to no cells.
         size: of the output, by which it was divided.
@@ -93,6 +94,7 @@ class SmoothSystem:
     judged: np.ndarray
     roughness: np.ndarray
     bounded: np.ndarray
+    offsets: np.ndarray
     reach: np.ndarray
     size: float
 
@@ -132,7 +134,7 @@ class SmoothSystem:
         grams = np.zeros((len(folds[0]), p + 1, p + 1))
         sums = [_Gram(gram) for gram in grams]
         counts = np.zeros(len(folds[0]))
-        # One level for all records, as that of a record that is left out must not be its own mean; where zero is near, zero.
+        # One level for all records; where zero is near, zero.
         level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
         level = level if abs(level) > FAR else 0.0
         for block, own, start in zip(blocks, layout.own, starts, strict=False):
@@ -151,16 +153,18 @@ class SmoothSystem:
             low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
         for part in sums:
             part.finish()
-        roughness, bounded, reach = np.zeros((p, p)), np.zeros(p, dtype=bool), np.full(p, np.nan)
-        for block, start, end in zip(blocks, starts, starts[1:], strict=False):
+        roughness, reach = np.zeros((p, p)), np.full(p, np.nan)
+        bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
+        for block, own, start, end in zip(blocks, layout.own, starts, starts[1:], strict=False):
             at = slice(start, end)
             bounded[at] = nonnegative and block.info.bounds[0] == 0.0
+            shifts[at] = own and np.isneginf(block.info.bounds[0])
             if block.penalty is not None:
                 roughness[at, at] = block.penalty.matrix
                 if block.penalty.cells is not None:
                     reach[at] = np.clip((high - low)[at] / (2 * block.penalty.cells), 0.0, 1.0)
         judged = np.arange(counts.size) < (counts.size if left_out == "blocks" else counts.size - 1)
-        return cls(layout, origin, grams, counts, judged, roughness, bounded, reach, size)
+        return cls(layout, origin, grams, counts, judged, roughness, bounded, shifts, reach, size)
 
     def notes(self) -> tuple[str, ...]:
         """Cells that the data never switched, one sentence for each array of their weights."""
@@ -262,6 +266,8 @@ def fit_smooth(
 ) -> SmoothFit:
     """Solve for the weights, with the smoothness whose error on blocks left out in turn is smallest.
 
+    The offset of a record that is left out as a whole is fitted to it.
+
     Args:
         system: the equations.
         strengths: of the penalty to choose among; a single one is used without a choice.
@@ -273,6 +279,7 @@ def fit_smooth(
     total, n = grams.sum(axis=0), system.counts.sum()
     rough, bounded = system.roughness[np.ix_(free, free)], system.bounded[free]
     trial = bounded if free.size <= _MANY else np.zeros_like(bounded)
+    own = system.offsets[free]
     left_out: list[float] = []
     starts: list[np.ndarray | None] = [None] * len(grams)
     judged = np.flatnonzero(system.judged)[: 2 if free.size > _MANY else None]
@@ -282,10 +289,10 @@ def fit_smooth(
         near = starts[judged[0]]
         for k in judged:
             gram, count = grams[k], system.counts[k]
-            v, near = _solve(total - gram, strength * (n - count) * rough, bounds, near)
+            others = total - gram
+            v, near = _solve(others, strength * (n - count) * rough, bounds, near)
             starts[k] = near
-            r = np.append(-v, 1.0)
-            error += max(float(r @ gram @ r), 0.0)
+            error += left_out_squares(gram, v, own & (np.diag(others)[:-1] == 0))
         return float(np.sqrt(error / system.counts[judged].sum()))
 
     for strength in strengths if len(strengths) > 1 else ():
