@@ -12,6 +12,7 @@ import scipy.optimize
 
 import hystfit as hf
 from hystfit.batch.bucketed import Task, solve_together
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import set_up_fit, starting_vectors
 
 RECORDS, SAMPLES, REPEATS = 100, 10_000, 3
@@ -53,7 +54,7 @@ def best(run: object) -> float:
 def main() -> None:
     hf.enable_x64()
     records = [made(seed) for seed in range(RECORDS)]
-    posed = [set_up_fit(hf.BoucWen(), hf.Dataset((record,))) for record in records]
+    posed = [set_up_fit(hf.BoucWen(), hf.Dataset((record,)), FitOptions()) for record in records]
     tasks = {
         count: [Task.of(p.problem, starting_vectors(p.problem, count, 0, p.points)) for p in posed] for count in (1, 8)
     }
