@@ -69,6 +69,11 @@ def test_errors_by_every_rule(fitdir, tmp_path, capsys):
     at = sandwich.names.index("tau")
     assert content["parameters"]["tau"]["stderr"]["sandwich"] == pytest.approx(sandwich.stderr[at], rel=1e-6)
     assert content["parameters"]["tau"]["ratio"]["sandwich"] == pytest.approx(sandwich.ratio[at], rel=1e-6)
+    assert run(["errors", str(fitdir), "--block", "20", "--parameter", "tau"]) == 0
+    printed = capsys.readouterr().out
+    assert "\ntau " in printed
+    assert "\nmu " in text
+    assert "\nmu " not in printed
     assert run(["errors", str(fitdir), "--block", "0"]) == 2
     assert "block" in capsys.readouterr().err
 

@@ -320,6 +320,27 @@ def test_no_rule_gives_an_error_to_what_is_not_determined(faint):
     assert has(found.notes, Code.NOT_DETERMINED)
 
 
+def test_an_array_of_many_weights_has_one_row_of_errors_until_it_is_chosen():
+    result = hf.fit("prandtl-ishlinskii:plays=14", loop(), starts=1, noise="iid")
+    found, weights = hf.standard_errors(result), [p for p in result.parameters if p.name.startswith("w[")]
+    known = [p for p in weights if p.stderr is not None]
+    assert 1 < len(known) <= len(weights) == 14
+    row = next(row for row in found.table().to_list() if row["parameter"] == "w[14]")
+    assert row["fit"] == f"{min(p.stderr for p in known):.3g} to {max(p.stderr for p in known):.3g}"
+    assert row["value"].startswith(f"{min(p.value for p in weights):.3g} to {max(p.value for p in weights):.3g}")
+    assert "14 values" in row["remark"]
+    assert not any(p.name in found.text() for p in known[-1:])
+    every = found.table("w").to_list()[:-1]
+    assert {row["parameter"]: row["fit"] for row in every} == {p.name: p.stderr for p in known}
+    assert [row["parameter"] for row in found.table([known[0].name, "offset"]).to_list()[:-1]] == [
+        known[0].name,
+        "offset",
+    ]
+    assert set(found.to_dict()["parameters"]) == set(result.free_names)
+    with pytest.raises(ParameterError):
+        found.text("v")
+
+
 def test_too_few_blocks_are_refused_with_a_note():
     loops = [dataclasses.replace(loop(a, T=200, seed=k), name=str(k)) for k, a in enumerate((0.4, 0.7, 1.0))]
     result = hf.fit(TRUTH, loops, starts=1, noise="iid")

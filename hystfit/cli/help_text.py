@@ -23,7 +23,7 @@ EXAMPLES = {
     "export": ("hystfit export fit --c board", "hystfit export fit --mat fit.mat"),
     "sample": ("hystfit sample fit --out posterior", 'hystfit sample fit --prior "rho=normal(0.9,0.05)"'),
     "profile": ("hystfit profile fit --out profiles",),
-    "errors": ("hystfit errors fit",),
+    "errors": ("hystfit errors fit", "hystfit errors fit --parameter w"),
     "calibrate": ("hystfit calibrate fit --replicates 50",),
     "design": ("hystfit design fit --low 0 --high 100 --out design",),
     "report": ("hystfit report fit",),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
+from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, named, progress, terminal_width, write_csv
 from hystfit.errors import ParameterError, optional
 from hystfit.inference.noise.registry import NOISES
@@ -123,22 +124,32 @@ def profile(
 
 
 def errors(
-    fitdir: FitFolder, /, *, block: int | None = None, seed: int = 0, trust: Trust = False, output: Output = STDOUT
+    fitdir: FitFolder,
+    /,
+    *,
+    parameter: list[str] | None = None,
+    block: int | None = None,
+    seed: int = 0,
+    trust: Trust = False,
+    output: Output = STDOUT,
 ) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
 
-    With --out, the folder holds errors.txt.
+    With --out, the folder holds errors.txt. result.json has every parameter.
 
     Args:
+        parameter: which parameter, or array of weights such as w, to print row by row; repeatable; default: all, and each array of more
+            than 12 weights in one row.
         block: samples in a block; default: one cycle of the input, or five correlation times where those are longer.
         seed: random seed of the bootstrap.
     """
     from hystfit.uncertainty.robust_errors import standard_errors
 
     result = open_fit(fitdir, output, trust)
-    table = standard_errors(result, block=block, seed=seed)
-    save = lambda folder: (folder / "errors.txt").write_text(f"{table}\n", encoding="utf-8")
-    return finish(str(table), table.to_dict(), output, save)
+    found = standard_errors(result, block=block, seed=seed)
+    text = as_options(found.text(parameter))
+    save = lambda folder: (folder / "errors.txt").write_text(f"{text}\n", encoding="utf-8")
+    return finish(text, found.to_dict(), output, save)
 
 
 @lists(noises=NOISES, samplers=[name for name in SAMPLERS if name != "nested"])

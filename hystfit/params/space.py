@@ -108,6 +108,24 @@ class ParameterSpace:
             raise ParameterError(f"parameter {name!r}: {self._leaf_names[number]} has shape {leaf.shape}")
         return number, [int(np.ravel_multi_index(at, leaf.shape))]
 
+    def positions(self, names: str | Sequence[str]) -> list[int]:
+        """Positions among the free parameters of names: one ("w[2]"), an array ("w") or a set with one value per record ("offset").
+
+        Raises:
+            ParameterError: no free parameter has that name.
+        """
+        positions: dict[int, None] = {}
+        unknown = []
+        for name in [names] if isinstance(names, str) else names:
+            hits = [
+                k for k, one in enumerate(self.names) if name in (one, one.partition("[")[0], one.partition("@")[0])
+            ]
+            unknown += [] if hits else [name]
+            positions |= dict.fromkeys(hits)
+        if unknown:
+            raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(self.names)}")
+        return list(positions)
+
     def value(self, name: str) -> np.ndarray:
         """Value of a parameter, free or fixed, in the template: of one element, or of all of an array, flat.
 

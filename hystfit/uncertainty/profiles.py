@@ -198,7 +198,7 @@ def profile(
     if not 0 < level < 1:
         raise ParameterError(f"level must lie between 0 and 1, got {level}")
     problem = result.problem.with_loss("linear")
-    chosen, notes = _chosen(problem, [names] if isinstance(names, str) else names)
+    chosen, notes = _chosen(problem, names)
     sides = problem.at_bound(result.x)
     moving = np.array([side is None for side in sides])
     described, x, whitened, wider = _whitened(result, problem, result.x, moving, noise)
@@ -236,7 +236,7 @@ def _reason(result: FitResult, noise: str | type[AbstractNoise]) -> str:
     return f"the profile assumes noise {NOISES.label(noise)}, the fit {result.noise.name}"
 
 
-def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], list[Note]]:
+def _chosen(problem: Problem, names: str | Sequence[str] | None) -> tuple[list[int], list[Note]]:
     """Positions of the parameters to profile, and a note where weights are left out."""
     space, weights = problem.space, problem.space.weights
     if not names:
@@ -250,15 +250,7 @@ def _chosen(problem: Problem, names: Sequence[str] | None) -> tuple[list[int], l
             f"{first} for one"
         )
         return list(map(int, chosen)), [Note(Code.CHOICE, text)]
-    positions: list[int] = []
-    unknown = []
-    for name in names:
-        hits = [k for k, one in enumerate(space.names) if name in (one, one.partition("[")[0], one.partition("@")[0])]
-        unknown += [] if hits else [name]
-        positions += [k for k in hits if k not in positions]
-    if unknown:
-        raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(space.names)}")
-    return positions, []
+    return space.positions(names), []
 
 
 def _follow(

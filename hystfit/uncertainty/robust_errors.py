@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.note import warn
 from hystfit.quality.determination import count
 from hystfit.results.agreement import differences
+from hystfit.results.estimates import grouped
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.errors/1"
@@ -89,24 +91,62 @@ class StandardErrors:
         """Errors by method over those for independent residuals."""
         return {rule: error / self.errors["iid"] for rule, error in self.errors.items() if rule != "iid"}
 
-    def table(self) -> Table:
-        """Errors by method, of parameters that have one, and at the end their typical ratio to those for independent residuals."""
+    def table(self, parameter: str | Sequence[str] | None = None) -> Table:
+        """Errors by method, of parameters that have one, and at the end their typical ratio to those for independent residuals.
+
+        Args:
+            parameter: parameters, or arrays of them ("w" for all its weights), which alone are listed, each in its own row; by default
+                all, and arrays of more than 12 weights in one row with the smallest and the largest value and error.
+
+        Raises:
+            ParameterError: no free parameter has that name.
+        """
         heads = {"fit": "fit", "iid": "independent"}
         rules = [Column(heads.get(rule, rule), key=rule, form=".3g") for rule in self.errors]
-        rows: list[list[Any]] = []
-        for k, name in enumerate(self.result.free_names):
-            if not any(np.isfinite(error[k]) for error in self.errors.values()):
-                continue
-            parameter = self.result[name]
-            value = f"{parameter.value:.5g} {parameter.unit}".strip()
-            rows.append([name, value, *(float(error[k]) for error in self.errors.values())])
+        rows = [self._row(name, family) for name, family in self._families(parameter)]
         typical = [1.0 if rule == "iid" else _typical(self.ratios[rule]) for rule in self.errors]
-        rows.append(["times independent", "", *typical])
-        return Table(["parameter", "value", *rules], rows)
+        rows.append(["times independent", "", *typical, ""])
+        return Table(["parameter", "value", *rules, Column("", key="remark", left=True)], rows)
+
+    def _families(self, parameter: str | Sequence[str] | None = None) -> list[tuple[str, list[int]]]:
+        """Name and positions of the parameters of each row, of which at least one has an error; see `table`."""
+        names, space = self.result.free_names, self.result.problem.space
+        known = np.any([np.isfinite(error) for error in self.errors.values()], axis=0)
+        if parameter is not None:
+            return [(names[k], [k]) for k in space.positions(parameter) if known[k]]
+        at = {name: k for k, name in enumerate(names)}
+        families = grouped([self.result[name] for name in names])
+        rows = [(name, [at[member.name] for member in family]) for name, family in families]
+        return [(name, places) for name, places in rows if known[places].any()]
+
+    def _row(self, name: str, places: list[int]) -> list[Any]:
+        """Value and errors of one parameter, or their ranges over an array, and how many of its elements have an error."""
+        members = [self.result[self.result.free_names[k]] for k in places]
+        if len(places) == 1:
+            value = f"{members[0].value:.5g} {members[0].unit}".strip()
+            return [name, value, *(float(error[places[0]]) for error in self.errors.values()), ""]
+        value = f"{_span([p.value for p in members])} {members[0].unit}".strip()
+        without = len(places) - int(np.isfinite(self.errors["fit"][places]).sum())
+        remark = f"{len(places)} values" + (f", {without} without an error" if without else "")
+        return [f"{name}[{len(places)}]", value, *(_span(error[places]) for error in self.errors.values()), remark]
+
+    def text(self, parameter: str | Sequence[str] | None = None) -> str:
+        """The table and the notes.
+
+        Args:
+            parameter: see `table`.
+
+        Raises:
+            ParameterError: see `table`.
+        """
+        lines = [f"Standard errors of {self.result.name} by several methods", *self.table(parameter).lines()]
+        if arrays := [(name, len(places)) for name, places in self._families(parameter) if len(places) > 1]:
+            name, many = arrays[0]
+            lines.append(f"{name}[{many}]: smallest and largest of {many} values; parameter={name!r} lists each")
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
     def __str__(self) -> str:
-        lines = [f"Standard errors of {self.result.name} by several methods", *self.table().lines()]
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+        return self.text()
 
     __repr__ = __str__
 
@@ -128,6 +168,12 @@ class StandardErrors:
             "parameters": rows,
             "provenance": self.result.provenance,
         }
+
+
+def _span(values: Sequence[float] | np.ndarray) -> str | None:
+    """The smallest and the largest of the values that are known; None where none is."""
+    known = np.asarray(values)[np.isfinite(values)]
+    return f"{known.min():.3g} to {known.max():.3g}" if known.size else None
 
 
 def _typical(ratio: np.ndarray) -> float:
