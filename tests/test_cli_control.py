@@ -50,6 +50,16 @@ def test_invert_writes_an_input_that_the_model_follows(
     assert [note["code"] for note in content["notes"]] == ["missed"]
     assert content["counts"]["saturated"] > 0
     assert content["input"]["highest"] == 20.0
+    # From a device that rested at 0 V.
+    run([*command, "--rest", "0", "--out", str(tmp_path / "rested")])
+    assert json.loads((tmp_path / "rested" / "result.json").read_text())["rest"] == 0.0
+    table = np.genfromtxt(tmp_path / "rested" / "inverse.csv", delimiter=",", skip_header=1, usecols=(2, 3))
+    simulated = np.asarray(hf.simulate(load_fit(fitted).model, np.concatenate([[0.0], table[:, 0]]))[0])[1:]
+    np.testing.assert_allclose(table[:, 1], simulated, atol=1e-9)
+    assert np.abs(table[:, 0] - u).max() > 0.1
+    # A reference has no input, and no option for one.
+    for option in ("--input", "--smooth", "--sigma"):
+        assert run([*command, option, "1"]) == 2
     capsys.readouterr()
     for bad in ("0:", "5:1", "a:b", "nan:3"):
         assert run([*command, "--limits", bad]) == 2

@@ -116,6 +116,13 @@ def test_inverse_bands_are_each_draws_inverse_and_its_error_under_the_input_give
         np.testing.assert_allclose(error, np.asarray(hf.simulate(model, bands.given.u)[0]) - reference, atol=1e-12)
     np.testing.assert_allclose(bands.rms, np.sqrt(np.mean(bands.error**2, axis=1)))
     assert bands.rms.min() < 0.02 < bands.rms.max()  # the draw near the fit follows, the others do not
+    rested = inverse_bands(posterior, reference, count=3, rest=-1.0)
+    for model, u, error in zip(posterior.models(3), rested.u, rested.error, strict=True):
+        before = lambda inputs: np.concatenate([[-1.0], inputs])
+        np.testing.assert_allclose(np.asarray(hf.simulate(model, before(u))[0])[1:], reference, atol=1e-6)
+        np.testing.assert_allclose(
+            error, np.asarray(hf.simulate(model, before(rested.given.u))[0])[1:] - reference, atol=1e-12
+        )
     low, middle, high = bands.band("error")
     assert np.all((low <= middle) & (middle <= high))
     with pytest.raises(ParameterError, match="a band is of"):

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import hystfit as hf
 from hystfit.control import InverseStep, Status, invert, lead
-from hystfit.errors import DataError, ModelError
+from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.preisach import EverettTable
 from hystfit.models.relaxation import Relaxation
@@ -174,6 +174,31 @@ def test_two_halves_equal_one_run() -> None:
     np.testing.assert_allclose(np.concatenate([first.u, second.u]), whole.u, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["lag before", "bouc-wen creep", "creep beside", "plays"])
+def test_a_device_at_rest_elsewhere_is_followed_from_that_state(name: str) -> None:
+    model, *ends, _ = CASES[name]
+    low, high = map(float, ends)
+    record = hf.Record(u=path(3, low, high), y=np.zeros(400), t=DT * np.arange(400))
+    rested = record.resting_on(low)
+    y = np.asarray(hf.simulate(model, rested.u, rested.dt)[0])[1:]  # a simulation that begins with the sample at rest
+    dt = None if model.rate_independent else DT
+    found = invert(model, y, dt, rest=low, limits=(low - 1, high + 1))
+    assert found.ok
+    np.testing.assert_allclose(found.u, record.u, atol=1e-6 * (high - low))
+    np.testing.assert_allclose(np.asarray(hf.simulate(model, found.u, dt, resume=found.start)[0]), y, atol=1e-6)
+    assert np.abs(invert(model, y, dt, limits=(low - 1, high + 1)).u - record.u).max() > 1e-3 * (high - low)
+
+
+def test_a_resonant_device_at_rest_elsewhere_begins_there() -> None:
+    model = hf.Series(PLAIN, hf.SecondOrder(omega=2 * np.pi * 630, zeta=0.02))
+    reference = 5 - 4 * np.cos(2 * np.pi * 20 * np.arange(0, 0.1, 1e-4))
+    found = invert(model, reference, 1e-4, rest=60.0)
+    before = np.concatenate([[60.0], found.u])
+    np.testing.assert_allclose(found.y, np.asarray(hf.simulate(model, before, 1e-4)[0])[1:], atol=1e-12)
+    assert float(found.start.u) == 60.0
+    assert np.abs(found.u - invert(model, reference, 1e-4).u).max() > 1.0
+
+
 def test_resonance_is_led() -> None:
     t = np.arange(0, 0.5, 1e-4)
     reference = 5 - 4 * np.cos(2 * np.pi * 20 * t)
@@ -236,5 +261,9 @@ def test_bad_input_says_what_to_do() -> None:
         invert(PLAYS, [1.0, 2.0], limits=(1.0, 0.0))
     with pytest.raises(DataError, match="shape"):
         invert(PLAYS, [])
+    with pytest.raises(DataError):
+        invert(PLAYS, [0.1, 0.2], rest=np.nan)
+    with pytest.raises(ParameterError):
+        invert(PLAYS, [0.1, 0.2], rest=0.0, resume=invert(PLAYS, [0.1]).state)
     with pytest.raises(DataError, match="sample faster"):
         lead(np.zeros(10), 0.1, omega=100.0, zeta=0.1)

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import (
-    DEFAULT_READING,
+    DEFAULT_REFERENCE,
     STDOUT,
     FitFolder,
     FitOrDraws,
     Limits,
     Output,
-    Reading,
+    ReferenceReading,
     Trust,
     input_limits,
 )
@@ -40,8 +40,9 @@ def invert(
     /,
     *,
     limits: Limits = None,
+    rest: float | None = None,
     trust: Trust = False,
-    reading: Reading = DEFAULT_READING,
+    reading: ReferenceReading = DEFAULT_REFERENCE,
     output: Output = STDOUT,
 ) -> int:
     """Compute the input that makes a fitted model follow a reference, with a status for every sample.
@@ -52,6 +53,8 @@ def invert(
 
     Args:
         reference: file with the desired output (--output names its column) and, where the model needs it, the time.
+        rest: input at which the device was in equilibrium before the reference, such as 0. Default: the input on which the model, in
+            equilibrium, gives the first sample.
     """
     from hystfit.control.inverse import invert as solve
 
@@ -61,12 +64,17 @@ def invert(
     target = result.in_fitted_units(_target(reference, reading, result.data[0]).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
-    bands = _bands(fitdir, target.y, dt, span, trust) if sampled else None
-    inverse = solve(result, target.y, dt, limits=span) if bands is None else bands.given
-    content = _content(fitdir, result, target, inverse, bands, span)
+    bands = _bands(fitdir, target.y, dt, span, rest, trust) if sampled else None
+    inverse = solve(result, target.y, dt, limits=span, rest=rest) if bands is None else bands.given
+    content = _content(fitdir, result, target, inverse, bands, span) | {"rest": rest}
     title, units = f"{result.name} inverted for {target.name}", content["units"]
     notes = [*_missed(inverse), *(note for note in target.notes if note.code in _ABOUT_READING)]
-    remarks = [_limits_line(result, span), *map(str, notes), *([] if bands is None else [_band_words(content)])]
+    start = (
+        []
+        if rest is None
+        else [f"in equilibrium at an input of {rest:g} {units['input'] or ''}".rstrip() + " before the reference"]
+    )
+    remarks = [_limits_line(result, span), *start, *map(str, notes), *([] if bands is None else [_band_words(content)])]
     counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
     lines = [
@@ -131,22 +139,22 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
     return f"input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
 
 
-def _target(path: str, reading: Reading, fitted: Record) -> Record:
+def _target(path: str, reading: ReferenceReading, fitted: Record) -> Record:
     """The one record of a file with a reference."""
-    if reading.input is not None:
-        raise DataError("a reference has no input: name its column with --output")
-    data = load_one_sided([path], reading, "input", fitted)
+    data = load_one_sided([path], reading.reading(), "input", fitted)
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
     return data[0]
 
 
-def _bands(folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None, trust: bool) -> InverseBands:
+def _bands(
+    folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None, rest: float | None, trust: bool
+) -> InverseBands:
     from hystfit.control.bands import inverse_bands
     from hystfit.sampling.files import load_posterior
 
     with progress("inverting by draws"):
-        return inverse_bands(load_posterior(folder, trust=trust), reference, dt, limits=limits)
+        return inverse_bands(load_posterior(folder, trust=trust), reference, dt, limits=limits, rest=rest)
 
 
 def _summary(bands: InverseBands) -> dict[str, Any]:

@@ -104,6 +104,46 @@ class Reading:
     encoding: Text = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ReferenceReading:
+    """Options for reading the file of a reference, which has no input.
+
+    Args:
+        time: column of the time, by name or number from 0; "none" reads without time. Recognized by name or unit by default.
+        output: column of the reference; default: the one like the fitted output.
+        rate: sampling rate in Hz, for a file without a usable clock.
+        dt: sampling interval in seconds, instead of --rate.
+        units: unit of the reference after a comma, such as ,um; another unit of the same quantity in the file is converted.
+        by: column whose values separate several curves in one file.
+        only: which curve: its value (3) or its position from 0 (1:2).
+        where: rows to read, as column=value.
+        gaps: "drop" leaves out rows that cannot be read or have no time; "error" refuses.
+        sheet: sheet of a workbook.
+        delimiter: column delimiter; recognized by default.
+        decimal: decimal mark, "." or ",".
+        encoding: text encoding.
+    """
+
+    time: Text = None
+    output: Text = None
+    rate: Number = None
+    dt: Number = None
+    units: Text = None
+    by: Text = None
+    only: Text = None
+    where: Text = None
+    gaps: Annotated[Literal["error", "drop"], Parameter(group=FILE)] = "error"
+    sheet: Text = None
+    delimiter: Text = None
+    decimal: Text = None
+    encoding: Text = None
+
+    def reading(self) -> Reading:
+        """The same as options of any file."""
+        return Reading(**dataclasses.asdict(self))
+
+
 def changed(options: Reading | Split) -> dict[str, Any]:
     """Options that differ from their defaults."""
     default = type(options)()
@@ -218,7 +258,7 @@ class TableOutput(Output):
 
 
 DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), SequentialSettings()
-NO_TABLE = TableOutput()
+DEFAULT_REFERENCE, NO_TABLE = ReferenceReading(), TableOutput()
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:

@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.control.inverse import Inverse, Task, invert, prepare
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
-from hystfit.models.simulation import simulate
+from hystfit.models.simulation import Resume, simulate
 from hystfit.sampling.posterior import Posterior
 
 
@@ -84,6 +84,7 @@ def inverse_bands(
     dt: Any = None,
     *,
     limits: Limits | None = None,
+    rest: float | None = None,
     count: int = 100,
     seed: int = 0,
 ) -> InverseBands:
@@ -94,6 +95,7 @@ def inverse_bands(
         reference: desired output, shape (T,).
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
         limits: lowest and highest input; None for the range of the fitted input.
+        rest: input at which the device was in equilibrium before the first sample, see `invert`.
         count: draws used.
         seed: of their choice.
 
@@ -102,20 +104,30 @@ def inverse_bands(
     """
     fit = posterior.result
     edges = fit.input_range if limits is None else limits
-    given = invert(fit, reference, dt, limits=limits)
+    given = invert(fit, reference, dt, limits=limits, rest=rest)
     wanted = np.asarray(reference, dtype=float)
     models = list(posterior.models(count, seed))
-    inputs, codes = _invert_all(models, wanted, dt, edges)
-    errors = np.array([np.asarray(simulate(model, given.u, dt)[0]) - wanted for model in models])
+    inputs, codes = _invert_all(models, wanted, dt, edges, rest)
+    errors = np.array([_simulated(model, given.u, dt, rest) - wanted for model in models])
     return InverseBands(wanted, given, inputs, errors, np.mean(codes != 0, axis=1))
 
 
-def _invert_all(models: list[Any], wanted: np.ndarray, dt: Any, edges: Limits) -> tuple[np.ndarray, np.ndarray]:
+def _simulated(model: Any, u: np.ndarray, dt: Any, rest: float | None) -> np.ndarray:
+    """Output for the input u, shape (T,), in equilibrium before it at `rest`, or at its first sample."""
+    if rest is None:
+        return np.asarray(simulate(model, u, dt)[0])
+    u0 = jnp.asarray(rest, dtype=float)
+    return np.asarray(simulate(model, u, dt, resume=Resume(model.init(u0), u0))[0])
+
+
+def _invert_all(
+    models: list[Any], wanted: np.ndarray, dt: Any, edges: Limits, rest: float | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Inputs and codes by model, each (count, T): side by side in one scan where all inverses are of one form."""
-    tasks = [prepare(model, wanted, dt, limits=edges) for model in models]
+    tasks = [prepare(model, wanted, dt, limits=edges, rest=rest) for model in models]
     forms = {jax.tree_util.tree_structure(task) for task in tasks}
     if tasks[0].inverse is None or len(forms) > 1:
-        every = [invert(model, wanted, dt, limits=edges) for model in models]
+        every = [invert(model, wanted, dt, limits=edges, rest=rest) for model in models]
         return np.array([one.u for one in every]), np.array([one.codes for one in every])
     found = _run_all(jax.tree_util.tree_map(lambda *leaves: jnp.stack(leaves), *tasks))
     return np.asarray(found.u), np.asarray(found.status)

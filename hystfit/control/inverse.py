@@ -13,7 +13,7 @@ from jaxtyping import Array
 from hystfit.config import require_x64
 from hystfit.control.lead import lead
 from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
-from hystfit.errors import DataError, ModelError
+from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import solve_rising
 from hystfit.models.simulation import Resume, simulate
@@ -84,6 +84,7 @@ def invert(
     dt: Any = None,
     *,
     resume: Resume | None = None,
+    rest: float | None = None,
     limits: Limits | None = None,
 ) -> Inverse:
     """The input that makes a model follow a reference.
@@ -94,19 +95,22 @@ def invert(
         model: a model, or a fit.
         reference: desired output, shape (T,); where it is not finite, the input keeps its value.
         dt: time between samples, a number or shape (T,); a rate-independent model needs none.
-        resume: state and last input before the first sample. None: the input on which the model, at rest, gives the first
-            sample, as `simulate` starts; where equilibrium gives the same output at every input, it starts at the input nearest zero.
+        resume: state and last input before the first sample, from which a call continues another.
+        rest: input at which the device was in equilibrium before the first sample (see `Record.resting_on`), for a model with a lag or
+            creep. Without `resume` and `rest`: the input on which the model, in equilibrium, gives the first sample, as `simulate`
+            starts; where equilibrium gives the same output at every input, the input nearest zero.
         limits: lowest and highest input, such as those of the amplifier; None for the range in which the model is known.
 
     Raises:
         ModelError: no time for a model that needs it, a delay, no limits where a search needs them.
-        DataError: a reference that is empty or of another shape than dt.
+        DataError: a reference that is empty or of another shape than dt; a rest input that is not finite.
+        ParameterError: both `resume` and `rest`.
         PrecisionError: double precision is off.
     """
-    task = prepare(model, reference, dt, resume=resume, limits=limits)
+    task = prepare(model, reference, dt, resume=resume, rest=rest, limits=limits)
     obstacle = None if isinstance(model, AbstractHysteresis) else model.obstacle("inverse")
     if task.inverse is None:
-        return dataclasses.replace(_invert_resonant(model, task, resume, limits), obstacle=obstacle)
+        return dataclasses.replace(_invert_resonant(model, task, rest, limits), obstacle=obstacle)
     end, answer = task.inverse.run(task.start, task.wanted, task.steps)
     return Inverse(np.asarray(answer.u), np.asarray(answer.y), np.asarray(answer.status), task.start, end, obstacle)
 
@@ -116,7 +120,7 @@ class Task(NamedTuple):
 
     Attributes:
         inverse: sample by sample; None where a resonance is led instead.
-        start: where the model is before the first sample.
+        start: where the model is before the first sample; None where a resonance is led instead.
         wanted, steps: reference and times between its samples, shape (T,).
     """
 
@@ -132,17 +136,22 @@ def prepare(
     dt: Any = None,
     *,
     resume: Resume | None = None,
+    rest: float | None = None,
     limits: Limits | None = None,
 ) -> Task:
     """The inversion that `invert` runs.
 
     Args:
-        model, reference, dt, resume, limits: see `invert`.
+        model, reference, dt, resume, rest, limits: see `invert`.
 
     Raises:
-        ModelError, DataError, PrecisionError: see `invert`.
+        ModelError, DataError, ParameterError, PrecisionError: see `invert`.
     """
     require_x64()
+    if rest is not None and resume is not None:
+        raise ParameterError("resume= continues from a state, rest= starts in equilibrium: give one of them")
+    if rest is not None and not np.isfinite(rest):
+        raise DataError(f"the input at rest must be finite, got {rest}")
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim != 1 or wanted.size == 0:
         raise DataError(f"the reference must have shape (T,) with T > 0, got {wanted.shape}")
@@ -156,19 +165,22 @@ def prepare(
     targets, steps = jnp.asarray(wanted), jnp.asarray(times)
     resonance = inverted.output_resonance()
     if resonance is not None and resonance.model is not None:
-        return Task(None, resume, targets, steps)
+        if resume is not None:
+            raise ModelError(
+                "a model with a resonance at its end is inverted as a whole and starts in equilibrium: leave out resume="
+            )
+        return Task(None, None, targets, steps)
     finite = wanted[np.isfinite(wanted)]
     span = float(np.ptp(finite)) if finite.size else 0.0
     inverse = InverseStep.of(model, limits=limits, tolerance=1e-7 * span if span > 0 else None)
-    start = _start(inverse, targets[0], steps[0]) if resume is None else resume
+    if resume is not None:
+        start = resume
+    else:
+        start = _start(inverse, targets[0], steps[0]) if rest is None else inverse.init(rest)
     return Task(inverse, start, targets, steps)
 
 
-def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any) -> Inverse:
-    if resume is not None:
-        raise ModelError(
-            "a model with a resonance at its end is inverted as a whole and starts from rest: leave resume out"
-        )
+def _invert_resonant(model: Any, task: Task, rest: float | None, limits: Any) -> Inverse:
     known, inverted = fitted_inputs(model)
     resonant = inverted.output_resonance()
     assert resonant is not None
@@ -176,13 +188,14 @@ def _invert_resonant(model: Any, task: Task, resume: Resume | None, limits: Any)
     wanted, times = np.asarray(task.wanted), np.asarray(task.steps)
     edges = limits if limits is not None else known
     leading = lead(wanted, times, omega=resonant.omega, zeta=resonant.zeta)
-    inner = invert(resonant.model, leading, times, limits=edges)
-    y, end = simulate(inverted, inner.u, times)
+    inner = invert(resonant.model, leading, times, rest=rest, limits=edges)
+    u0 = jnp.asarray(inner.u[0] if rest is None else rest, dtype=float)
+    start = Resume(inverted.init(u0), u0)
+    y, end = simulate(inverted, inner.u, times, resume=start)
     codes = inner.codes
     if limits is None:
         codes = np.where(codes == Status.SATURATED, Status.OUT_OF_RANGE, codes)
-    u0 = jnp.asarray(inner.u[0])
-    return Inverse(inner.u, np.asarray(y), codes, Resume(inverted.init(u0), u0), end)
+    return Inverse(inner.u, np.asarray(y), codes, start, end)
 
 
 @eqx.filter_jit
