@@ -212,8 +212,32 @@ def test_auto_is_the_winner_of_the_comparison(y: np.ndarray, monkeypatch) -> Non
     assert found.name == "bouc-wen"
     assert found.test is not None
     assert found.notes[0].code is Code.CHOICE
+    for belongs_to_a_model in (
+        {"fix": {"c": 0.15}},
+        {"free": ["h0"]},
+        {"start": "model"},
+        {"loss": "huber"},
+        {"method": "lm"},
+    ):
+        with pytest.raises(ParameterError):
+            hf.fit("auto", U, y, T, **belongs_to_a_model)
+
+
+def test_auto_takes_starting_points_and_noise(y: np.ndarray, monkeypatch) -> None:
+    import hystfit.fitting.compare as comparison
+    from hystfit.fitting.candidates import Candidates
+
+    monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous"), "loops"))
+    plain, refined = (hf.fit("auto", U, y, T, starts=2, noise=noise) for noise in ("auto", "ou"))
+    assert plain.starts == refined.starts == 2
+    assert refined.notes[0].code is Code.CHOICE
+    assert refined.left_out == plain.left_out is not None
+    alone = hf.fit("bouc-wen", U, y, T, starts=2, noise="ou")
+    assert (refined.name, refined.noise.name) == ("bouc-wen", "ou")
+    np.testing.assert_allclose(refined.x, alone.x, rtol=1e-3)
+    assert plain.noise.name == "auto"
     with pytest.raises(ParameterError):
-        hf.fit("auto", U, y, T, fix={"c": 0.15})
+        hf.fit("auto", U, y, T, starts=0)
 
 
 @pytest.mark.usefixtures("as_users_run")

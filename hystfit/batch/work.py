@@ -70,8 +70,8 @@ class Work:
         chosen = FitOptions(**options)
         chosen.check()
         work = cls(make_model(model) if isinstance(model, type) else model, chosen, dict(reading), {})
-        if work.searches and work.model == AUTO and (changed := chosen.changed()):
-            raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
+        if work.searches and work.model == AUTO:
+            chosen.check_search()
         if not work.searches:
             space = ParameterSpace.of(make_model(work.model), fix=chosen.fix, free=chosen.free)
             if not len(space):

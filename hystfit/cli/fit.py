@@ -64,7 +64,7 @@ def fit(
 
     Args:
         model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
-            chosen by cross-validation), or auto: the winner of hystfit compare.
+            chosen by cross-validation), or auto: the winner of hystfit compare, with --starts in every fit, and fitted under --noise.
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
         fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
         free: parameter to fit that the model fixes by default; repeatable.
@@ -146,11 +146,9 @@ def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, 
     from hystfit.fitting.fit import best_model
     from hystfit.fitting.fit_options import FitOptions
 
-    if changed := FitOptions(method=method, **options).changed():
-        raise ParameterError(
-            f"--{changed[0]} needs a chosen model: add --model NAME (hystfit models lists them, hystfit compare ranks them)"
-        )
-    return best_model(train, seed, purpose)
+    settings = FitOptions(method=method, seed=seed, **options)
+    settings.check_search()
+    return best_model(train, settings, purpose)
 
 
 def compare(

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_x64
 from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
@@ -51,6 +51,7 @@ def compare(
     left_out: Scheme = "blocks",
     purpose: Purpose = "prediction",
     seed: int = 0,
+    starts: int = 8,
     progress: Callable[..., object] | None = None,
     workers: int | None = None,
 ) -> Comparison:
@@ -74,6 +75,7 @@ def compare(
             tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
         seed: of the starting points.
+        starts: number of starting points of each fit, see `fit`.
         progress: called with a line of text and the fraction done for each model; None shows them on a terminal or in a notebook.
         workers: number of models that are fitted side by side, in threads; default: one for each core, at most four. The result
             does not depend on it.
@@ -82,7 +84,8 @@ def compare(
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
     """
     require_x64()
-    require_seed(seed)
+    options = FitOptions(seed=seed, starts=starts)
+    options.check()
     for what, value, known in (("left_out", left_out, SCHEMES), ("purpose", purpose, get_args(Purpose))):
         if value not in known:
             raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
@@ -92,7 +95,7 @@ def compare(
     named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named), "") if named else candidates(data)
     data = without_faults(data)
-    judge = _Judge(data, left_out, purpose, seed, named)
+    judge = _Judge(data, left_out, purpose, options, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
         judge.search(chosen, _Shown(update, (*chosen.names, *chosen.without_resonance)), Workers(workers))
     rows = _ranked(judge.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
@@ -226,12 +229,12 @@ class _Judge:
     Args:
         data: records.
         left_out, purpose: see `compare`.
-        seed: of the starting points.
+        options: of every fit.
         named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
     """
 
-    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, seed: int, named: dict[str, Any]):
-        self.data, self.left_out, self.purpose, self.seed, self.named = data, left_out, purpose, seed, named
+    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, options: FitOptions, named: dict[str, Any]):
+        self.data, self.left_out, self.purpose, self.options, self.named = data, left_out, purpose, options, named
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
         self.errors: list[Exception] = []
@@ -325,7 +328,7 @@ class _Judge:
         name = one.name
         progress("fit")
         if name == SEARCH:
-            one.fitted = fit_model(SEARCH, self.data, FitOptions(seed=self.seed))
+            one.fitted = fit_model(SEARCH, self.data, self.options)
             return
         given = self.named.get(name, name)
         model = make_model(given)
@@ -333,9 +336,9 @@ class _Judge:
         sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
         first = one.first.error if one.first else None
         if not sized and (choice := choose_size(model, self.data, progress, first)).notes:
-            one.fitted = fit_model(choice.model, self.data, FitOptions(seed=self.seed)).with_notes(*choice.notes)
+            one.fitted = fit_model(choice.model, self.data, self.options).with_notes(*choice.notes)
         else:
-            one.fitted = fit_model(given, self.data, FitOptions(seed=self.seed))
+            one.fitted = fit_model(given, self.data, self.options)
 
     def _validate(self, one: _Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
@@ -374,8 +377,8 @@ class _Judge:
             problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
             method = ESTIMATORS.make(choose_method(problem)).quick()
             # Points that a model reads off the records are sorted, the best first.
-            starts = 1 if len(points) > 1 else _FIRST_STARTS
-            estimate = solve(problem, method, starts, self.seed, points)
+            starts = 1 if len(points) > 1 else min(_FIRST_STARTS, self.options.starts)
+            estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
             one.first = _First(rms if np.isfinite(rms) else np.inf, _HOPELESS, estimate.x.size)

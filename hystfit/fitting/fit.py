@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any
@@ -13,9 +14,9 @@ from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Purpose
 from hystfit.fitting.estimate import AbstractEstimator
 from hystfit.fitting.fit_model import fit_model
-from hystfit.fitting.fit_options import FitOptions, Start
+from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
 from hystfit.fitting.registry import is_sequential
-from hystfit.fitting.trial import with_test
+from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss
 from hystfit.models.base import AbstractHysteresis
@@ -53,8 +54,9 @@ def fit(
     `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
 
     Args:
-        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`. "prandtl-ishlinskii-search"
-            searches that family for the terms that predict left-out data best, and the result names them.
+        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`, with `starts` starting points in
+            every fit, and fitted again under `noise` where that is not "auto"; of the other options it takes `seed` and `test`.
+            "prandtl-ishlinskii-search" searches that family for the terms that predict left-out data best, and the result names them.
         data: a record, several, or a data frame (pandas, polars, a dictionary of columns); or the input, shape (T,). Windows are set
             by `Record.window`.
         y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
@@ -102,17 +104,23 @@ def fit(
     if isinstance(model, str) and model == "auto" and is_sequential(method):
         model = _OF_SEQUENTIAL
     if isinstance(model, str) and model == "auto":
-        if changed := [*options.changed(), *settings]:
-            raise ParameterError(f"{changed[0]}= needs a chosen model, not 'auto' (compare ranks the models)")
-        result = best_model(records, seed)
+        options.check_search(settings)
+        result = best_model(records, options)
     else:
         result = fit_model(model, records, options, **settings)
     return result if tested is None else with_test(result, tested)
 
 
-def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") -> FitResult:
-    """The fit of the model that wins the comparison, with notes on the choice."""
-    comparison = compare(data, purpose=purpose, seed=seed)
+def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Purpose = "prediction") -> FitResult:
+    """The fit of the model that wins the comparison, with notes on the choice.
+
+    Args:
+        data: the records.
+        options: starting points and seed of every fit, and the noise of the winner; others have no effect, see
+            `FitOptions.check_search`.
+        purpose: see `compare`.
+    """
+    comparison = compare(data, purpose=purpose, seed=options.seed, starts=options.starts)
     best, count = comparison.rows[0], sum(row.fitted for row in comparison.rows)
     score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
     scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
@@ -124,4 +132,15 @@ def best_model(data: Dataset, seed: int = 0, purpose: Purpose = "prediction") ->
     choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
     failed = [row for row in comparison.rows if row.status is Status.FAILED]
     left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]
-    return comparison.winner.with_notes(choice, *left_out, first=True)
+    winner = comparison.winner
+    if options.noise != "auto":
+        winner = _under_noise(winner, data, options)
+    return winner.with_notes(choice, *left_out, first=True)
+
+
+def _under_noise(winner: FitResult, data: Dataset, options: FitOptions) -> FitResult:
+    """The winner fitted again, from its own values, under the noise of the options; its size, terms and cross-validation error stay."""
+    result = fit_model(winner.model, data, dataclasses.replace(options, start="model"))
+    result = result if winner.left_out is None else with_left_out(result, winner.left_out)
+    choices = [note for note in winner.notes if note.code is Code.CHOICE and note not in result.notes]
+    return result.with_notes(*choices)

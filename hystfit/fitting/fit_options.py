@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 from hystfit.config import require_seed
@@ -16,6 +16,7 @@ from hystfit.inference.objective import Loss
 from hystfit.inference.problem import LOSSES
 
 Start = Literal["data", "model"] | Mapping[str, float]
+OF_SEARCH = ("starts", "noise")  # options besides the seed that have a meaning for every model
 _PLAIN_NOISE = ("auto", "iid")  # the others have a likelihood of their own, in which outliers may have a place
 
 
@@ -42,6 +43,23 @@ class FitOptions:
         names = [field.name for field in dataclasses.fields(self) if field.name != "seed"]
         return [name for name in names if (getattr(self, name) or None) != (getattr(type(self), name) or None)]
 
+    def check_search(self, others: Iterable[str] = ()) -> None:
+        """Refuse options that belong to one model, where the model itself is searched for ("auto").
+
+        Args:
+            others: names of further settings that were given, none of which has a meaning for every model.
+
+        Raises:
+            HystfitError: such an option, or one that `check` refuses.
+        """
+        self.check()
+        if refused := [*(name for name in self.changed() if name not in OF_SEARCH), *others]:
+            accepted = ", ".join(f"{name}=" for name in OF_SEARCH)
+            raise ParameterError(
+                f"{refused[0]}= needs a chosen model, such as model='bouc-wen' (compare ranks the models); without one, fit takes "
+                f"{accepted} and seed= only"
+            )
+
     def check(self) -> None:
         """Refuse options that no data can be fitted with.
 
@@ -59,3 +77,6 @@ class FitOptions:
             raise ParameterError(f"start must be data, model, or values of parameters by name, got {self.start!r}")
         if self.starts < 1:
             raise ParameterError(f"at least one start is needed, got {self.starts}")
+
+
+DEFAULT_OPTIONS = FitOptions()
