@@ -98,6 +98,10 @@ def test_python_blocks_compile_and_their_names_exist(name, block):
     for node in used:
         if isinstance(node.value, ast.Name) and node.value.id == "hf":
             assert hasattr(hf, node.attr), f"{name}: hf.{node.attr}"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "hystfit":
+            missing = [one.name for one in node.names if not hasattr(importlib.import_module(node.module), one.name)]
+            assert not missing, f"{name}: {node.module} has no {missing}"
 
 
 def test_the_readme_runs(tmp_path):
