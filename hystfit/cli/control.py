@@ -20,7 +20,7 @@ from hystfit.cli.options import (
 from hystfit.cli.records import load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, prose_width, write_csv, written
 from hystfit.errors import DataError
-from hystfit.outcome import Code, Note, Status, Table
+from hystfit.outcome import Code, Status, Table
 from hystfit.outcome.note import warn
 from hystfit.outcome.wrapping import within
 
@@ -66,15 +66,17 @@ def invert(
     dt = target.dt if target.t is not None else None
     bands = _bands(fitdir, target.y, dt, span, rest, trust) if sampled else None
     inverse = solve(result, target.y, dt, limits=span, rest=rest) if bands is None else bands.given
-    content = _content(fitdir, result, target, inverse, bands, span) | {"rest": rest}
+    missed = [warn(Code.MISSED, note) for note in inverse.notes()]
+    content = _content(fitdir, result, target, inverse, bands, span)
+    content |= {"notes": [note.to_dict() for note in missed], "rest": rest}
     title, units = f"{result.name} inverted for {target.name}", content["units"]
-    notes = [*_missed(inverse), *(note for note in target.notes if note.code in _ABOUT_READING)]
-    start = (
-        []
-        if rest is None
-        else [f"in equilibrium at an input of {rest:g} {units['input'] or ''}".rstrip() + " before the reference"]
-    )
-    remarks = [_limits_line(result, span), *start, *map(str, notes), *([] if bands is None else [_band_words(content)])]
+    notes = [*missed, *(note for note in target.notes if note.code in _ABOUT_READING)]
+    remarks = [
+        _limits_line(result, span),
+        *([] if rest is None else [_rest_line(rest, units["input"])]),
+        *map(str, notes),
+    ]
+    remarks += [] if bands is None else [_band_words(content)]
     counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
     lines = [
@@ -98,11 +100,6 @@ def invert(
     return finish("\n".join(lines), content, output, save, page=page)
 
 
-def _missed(inverse: Inverse) -> list[Note]:
-    """Warnings on samples at which the reference is not reached."""
-    return [warn(Code.MISSED, str(note)) for note in inverse.notes()]
-
-
 def _content(
     fitdir: Path,
     result: FitResult,
@@ -120,7 +117,6 @@ def _content(
         "schema": "hystfit.invert/1",
         "model": result.name,
         "status": str(Status.OK if inverse.ok else Status.MISSED),
-        "notes": [note.to_dict() for note in _missed(inverse)],
         "reading": [note.to_dict() for note in target.notes],
         "counts": inverse.counts(),
         "input": {"lowest": float(inverse.u.min()), "highest": float(inverse.u.max())},
@@ -137,6 +133,12 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
     low, high = given or result.input_range
     source = "--limits" if given else "range of the fitted input; --limits sets others"
     return f"input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
+
+
+def _rest_line(rest: float, unit: str | None) -> str:
+    """Where the device was before the reference."""
+    level = f"{rest:g} {unit or ''}".rstrip()
+    return f"in equilibrium at an input of {level} before the reference begins"
 
 
 def _target(path: str, reading: ReferenceReading, fitted: Record) -> Record:
