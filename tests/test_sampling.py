@@ -399,6 +399,7 @@ def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
     assert len(kept) >= 50
     posterior = sample(fitted, "emcee", noise="iid", walkers=16, draws=len(kept) + 100, check=50, folder=folder, seed=4)
     after = emcee.backends.HDFBackend(str(folder / "emcee.h5"), read_only=True).get_chain()
+    assert after is not None
     np.testing.assert_array_equal(after[: len(kept)], kept)
     assert len(after) == len(kept) + 100
     assert posterior.draws.shape[0] == 16
