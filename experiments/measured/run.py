@@ -151,7 +151,7 @@ def refused(results: Results) -> list:
 
 
 def loops_left_out(results: Results) -> list:
-    """Each magnetic loop predicted from the others of its material."""
+    """Each magnetic loop predicted from the others of its material, by a Preisach and by a Jiles-Atherton model."""
     rows = []
     for name in MAGNETIC:
         if (loaded := results.load(name, name)) is None:
@@ -168,8 +168,10 @@ def loops_left_out(results: Results) -> list:
                 results.add(f"{name} {record.name}: warned of extrapolation", 1.0)
             else:
                 results.add(f"{name} {record.name} left out, % of its range", error.nrmse_percent)
-            material = name.partition("/")[2]
-            rows.append([material, record.name, percent, error.nrmse_percent, "extrapolates" if warned else ""])
+            other = hf.fit("jiles-atherton", others).metrics(record).nrmse_percent
+            results.add(f"{name} {record.name} left out, Jiles-Atherton, % of its range", other)
+            material, remark = name.partition("/")[2], "extrapolates" if warned else ""
+            rows.append([material, record.name, percent, error.nrmse_percent, other, remark])
     return rows
 
 
@@ -223,9 +225,9 @@ def main() -> None:
         head = ["material", "samples", "model", "error between them %", "status"]
         pages += ["## Stepped loops of few samples\n", table(head, few_samples(results))]
         pages += ["## Drift of the piezo\n", table(DRIFT_HEAD, drift(results))]
-        head = ["material", "loop", "% of full scale", "% of its own range", ""]
+        head = ["material", "loop", "% of full scale", "% of its own range", "Jiles-Atherton, % of its own range", ""]
         pages += [
-            "## Magnetic loops, each predicted from the others (Preisach)\n",
+            "## Magnetic loops, each predicted from the others (Preisach and Jiles-Atherton)\n",
             table(head, loops_left_out(results)),
         ]
     complete = not (options.quick or options.out or results.skipped)
