@@ -407,6 +407,31 @@ def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
         sample(fitted, "emcee", noise="iid", walkers=16, draws=100, check=50, folder=folder, seed=5)
 
 
+@pytest.mark.parametrize("beside", [False, True])
+def test_the_weights_of_narrow_stops_lie_within_their_priors(beside):
+    """Stops that share the output of a steel evenly have weights of the share over the half width, hundreds of times those of plays."""
+    stops = hf.PrandtlIshlinskii.of(12, operator="stop")
+    r = np.asarray(stops.r)
+    truth = dataclasses.replace(stops, w=(0.5 / r.size / r)[None], b=np.array([0.1]))
+    model = hf.Sum(truth, hf.Offset(0.0)) if beside else truth
+    u = np.sin(np.arange(900) / 30) * np.linspace(0.2, 1, 900)
+    result = hf.fit(model, hf.Record(u=u, y=np.asarray(hf.simulate(model, u)[0])), start="model", starts=1)
+    chosen = priors.default_priors(result.problem.space, result.x)
+    names, half = [f"w[0,{k}]" for k in range(r.size)], result.problem.scales.y
+    widths = np.array([float(chosen[name].sd) for name in names])
+    np.testing.assert_allclose(widths, half / r, rtol=1e-6)
+    assert np.all(np.asarray(truth.w)[0] < 2 * widths)
+    assert np.asarray(truth.w)[0, 0] > 3 * half
+
+
+def test_the_prior_of_a_play_is_as_wide_as_the_output_whatever_its_width():
+    record = hf.Record(u=np.sin(np.arange(300) / 20), y=3 * np.sin(np.arange(300) / 20 - 0.2))
+    result = hf.fit("prandtl-ishlinskii:plays=6", record, starts=1)
+    chosen = priors.default_priors(result.problem.space, result.x)
+    widths = {float(prior.sd) for name, prior in chosen.items() if name.startswith("w[")}
+    assert sorted(widths) == pytest.approx([result.problem.scales.y])
+
+
 def test_an_emcee_run_resumed_is_the_unbroken_one(fitted, tmp_path):
     setup = prepare(fitted, noise="iid")
     quiet = lambda words, part: None

@@ -206,9 +206,14 @@ def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> 
 def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[str, AbstractPrior]:
     """Weak priors from the declarations: about the natural size for positive parameters, wide normal without bounds, uniform between two.
 
+    A linear weight with one bound has a half-normal prior on its contribution to the output, the weight times the largest output of its
+    element (`effect` in `param`). A stop that yields at the fraction r of the input range gives at most r: the standard deviation of
+    its weight is that of a play over r, so that each stop alone may give half the range of the output.
+
     Fitted values x, shape (p,), widen the prior of an unbounded parameter far from zero, such as the offset of a distant sensor.
     """
     lower, upper, scale = space.lower, space.upper, space.scale
+    effect = np.where(space.effect > 0, space.effect, 1.0)
     priors: dict[str, AbstractPrior] = {}
     for k, (name, info, kind) in enumerate(zip(space.names, space.infos, space.kinds, strict=True)):
         if kind == REAL:
@@ -218,7 +223,7 @@ def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[s
             priors[name] = Uniform(lower[k], upper[k])
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
-            weight = HalfNormal(_WIDE * scale[k], edge, side)
+            weight = HalfNormal(_WIDE * scale[k] / effect[k], edge, side)
             priors[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
     return priors
 

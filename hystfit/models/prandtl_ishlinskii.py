@@ -73,7 +73,12 @@ class PrandtlIshlinskii(AbstractHysteresis):
     """
 
     w: Float[Array, "envelopes plays"] = param(
-        bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the plays or stops"
+        bounds=(0.0, np.inf),
+        unit="y",
+        scale=0.1,
+        linear=True,
+        effect=lambda model: model.r if model.operator == "stop" else 1.0,
+        doc="weights of the plays or stops",
     )
     r: Float[Array, " plays"] = param(
         bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, as fractions of the input range"

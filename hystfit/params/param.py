@@ -110,6 +110,7 @@ def param(
     per_record: bool = False,
     linear: bool = False,
     common: Callable[[Any], bool] | None = None,
+    effect: Callable[[Any], Any] | None = None,
     vector: bool = False,
 ) -> Any:
     """A field of a model that is a parameter.
@@ -118,6 +119,8 @@ def param(
         default: value, a number or an array.
         bounds, unit, scale, doc, fixed, per_record, linear: see `ParamInfo`.
         common: whether one value serves all records of a given model, where `per_record`.
+        effect: of a given model, the largest output of each element for a value of one, of the shape of the parameter (or one that
+            broadcasts to it): 0.01 for a weighted stop that yields at a hundredth of the range. It widens the default prior; 1 by default.
         vector: the parameter is an array of one dimension; a number becomes an array of one element.
 
     Raises:
@@ -125,22 +128,32 @@ def param(
     """
     info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear)
     extra = {} if default is dataclasses.MISSING else {"default": default}
-    return eqx.field(converter=_as_vector if vector else as_array, metadata={"param": info, "common": common}, **extra)
+    return eqx.field(
+        converter=_as_vector if vector else as_array,
+        metadata={"param": info, "common": common, "effect": effect},
+        **extra,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class Leaf:
-    """One array-valued parameter of a tree: its position, path, declaration and shape."""
+    """One array-valued parameter of a tree: its position, path, declaration and shape, and what gives its `effect`."""
 
     index: int
     path: tuple[str, ...]
     info: ParamInfo
     shape: tuple[int, ...]
+    effect: Callable[[], Any] | None = None
 
     @property
     def size(self) -> int:
         """Number of elements."""
         return math.prod(self.shape)
+
+    def effects(self) -> np.ndarray:
+        """The `effect` of each element, flat; 1 where none is declared."""
+        declared = 1.0 if self.effect is None else np.asarray(self.effect(), dtype=float)
+        return np.broadcast_to(declared, self.shape).reshape(-1)
 
     def element(self, k: int) -> str:
         """Suffix of one element: "" for a number, "[2]" or "[2,0]" in an array."""
@@ -157,14 +170,21 @@ def _declaration(node: Any, field: dataclasses.Field[Any]) -> ParamInfo | None:
     return dataclasses.replace(info, per_record=False, common=True) if common and common(node) else info
 
 
-def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo | None]:
-    """Readable path of a leaf, and its `ParamInfo` if its last field declares one."""
-    node, words, info = tree, [], None
+def _effect(node: Any, field: dataclasses.Field[Any]) -> Callable[[], Any] | None:
+    """What gives the effect of the elements of a field; None where none is declared."""
+    effect = field.metadata.get("effect")
+    return functools.partial(effect, node) if effect else None
+
+
+def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo | None, Callable[[], Any] | None]:
+    """Readable path of a leaf, and its `ParamInfo` and `effect` if its last field declares them."""
+    node, words, info, effect = tree, [], None, None
     for key in path:
-        info = None
+        info, effect = None, None
         if isinstance(key, jax.tree_util.GetAttrKey):
             fields = dataclasses.fields(node) if dataclasses.is_dataclass(node) else ()  # a named tuple has none
-            info = next((_declaration(node, f) for f in fields if f.name == key.name), None)
+            if field := next((f for f in fields if f.name == key.name), None):
+                info, effect = _declaration(node, field), _effect(node, field)
             words.append(key.name)
             node = getattr(node, key.name)
         elif isinstance(key, jax.tree_util.SequenceKey):
@@ -177,17 +197,17 @@ def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo
             node = node[key.key]
         else:
             words.append(str(key))
-            return tuple(words), None
-    return tuple(words), info
+            return tuple(words), None, None
+    return tuple(words), info, effect
 
 
 def leaves_of(tree: Any) -> list[Leaf]:
     """All parameters of a tree, in the order of its leaves."""
     found = []
     for index, (path, value) in enumerate(jax.tree_util.tree_flatten_with_path(tree)[0]):
-        words, info = _steps(tree, path)
+        words, info, effect = _steps(tree, path)
         if info is not None:
-            found.append(Leaf(index, words, info, tuple(np.shape(value))))
+            found.append(Leaf(index, words, info, tuple(np.shape(value)), effect))
     return found
 
 

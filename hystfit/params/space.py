@@ -260,6 +260,12 @@ class ParameterSpace:
         return slope[:, None] * np.asarray(covariance_z) * slope[None, :]
 
     @property
+    def effect(self) -> np.ndarray:
+        """Largest output of each free element for a value of one, shape (p,); 1 where the model declares none."""
+        effects = [leaf.effects() for leaf in leaves_of(self.template)]
+        return np.array([effects[number][k] for number, k, _ in self.sources])
+
+    @property
     def weights(self) -> np.ndarray:
         """Which free elements are weights of plays, cells or relaxations, shape (p,), bool.
 
