@@ -353,6 +353,30 @@ def test_too_few_blocks_are_refused_with_a_note():
     assert found.to_dict()["parameters"]["c"]["factor"]["sandwich"] > 2.1
 
 
+def test_errors_of_shared_parameters_are_those_about_the_means_of_records_that_are_one_block_each():
+    """Bell and McCaffrey (2002) on dense matrices whose columns have zero mean in every record; an offset alone has no error."""
+    loops = [
+        dataclasses.replace(one := loop(0.3 + 0.08 * k, T=200, seed=k), y=one.y + k, name=str(k)) for k in range(10)
+    ]
+    result = hf.fit(TRUTH, loops, starts=1, noise="iid")
+    own = result.problem.space.per_record
+    r, J = (rows[:, :200] for rows in result.problem.linearize(result.x))
+    X = np.concatenate(J[..., ~own] - J[..., ~own].mean(axis=1, keepdims=True))
+    bread, left = np.linalg.inv(X.T @ X), np.eye(2000) - X @ np.linalg.inv(X.T @ X) @ X.T
+    moved = []
+    for part in np.split(np.arange(2000), 10):
+        root = np.real(scipy.linalg.inv(scipy.linalg.sqrtm(left[np.ix_(part, part)])))
+        moved.append(bread @ X[part].T @ root @ r.reshape(-1)[part])
+    for kind in ("sandwich", "bootstrap"):
+        found = covariance(result, kind, block=200)
+        assert found.blocks == 10
+        assert np.isnan(found.stderr[own]).all()
+        assert np.isnan(found.factor[own]).all()
+        size = np.sqrt(np.sum(np.square(moved), axis=0))
+        np.testing.assert_allclose(found.stderr[~own], size, rtol=1e-5 if kind == "sandwich" else 0.1)
+    assert hf.standard_errors(result, block=200).errors["iid"][own].max() < 0.01
+
+
 def test_a_design_gives_no_error_to_what_the_fit_leaves_open(faint):
     made = design(faint, samples=300, method="families")
     open_ = [name for name in faint.free_names if faint[name].stderr is None]

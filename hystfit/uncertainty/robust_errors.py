@@ -36,7 +36,8 @@ class Covariance:
 
     Attributes:
         names: of the parameters.
-        matrix: physical units, shape (p, p); NaN for parameters on a bound.
+        matrix: physical units, shape (p, p); NaN for parameters on a bound, and of the sandwich and the bootstrap for those that one
+            block determines alone, such as the offset of a record that is a block.
         kind: "iid", "sandwich" or "bootstrap".
         block, blocks: samples of a block, and how many there are.
         ratio: standard errors over those for independent noise, shape (p,).
@@ -206,12 +207,15 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
             notes.append(warn(Code.BLOCKS, f"no {kind}: {error}"))
             continue
         errors[kind], factors[kind] = known(other.stderr), known(other.factor)
-        span, widest = other.block, float(np.nanmax(other.factor))
+        span, widest = other.block, float(np.nanmax(factors[kind], initial=0.0))
         text = (
             f"the {kind} uses {other.blocks} blocks of {span} samples, so that a 95 % interval reaches up to {widest:.2g} of its standard "
             "errors to either side; it does not include errors that recur every loop"
         )
         notes.append(Note(Code.BLOCKS, text))
+        if alone := int(np.count_nonzero(np.isfinite(fit) & ~np.isfinite(errors[kind]))):
+            text = f"no {kind} for {count(alone, 'parameter')} that one block determines alone, such as the offset of a record"
+            notes.append(Note(Code.BLOCKS, text))
         reason = f"from {other.blocks} blocks, a standard error is accurate to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
@@ -239,7 +243,8 @@ def covariance(
     Args:
         result: a least-squares fit.
         kind: which.
-        block: samples; by default one cycle of the input, or five correlation times where those are longer.
+        block: samples; by default one cycle of the input, or five correlation times where those are longer, but at most the longest
+            record.
         seed: of the bootstrap.
 
     Raises:
@@ -265,6 +270,12 @@ def covariance(
     back = _orthonormal([slope for _, slope in rows])
     freedom = max(sum(len(row) for row, _ in rows) - back.shape[1], 1)
     plain = back @ back.T * sum(float(np.sum(row**2)) for row, _ in rows) / freedom
+    single = np.zeros(back.shape[0], dtype=bool)
+    if kind != "iid":
+        owner = np.array([-1 if record is None else record for *_, record in problem.space.sources])[live]
+        of_record = [np.flatnonzero(owner == k) for k, on in enumerate(problem.used) if on.any()]
+        rows, single = _partialled(rows, of_record, span, FEWEST[kind])
+        back = _orthonormal([slope for _, slope in rows])
     blocks = _Blocks.of([(row, slope @ back) for row, slope in rows], span)
     if len(blocks.scores) < FEWEST[kind]:
         raise ParameterError(
@@ -277,6 +288,9 @@ def covariance(
         robust, factor = blocks.bootstrap(back, _DRAWS, seed)
     else:
         robust, factor = plain, np.full(len(plain), scipy.stats.t.ppf(0.975, freedom))
+    if kind != "iid":
+        single |= ~(blocks.degrees(back) >= 1)
+    robust[single], robust[:, single], factor[single] = np.nan, np.nan, np.nan
     matrix, ratio, factors = np.full((x.size, x.size), np.nan), np.full(x.size, np.nan), np.full(x.size, np.nan)
     matrix[np.ix_(live, live)], factors[live] = robust, factor
     ratio[live] = np.sqrt(np.diag(robust) / np.diag(plain))
@@ -289,7 +303,37 @@ def _block(data: Dataset, rows: list[tuple[np.ndarray, np.ndarray]]) -> int:
         u = record.u[record.used]
         crossings = np.count_nonzero(np.diff(u > 0.5 * (u.max() + u.min())))
         cycles.append(2 * u.size / max(crossings, 1))
-    return int(np.ceil(max(max(cycles), 5 * max(autocorrelation_time(row) for row, _ in rows))))
+    longest = max(len(row) for row, _ in rows)
+    return min(int(np.ceil(max(*cycles, 5 * max(autocorrelation_time(row) for row, _ in rows)))), longest)
+
+
+def _partialled(
+    rows: list[tuple[np.ndarray, np.ndarray]], of_record: list[np.ndarray], span: int, fewest: int
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    """Rows without the parameters of single records that have fewer than `fewest` blocks, and which parameters these are, shape (p,).
+
+    A block that alone determines a parameter has no residuals from which to judge its error. Without the derivatives by it, and their
+    projection in those by the others, the estimates of the others and all residuals stay as they are (Frisch and Waugh 1933).
+
+    Args:
+        rows: residuals (T,) and derivatives (T, p) of each record.
+        of_record: positions of the parameters of each record alone.
+        span: samples of a block.
+        fewest: blocks.
+    """
+    kept, gone = [], np.zeros(rows[0][1].shape[1], dtype=bool)
+    for (residual, slope), own in zip(rows, of_record, strict=True):
+        if own.size and _blocks_in(len(residual), span) < fewest:
+            basis = np.linalg.qr(slope[:, own[slope[:, own].any(axis=0)]])[0]
+            slope = slope - basis @ (basis.T @ slope)
+            slope[:, own], gone[own] = 0.0, True
+        kept.append((residual, slope))
+    return kept, gone
+
+
+def _blocks_in(samples: int, span: int) -> int:
+    """Number of blocks of about `span` samples, at least one."""
+    return max(round(samples / span), 1)
 
 
 def _orthonormal(slopes: list[np.ndarray]) -> np.ndarray:
@@ -318,7 +362,7 @@ class _Blocks:
         """Blocks of about `span` samples of (residuals, Q) of each record, at least one per record."""
         scores, grams = [], []
         for residual, Q in rows:
-            edges = np.linspace(0, len(Q), max(round(len(Q) / span), 1) + 1).astype(int)
+            edges = np.linspace(0, len(Q), _blocks_in(len(Q), span) + 1).astype(int)
             for low, high in itertools.pairwise(edges):
                 scores.append(Q[low:high].T @ residual[low:high])
                 grams.append(Q[low:high].T @ Q[low:high])
@@ -336,16 +380,20 @@ class _Blocks:
         """Scores of the corrected residuals, shape (G, k)."""
         return np.einsum("gij,gj->gi", self.correction, self.scores)
 
-    def sandwich(self, back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Covariance of the parameters `back` q, and the t quantile for the degrees of freedom of each (as under independent noise)."""
+    def degrees(self, back: np.ndarray) -> np.ndarray:
+        """Degrees of freedom of the variance of each parameter `back` q, as under independent noise, shape (p,); 0 without any."""
         lifted = self.correction @ back.T
         across = self.grams @ lifted
         own, inner = np.sum(lifted * across, axis=1), np.einsum("gkp,glp->pkl", across, across)
         left = np.sum(across**2, axis=1)
         trace = np.sum(own - left, axis=0)
         square = np.sum(own**2 - 2 * own * left, axis=0) + np.sum(inner**2, axis=(1, 2))
+        return np.where(square > 0, trace**2 / np.where(square > 0, square, 1.0), 0.0)
+
+    def sandwich(self, back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance of the parameters `back` q, and the t quantile for the degrees of freedom of each."""
         moved = self.corrected @ back.T
-        return moved.T @ moved, scipy.stats.t.ppf(0.975, trace**2 / square)
+        return moved.T @ moved, scipy.stats.t.ppf(0.975, np.maximum(self.degrees(back), 1.0))
 
     def bootstrap(self, back: np.ndarray, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Covariance of the parameters `back` q over draws, and half a 95 % interval of the studentized draws over its root."""
@@ -359,4 +407,5 @@ class _Blocks:
             spread = np.linalg.norm(weights * np.sum(self.corrected * lifted, axis=1) - shifts @ across.T, axis=1)
             error = np.linalg.norm(self.corrected @ row)
             factor[k] = np.quantile(np.abs(shifts @ row) / np.maximum(spread, 1e-300), 0.95) * error
-        return robust, factor / np.sqrt(np.diag(robust))
+        size = np.sqrt(np.diag(robust))
+        return robust, factor / np.where(size > 0, size, 1.0)
