@@ -23,7 +23,7 @@ from hystfit.sampling.predictive import predictive_draws
 
 SETTINGS = {"chains": 4, "warmup": 500}
 DRAWS = (2000, 4000, 8000)  # of each chain
-COUNT = 400  # predictive draws
+COUNT = 4000  # predictive draws: from 400, coverages differ by half a percent between seeds
 BAND = 0.9
 
 
