@@ -19,7 +19,8 @@ from hystfit.inference.problem import Problem
 from hystfit.models.design import FAR, left_out_squares
 from hystfit.outcome import Code, Note, Severity
 
-STRENGTHS = tuple(10.0**k for k in range(-10, 1))
+# Half decades where ridges of plays lie: at a whole decade the best error can be 3 % larger, and the residuals 4 % above the noise.
+STRENGTHS = tuple(10.0**k for k in (-10, -8, -6, -5, -4.5, -4, -3.5, -3, -2.5, -2, -1, 0))
 _WITHOUT = 1e12  # strength at which the weights are zero
 _HARDLY = 0.9  # of the left-out error without weights, above which the weights hardly help
 _WEAK = 1e-6  # strength at which a ridge moves no lag
