@@ -464,7 +464,7 @@ BAD = [  # arguments, and what the message must name: the file, option, paramete
     (["fit", "LOOP", "--model", "bouc-wen", "--fix", "mu=half"], "'half'"),
     (["fit", "LOOP", "--model", "bouc-wen", "--free", "zz"], "'zz'"),
     (["fit", "LOOP", "--model", "bouc-wen", "--fix", "mu", "--free", "mu"], "mu"),
-    (["fit", "LOOP", "--fix", "mu=0.5"], "--model NAME"),
+    (["fit", "LOOP", "--fix", "mu=0.5"], "--model bouc-wen"),
     (["fit", "LOOP", "--start", "magic"], "--start"),
     (["fit", "LOOP", "--method", "rls", "--fix", "alpha=1"], "--fix"),
     (["fit", "LOOP", "--model", "bouc-wen", "--starts", "0"], "got 0"),
