@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.cli import run
 from hystfit.models.registry import make_model
 from hystfit.testing import check_model
 
@@ -20,6 +21,26 @@ def blocks(name: str, language: str) -> list[str]:
     """Code blocks of a Markdown file."""
     text = (ROOT / name).read_text(encoding="utf-8")
     return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+def test_commands_of_the_start_page_print_what_it_shows(tmp_path, monkeypatch, capsys):
+    """In order, from the example file to the inverse; only the sampler and the C compiler are left out."""
+    monkeypatch.chdir(tmp_path)
+    page, shown, ran = (ROOT / "docs" / "start.md").read_text(encoding="utf-8"), 0, []
+    for language, body in re.findall(r"```(console|text|python)\n(.*?)```", page, flags=re.DOTALL):
+        if language == "python" and "savetxt" in body:
+            exec(body, {})
+        elif language == "console":
+            ran = [line.split()[2:] for line in body.splitlines() if line.startswith("$ hystfit")]
+            for words in ran:
+                if words[0] not in ("completion", "sample"):
+                    assert run(words) == 0
+        elif language == "text":
+            printed = " ".join(capsys.readouterr().out.split())
+            for part in body.split("..."):
+                assert " ".join(part.split()) in printed, (ran, part)
+            shown += 1
+    assert shown == 5
 
 
 @pytest.fixture
