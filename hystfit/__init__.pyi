@@ -53,10 +53,10 @@ from .results.saved import load_fit as load_fit
 from .sampling.files import load_posterior as load_posterior
 from .sampling.posterior import Posterior as Posterior
 from .sampling.sample import sample as sample
+from .uncertainty.block_covariance import covariance as covariance
 from .uncertainty.calibration import calibrate as calibrate
 from .uncertainty.explained_drift import explain_drift as explain_drift
 from .uncertainty.input_design import design as design
 from .uncertainty.profiles import profile as profile
-from .uncertainty.robust_errors import covariance as covariance
 from .uncertainty.robust_errors import standard_errors as standard_errors
 from .version import __version__ as __version__

@@ -15,9 +15,9 @@ from hystfit.inference.noise import Setting
 from hystfit.inference.residuals import analyze
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
+from hystfit.uncertainty.block_covariance import FEWEST, _Blocks, covariance
 from hystfit.uncertainty.input_design import Candidate, Design, design
 from hystfit.uncertainty.profiles import Profile, _whitened, profile
-from hystfit.uncertainty.robust_errors import FEWEST, _Blocks, covariance
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
 NAMES = ("c", "mu", "tau", "rho", "offset")

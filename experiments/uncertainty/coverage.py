@@ -18,7 +18,7 @@ import hystfit as hf
 from hystfit.identify import Ukf
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
-from hystfit.uncertainty.robust_errors import covariance
+from hystfit.uncertainty.block_covariance import covariance
 
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
