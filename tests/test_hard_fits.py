@@ -109,3 +109,9 @@ def test_the_ridge_of_plays_leaves_the_residuals_at_the_noise():
     """A device with which the best whole decade of the ridge leaves residuals 4 % above the noise; a penalty may cost 2 %."""
     counts, wrong = devices.run("prandtl-ishlinskii", range(56, 57))
     assert counts == {"right": 1}, wrong
+
+
+def test_a_penalty_that_fits_worse_wins_no_tie_between_left_out_errors():
+    """A device of relays with equal left-out errors (0.03 % apart) with and without smoothing, which puts residuals 11 % above."""
+    counts, wrong = devices.run("preisach", range(825, 826))
+    assert counts == {"right": 1}, wrong

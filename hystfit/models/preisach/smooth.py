@@ -21,6 +21,7 @@ _BLOCKS = 5
 _NUMBERS = (
     2**21
 )  # of rows that wait to be multiplied (16 MiB): products of few rows each would only move the sums through memory
+_EQUAL = 1.01  # ratio of errors on blocks left out, or of residuals, below which two strengths are equally good
 _MANY = 1200  # parameters from which the choice of smoothness ignores bounds and leaves out two folds only: seconds, not minutes
 
 
@@ -273,46 +274,80 @@ def fit_smooth(
         strengths: of the penalty to choose among; a single one is used without a choice.
         held: values of weights that are not fitted, NaN for the others, output units, shape (p,).
     """
-    p = system.roughness.shape[0]
-    held = np.full(p, np.nan) if held is None else held
-    grams, free = _reduced(system, held - system.origin * system.size)
-    total, n = grams.sum(axis=0), system.counts.sum()
-    rough, bounded = system.roughness[np.ix_(free, free)], system.bounded[free]
-    trial = bounded if free.size <= _MANY else np.zeros_like(bounded)
-    own = system.offsets[free]
-    left_out: list[float] = []
-    starts: list[np.ndarray | None] = [None] * len(grams)
-    judged = np.flatnonzero(system.judged)[: 2 if free.size > _MANY else None]
-
-    def left_out_error(strength: float, bounds: np.ndarray) -> float:
-        error = 0.0
-        near = starts[judged[0]]
-        for k in judged:
-            gram, count = grams[k], system.counts[k]
-            others = total - gram
-            v, near = _solve(others, strength * (n - count) * rough, bounds, near)
-            starts[k] = near
-            error += left_out_squares(gram, v, own & (np.diag(others)[:-1] == 0))
-        return float(np.sqrt(error / system.counts[judged].sum()))
-
-    for strength in strengths if len(strengths) > 1 else ():
-        left_out.append(left_out_error(strength, trial))
-        # Once the error has tripled, stiffer weights only make it larger.
-        if left_out[-1] > 3 * min(left_out):
-            break
-    best = strengths[int(np.argmin(left_out))] if left_out else strengths[0]
-    exact = free.size <= _MANY
-    v, near = _solve(total, best * n * rough, bounded, starts[judged[0]] if exact else None)
-    error = min(left_out, default=None)
-    if error is not None and not exact and bounded.any():
-        starts = [near] * len(grams)
-        error = left_out_error(best, bounded)
-    r = np.append(-v, 1.0)
-    rss = max(float(r @ total @ r), 0.0) * system.size**2
-    cost = rss + best * n * float(v @ rough @ v) * system.size**2
+    held = np.full(system.roughness.shape[0], np.nan) if held is None else held
+    trials = _Trials(system, held)
+    left_out = trials.left_out(strengths) if len(strengths) > 1 else []
+    best, v, rss = trials.chosen(strengths, left_out)
+    error = left_out[best] if left_out else None
+    if error is not None and not trials.exact and trials.bounded.any():
+        error = trials.error(strengths[best], trials.bounded)
+    strength = strengths[best] * trials.n
+    cost = (rss + strength * float(v @ trials.rough @ v)) * system.size**2
     weights = held.copy()
-    weights[free] = (v + system.origin[free]) * system.size
-    return SmoothFit(weights, best, np.array(left_out), error, rss, cost, best * n * np.diag(system.roughness))
+    weights[trials.free] = (v + system.origin[trials.free]) * system.size
+    penalty = strength * np.diag(system.roughness)
+    return SmoothFit(weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, penalty)
+
+
+class _Trials:
+    """Solutions of a system with penalties of different strengths, each started from its neighbors.
+
+    Args:
+        system: the equations.
+        held: see `fit_smooth`.
+    """
+
+    def __init__(self, system: SmoothSystem, held: np.ndarray):
+        self._grams, self.free = _reduced(system, held - system.origin * system.size)
+        self._total, self.n = self._grams.sum(axis=0), float(system.counts.sum())
+        self.exact = self.free.size <= _MANY
+        self.rough, self.bounded = system.roughness[np.ix_(self.free, self.free)], system.bounded[self.free]
+        self._own, self._counts = system.offsets[self.free], system.counts
+        self._judged = np.flatnonzero(system.judged)[: None if self.exact else 2]
+        self._starts: list[np.ndarray | None] = [None] * len(self._grams)
+
+    def left_out(self, strengths: Sequence[float]) -> list[float]:
+        """The error on blocks left out with each strength, until it has tripled: stiffer weights only make it larger."""
+        bounds, errors = self.bounded if self.exact else np.zeros_like(self.bounded), list[float]()
+        for strength in strengths:
+            errors.append(self.error(strength, bounds))
+            if errors[-1] > 3 * min(errors):
+                break
+        return errors
+
+    def error(self, strength: float, bounds: np.ndarray) -> float:
+        """Root mean square error on the blocks left out, with weights >= 0 where `bounds`."""
+        squares = 0.0
+        near = self._starts[self._judged[0]]
+        for k in self._judged:
+            others = self._total - self._grams[k]
+            v, near = _solve(others, strength * (self.n - self._counts[k]) * self.rough, bounds, near)
+            self._starts[k] = near
+            squares += left_out_squares(self._grams[k], v, self._own & (np.diag(others)[:-1] == 0))
+        return float(np.sqrt(squares / self._counts[self._judged].sum()))
+
+    def chosen(self, strengths: Sequence[float], left_out: Sequence[float]) -> tuple[int, np.ndarray, float]:
+        """The strength with the smallest left-out error (the first one without errors), its weights and sum of squared residuals.
+
+        Where the errors of several strengths are practically equal, those that fit the data clearly worse are out of the choice:
+        a block that alone determines a weight is then predicted by the penalty, which has no say where that block is measured.
+        """
+        if not left_out:
+            return 0, *self._solved(strengths[0])
+        order = np.argsort(left_out, kind="stable")
+        if not self.exact:
+            return int(order[0]), *self._solved(strengths[order[0]])
+        fits = {int(k): self._solved(strengths[k]) for k in order if left_out[k] <= _EQUAL * left_out[order[0]]}
+        least = min(rss for _, rss in fits.values())
+        best = next(k for k, (_, rss) in fits.items() if rss <= _EQUAL**2 * least)
+        return best, *fits[best]
+
+    def _solved(self, strength: float) -> tuple[np.ndarray, float]:
+        start = self._starts[self._judged[0]] if self.exact else None
+        v, near = _solve(self._total, strength * self.n * self.rough, self.bounded, start)
+        self._starts = [near] * len(self._grams)
+        r = np.append(-v, 1.0)
+        return v, max(float(r @ self._total @ r), 0.0)
 
 
 def _reduced(system: SmoothSystem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
