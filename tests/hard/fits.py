@@ -1,7 +1,7 @@
 """Saved fits and posteriors in hard use: thousands of changed files, and saves that are killed.
 
-    python -m tests.hard.fits            # about 4000 changed files and 200 kills, some minutes
-    python -m tests.hard.fits --quick    # a tenth of that
+    python -m tests.hard.fits            # 10 000 changed files and 200 kills, some minutes
+    python -m tests.hard.fits --quick    # 400 and 20
 
 A changed file without a changed manifest must be refused or open as the same result. With a manifest that fits the change (an intended
 edit), it must be refused in words, or open; "differs" counts those that open and say something else than result.json. Anything else is
@@ -334,7 +334,7 @@ def main(quick: bool = False, seed: int = 0) -> int:
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
         warnings.simplefilter("ignore")
-        changes, failures = run_changes(results, 400 if quick else 4000, Path(name), rng)
+        changes, failures = run_changes(results, 400 if quick else 10_000, Path(name), rng)
         kills, more = run_kills(fits[0], example(offset=3.0), 20 if quick else 200, Path(name), rng)
     for (kind, file, manifest, said), count in sorted((changes + kills).items()):
         print(f"{kind:<10} {file:<20} {'manifest ' + manifest if manifest else '':<14} {said:<16} {count:>6}")

@@ -1,6 +1,6 @@
 """Hard use of the file reader: a read is right, refused, or says what it left out.
 
-    python -m tests.hard.reading --files 0:20000 --mutations 0:20000 [--out results.json]
+    python -m tests.hard.reading --files 0:100000 --mutations 0:100000 [--out results.json]
 
 Every seed makes one file. Its outcome is `right` (the numbers that were written), `refused` (HystfitError), `noted` (other numbers,
 and a note on missing or left-out values, or a warning), `wrong` (other numbers, in silence), `crashed` (any other exception) or
@@ -144,8 +144,8 @@ def seeds_of(text: str) -> range:
 def main() -> int:
     """Run the seeds of the command line; 1 where a file was read wrong in silence, crashed the reader or took too long."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=seeds_of, default=range(20_000))
-    parser.add_argument("--mutations", type=seeds_of, default=range(20_000))
+    parser.add_argument("--files", type=seeds_of, default=range(100_000))
+    parser.add_argument("--mutations", type=seeds_of, default=range(100_000))
     parser.add_argument("--out", type=Path)
     parser.add_argument("--show", type=int, default=10, help="number of bad files that are shown")
     options = parser.parse_args()
