@@ -21,7 +21,7 @@ import hystfit as hf
 from hystfit import cli
 from hystfit.batch import bucketed, many, work
 from hystfit.batch.journal import Journal
-from hystfit.batch.overview import overview
+from hystfit.batch.overview import histogram, overview
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Code, Status
 
@@ -508,6 +508,16 @@ def test_the_summary_is_that_of_the_usable_fits(fits):
 
 
 # -- the page and the command ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("values", [[1.0, 1.0 + 2e-16], [1e20] * 3, [0.0, 0.0], [-3e-7, -3e-7 * (1 + 1e-14)]])
+def test_values_that_are_practically_equal_are_one_bar(values):
+    """Bins between them would be narrower than floating point allows; identical files have such parameters."""
+    picture = histogram(np.array(values), "c")
+    counts = [int(count) for count in re.findall(r": (\d+)</title>", picture)]
+    assert max(counts) == sum(counts) == len(values)
+    assert "nan" not in picture
+    assert "inf" not in picture
 
 
 def test_the_overview_is_one_page_that_needs_nothing_else(fits):

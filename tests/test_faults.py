@@ -13,6 +13,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, HystfitError
+from hystfit.results import folders
 from hystfit.sampling import files
 
 from .hard import faults
@@ -207,3 +208,28 @@ def test_runs_of_shell_verbs_are_judged_by_what_they_leave(old, tmp_path):
 @pytest.mark.slow
 def test_a_fit_survives_full_disks_interrupts_and_a_second_run():
     assert faults.main(2, list(faults.KINDS), ["fit"]) == 0
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_result_that_is_removed_while_it_is_written_is_no_success(moved, tmp_path, monkeypatch):
+    """Removed before its pictures are written, or just after all files were moved in place."""
+    out, move = tmp_path / "fit", folders._move_pending
+
+    def removed(target: Path) -> None:
+        move(target)
+        (target / "result.json").unlink(missing_ok=True)
+
+    if moved:
+        monkeypatch.setattr(folders, "_move_pending", removed)
+
+    def write() -> None:
+        with folders.writing(out) as scratch:
+            (scratch / "result.json").write_text("{}")
+            if not moved:
+                shutil.rmtree(out)
+                scratch.mkdir(parents=True)
+            (scratch / "report.html").write_text("")
+
+    with pytest.raises(HystfitError, match="another program removed files of the result"):
+        write()
+    assert not list(out.glob(".hystfit*"))

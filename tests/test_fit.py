@@ -24,6 +24,8 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 
+from . import test_recovery
+
 T = np.linspace(0.0, 6.0, 600)
 TRUTH = {"c": 0.15, "mu": 0.45, "tau": 0.02, "rho": 0.6, "offset": 3.0}
 
@@ -275,6 +277,21 @@ def test_a_second_record_of_the_same_shape_compiles_nothing(piezo, fitted, compi
     u = 0.9 * sweep()
     fresh = record(hf.BoucWen(**TRUTH), u=u, seed=5, name="another name").segment(0, 560)
     hf.fit(hf.BoucWen(), fresh)
+    assert not compiled
+
+
+@pytest.mark.parametrize(
+    "case",
+    [case if case == "oscillator" else pytest.param(case, marks=pytest.mark.slow) for case in test_recovery.CASES],
+)
+def test_fitting_a_record_again_compiles_nothing(case, compiled):
+    """A conditional outside compiled code is compiled by each call; a batch then ends where memory maps do, after 700 records."""
+    (truth, u), t = test_recovery.CASES[case], test_recovery.T
+    record = hf.Record(u=u, y=np.asarray(hf.simulate(truth, u, t[1] - t[0])[0]), t=t)
+    start = "model" if case in ("prandtl-ishlinskii", "preisach") else "data"
+    hf.fit(truth, record, start=start, starts=1)
+    compiled.clear()
+    hf.fit(truth, record, start=start, starts=1)
     assert not compiled
 
 

@@ -16,6 +16,7 @@ from hystfit.results.webpage import Markup, Page
 
 _SHOWN = 50  # loops in the list at most, besides those with a report
 _WIDTH, _HEIGHT, _FOOT = 240, 96, 18  # of a histogram
+_ALIKE = 1e-9  # relative range of values that are shown as one
 _FEWEST, _MOST = 5, 30  # bars
 
 
@@ -76,7 +77,10 @@ def histogram(values: np.ndarray, heading: str) -> str:
         values: shape (n,), finite, not empty.
     """
     bars = int(np.clip(np.sqrt(values.size) * 1.5, _FEWEST, _MOST))
-    counts, edges = np.histogram(values, bins=bars if np.ptp(values) > 0 else 1)
+    center, size = float(values[0]), float(np.abs(values).max())
+    alike = np.ptp(values) <= _ALIKE * size  # bins of such a range would be narrower than numbers can be
+    pad = 0.1 * size or 1.0
+    counts, edges = np.histogram(values, bins=bars, range=(center - pad, center + pad) if alike else None)
     low, high, middle = float(edges[0]), float(edges[-1]), float(np.median(values))
     width, floor = _WIDTH / counts.size, _HEIGHT - _FOOT
     place = lambda value: _WIDTH * (value - low) / (high - low)

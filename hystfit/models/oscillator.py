@@ -132,9 +132,7 @@ class BoucWenOscillator(AbstractHysteresis):
 
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
         """Work of z over all dissipated work; what the spring stores at the end is small compared with many cycles."""
-        force = jnp.asarray(u)
-        run = self._trajectory(self.init(force[0]), force[0], force, jnp.asarray(dt))
-        _, y, z = (np.asarray(values) for values in run)
+        y, z = (np.asarray(values) for values in _driven(self, jnp.asarray(u), jnp.asarray(dt)))
         way, steps = np.diff(y), np.maximum(dt[1:], 1e-300)
         spring = float(np.sum(0.5 * (z[1:] + z[:-1]) * way))
         damper = float(self.c) * float(np.sum(way**2 / steps))
@@ -314,3 +312,10 @@ def _upper_share(u: np.ndarray) -> float:
     rest = np.asarray(u) - np.linspace(u[0], u[-1], len(u))
     power = np.abs(np.fft.rfft(rest * np.hanning(len(u)))) ** 2
     return float(power[int(_UPPER * power.size) :].sum() / (power.sum() or 1.0))
+
+
+@eqx.filter_jit
+def _driven(model: Any, force: Array, dt: Array) -> tuple[Array, Array]:
+    """Displacement and z at each sample, compiled once: outside a compiled function, every call compiles a conditional again."""
+    _, y, z = model._trajectory(model.init(force[0]), force[0], force, dt)
+    return y, z

@@ -17,8 +17,9 @@ import filelock
 from hystfit.errors import HystfitError
 from hystfit.results.manifest import MANIFEST, PENDING
 
-_LOCK, _SCRATCH = ".hystfit-lock", ".hystfit-new-"
+_LOCK, _SCRATCH, _WHOLE = ".hystfit-lock", ".hystfit-new-", ".hystfit-whole"
 _OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+_LOST = "cannot write to {!r}: another program removed files of the result while it was written"
 _PATIENCE = 5.0  # seconds to wait for another process that moves its files in place
 
 
@@ -65,7 +66,8 @@ class writing:
     scratch folder, and no target that did not exist before.
 
     Raises:
-        HystfitError: the target cannot be made or written; the message names the folder and the reason.
+        HystfitError: the target cannot be made or written, or another program removes files of the result meanwhile; the message names
+            the folder and the reason.
     """
 
     def __init__(self, target: str | Path):
@@ -82,7 +84,10 @@ class writing:
             for left in self.target.glob(f"{_SCRATCH}*"):  # by a process that was killed
                 shutil.rmtree(left, ignore_errors=True)
             self.scratch = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=self.target))
+            (self.scratch / _WHOLE).touch()  # where it is missing at the end, files written before may be missing too
         except BaseException as error:
+            if "scratch" in vars(self):
+                shutil.rmtree(self.scratch, ignore_errors=True)
             self._leave(remove=self.created)
             if isinstance(error, OSError):
                 raise refused(self.target, error) from error
@@ -94,10 +99,16 @@ class writing:
         committed = False
         try:
             if kind is None:
+                if not (self.scratch / _WHOLE).exists():
+                    raise HystfitError(_LOST.format(str(self.target)))
+                (self.scratch / _WHOLE).unlink()
                 _refuse_clashes(self.scratch, self.target)
+                names = [path.relative_to(self.scratch) for path in self.scratch.rglob("*") if path.is_file()]
                 os.rename(self.scratch, self.target / PENDING)
                 committed = True
                 _move_pending(self.target)
+                if not all((self.target / name).exists() for name in names if name.name != _LOCK):
+                    raise HystfitError(_LOST.format(str(self.target)))
         except OSError as failure:
             raise refused(self.target, failure) from failure
         finally:
