@@ -28,6 +28,7 @@ from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.setup import Setup, prepare
+from hystfit.sampling.target import Target
 from hystfit.uncertainty.profiles import profile
 
 PROFILES_S = 3.0  # most that all profiles of a fit of 10 000 samples may take
@@ -51,33 +52,41 @@ def record(samples: int, slow: bool = False) -> hf.Record:
     return hf.Record(u=u, y=y, t=t)
 
 
+@numba.njit(fastmath=True, inline="always")
+def peer_parameters(z, scales):
+    """c, mu, tau, rho and the offset of coordinates z, and the log slope of the two with two bounds (`hystfit.sampling.bend`)."""
+    a, far = (z / 4 + 0.5) / BEND, 1 / BEND
+    part = BEND * (np.log1p(np.exp(a)) - np.log1p(np.exp(a - far)))
+    slopes = 1 / (1 + np.exp(-a)) - 1 / (1 + np.exp(far - a))
+    values = scales[0] * np.exp(z[0]), part[1], scales[2] * np.exp(z[2]), 2.0 * part[3] - 1.0, scales[4] * z[4]
+    return values, np.log(slopes[1]) + np.log(slopes[3])
+
+
+@numba.njit(fastmath=True, inline="always")
+def peer_step(h, dv, m, up, down):
+    """h after a step of the input, by the library's semi-implicit step."""
+    s = -1.0 if dv < 0 else 1.0
+    x, g, highest = abs(dv), s * h, m / up
+    below = min(-g / m, x) if g < 0 else 0.0
+    half = 0.5 * (up * x + (down - up) * below)
+    new = ((1 - half) * g + m * x) / (1 + half)
+    return s * min(max(new, min(g, highest)), max(g, highest))
+
+
 @numba.njit(fastmath=True)
 def peer_density(q, center, factor, u, y, scales, wide):
     """Log posterior of one walker up to a constant: the library's parametrization, priors and semi-implicit step in a plain loop."""
     z = center + factor @ q
-    # mu and rho have two bounds: linear inside, see hystfit.sampling.bend.
-    a, far = (z / 4 + 0.5) / BEND, 1 / BEND
-    part = BEND * (np.log1p(np.exp(a)) - np.log1p(np.exp(a - far)))
-    c, mu, tau = scales[0] * np.exp(z[0]), part[1], scales[2] * np.exp(z[2])
-    rho, offset, sigma = 2.0 * part[3] - 1.0, scales[4] * z[4], scales[5] * np.exp(z[5])
+    (c, mu, tau, rho, offset), slope = peer_parameters(z, scales)
+    sigma = scales[5] * np.exp(z[5])
     m, up, down = mu * c, tau * (1 + rho), tau * (1 - rho)
-    highest = m / up
-    h, total = 0.0, 0.0
-    before = u[0]
+    h, total, before = 0.0, 0.0, u[0]
     for k in range(u.size):
-        dv = u[k] - before
+        h = peer_step(h, u[k] - before, m, up, down)
         before = u[k]
-        s = -1.0 if dv < 0 else 1.0
-        x, g = abs(dv), s * h
-        below = min(-g / m, x) if g < 0 else 0.0
-        half = 0.5 * (up * x + (down - up) * below)
-        new = ((1 - half) * g + m * x) / (1 + half)
-        h = s * min(max(new, min(g, highest)), max(g, highest))
         total += (offset + c * u[k] - h - y[k]) ** 2
     prior = -0.5 * (z[0] ** 2 + z[2] ** 2 + z[5] ** 2) / 9.0 - 0.5 * (offset / wide) ** 2
-    slopes = 1 / (1 + np.exp(-a)) - 1 / (1 + np.exp(far - a))
-    prior += np.log(slopes[1]) + np.log(slopes[3])
-    return prior - 0.5 * total / sigma**2 - u.size * np.log(sigma)
+    return prior + slope - 0.5 * total / sigma**2 - u.size * np.log(sigma)
 
 
 def peer(setup: Setup) -> Callable[[np.ndarray], float]:
@@ -86,8 +95,12 @@ def peer(setup: Setup) -> Callable[[np.ndarray], float]:
     scales = np.concatenate([np.asarray(c.scale) for c in (target.density.objective.coordinates, target.density.noise)])
     arrays = tuple(np.asarray(v) for v in (target.center, target.factor, data.u, data.y, scales))
     wide = float(target.density.priors[4].sd)
-    density = lambda q: peer_density(q, *arrays, wide)
-    rows = np.random.default_rng(0).normal(size=(5, scales.size))
+    return compared(target, lambda q: peer_density(q, *arrays, wide))
+
+
+def compared(target: Target, density: Callable[[np.ndarray], float]) -> Callable[[np.ndarray], float]:
+    """The peer's density, if it differs from the library's by a constant."""
+    rows = np.random.default_rng(0).normal(size=(5, target.center.shape[0]))
     ours = np.asarray(jax.vmap(target)(jnp.asarray(rows)))
     theirs = np.array([density(q) for q in rows])
     np.testing.assert_allclose(ours - ours[0], theirs - theirs[0], rtol=1e-7, atol=1e-6)
