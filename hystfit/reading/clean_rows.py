@@ -14,6 +14,7 @@ from hystfit.reading.layout import Layout
 
 _LARGEST_WHOLE = 2.0**53  # larger whole numbers are read digit by digit
 _EXAMINED = 1000  # rows in which the decimal mark must show what it is
+_TAIL = 1 << 16  # characters at the end that are searched for blanks at a time
 
 
 def clean_columns(
@@ -31,10 +32,8 @@ def clean_columns(
     start = 0
     for _ in range(first):
         start = text.index("\n", start) + 1
-    body = text[start:]
-    end = body.find("\n", len(body.rstrip(" \t,;|\n")))  # of the last line that is not blank
-    body = body if end < 0 else body[:end]
-    count = body.count("\n") + 1
+    body = text[start : _end_of_rows(text, start)]
+    count = np.count_nonzero(np.frombuffer(body.encode(), np.uint8) == ord("\n")) + 1
     if count < 2 or (layout.decimal == "," and "." in body):
         return None
     if not settled and not _shows_its_mark(lines[first : first + _EXAMINED], body, layout):
@@ -45,6 +44,18 @@ def clean_columns(
     if not (np.abs(numbers) <= _LARGEST_WHOLE).all():  # not for NaN either
         return None
     return [np.ascontiguousarray(column) for column in numbers.T]
+
+
+def _end_of_rows(text: str, start: int) -> int:
+    """Where the last line ends that is not blank; `start` where there is none from there on."""
+    end = len(text)
+    while end > start:
+        part = text[max(start, end - _TAIL) : end]
+        if filled := len(part.rstrip(" \t,;|\n")):
+            found = text.find("\n", end - len(part) + filled)
+            return found if found >= 0 else len(text)
+        end -= len(part)
+    return start
 
 
 def _shows_its_mark(lines: Sequence[str], body: str, layout: Layout) -> bool:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
@@ -45,7 +47,6 @@ _WESTERN = frozenset("µ°²³¹·±×÷½¼¾§¢£€¥©®«»¿¡ªº“”�
     "ÄäÖöÜüÉéÈèÊêËëÀàÁáÂâÃãÇçÌìÍíÎîÏïÒòÓóÔôÕõÙùÚúÛûÑñÝýÿŠšŽž"
 )
 _MOST = 20_000  # bytes of lines with other characters than ASCII that are examined
-_CONTROLS = bytes([*range(9), *range(14, 27), *range(28, 32)])
 
 
 def encoding_of(raw: bytes, source: str) -> str:
@@ -137,6 +138,13 @@ def _is_common(sample: bytes, name: str) -> bool:
     return bool(characters) and all(c.encode(name)[0] in _COMMON[name] for c in characters)
 
 
+def _controls(plain: bytes) -> int:
+    """Number of control bytes: those below a blank but for tab, line feed, vertical tab, form feed, carriage return and escape."""
+    values = np.frombuffer(plain, np.uint8)
+    breaks = values - np.uint8(9) <= 4  # 9 to 13: smaller values wrap around
+    return int(np.count_nonzero(values < 32) - np.count_nonzero(breaks) - np.count_nonzero(values == 27))
+
+
 def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Note]]:
     """Text of a file and what was assumed about its encoding."""
     for magic, what in _MAGIC.items():
@@ -144,7 +152,7 @@ def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Not
             raise DataError(f"{source} is not text but {what}")
     notes: list[Note] = []
     if encoding is None:
-        encoding = encoding_of(raw, source)
+        encoding = "utf-8" if raw.isascii() and b"\x00" not in raw else encoding_of(raw, source)
         if encoding == "latin-1":
             text = "the encoding of the text was not recognized, and latin-1 is assumed: set --encoding (encoding=)"
             notes.append(warn(Code.FILE_FORMAT, text))
@@ -161,8 +169,10 @@ def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Not
     if padded := len(text) - len(text.rstrip("\x00")):
         text = text.rstrip("\x00")
         notes.append(Note(Code.LEFT_OUT, f"{padded} NUL bytes at the end"))
-    plain = text.encode("utf-8", "surrogatepass")
-    odd = len(plain) - len(plain.translate(None, _CONTROLS))
+    if encoding in ("utf-8", "utf-8-sig"):
+        odd = _controls(raw) - padded
+    else:
+        odd = _controls(text.encode("utf-8", "surrogatepass"))
     if "\x00" in text or odd > max(2, 0.01 * len(text)):
         place = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text)
         line = 1 + text.count("\n", 0, place.start() if place else 0)

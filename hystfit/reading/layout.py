@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from hystfit.errors import DataError
 from hystfit.reading import cells
 
-_LONGEST = 100_000  # characters of a line
 _MOST = 300_000  # characters of the sample
 _SAMPLE = 900
 
@@ -68,16 +67,6 @@ def apart(lines: Sequence[str]) -> tuple[list[str], int]:
     """The lines with a blank where a minus sign touches the column before it ("1.2345-2.3456"), and how many have such columns."""
     separated = [_TOUCHING.sub(r"\1 ", line) if "-" in line else line for line in lines]
     return separated, sum(a != b for a, b in zip(lines, separated, strict=True))
-
-
-def check_lengths(lines: Sequence[str], source: str) -> None:
-    """Refuse lines that no table of numbers has."""
-    longest = max(map(len, lines), default=0)
-    if longest > _LONGEST:
-        where = next(k for k, line in enumerate(lines, start=1) if len(line) == longest)
-        raise DataError(
-            f"{source}, line {where} has {longest} characters, and {_LONGEST} are the most: write one sample in a line"
-        )
 
 
 def _quality(pattern: str) -> float:

@@ -23,12 +23,14 @@ from hystfit.reading.encodings import decode
 from hystfit.reading.file_bytes import load
 from hystfit.reading.header import sample_properties
 from hystfit.reading.instruments import micromag_columns, waveform_units
-from hystfit.reading.layout import Layout, Text, apart, check_lengths, sniff, split
+from hystfit.reading.layout import Layout, Text, apart, sniff, split
+from hystfit.reading.lines import check_lengths, lines_of
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import header_of, left_out
 from hystfit.reading.raw_table import Table
 
 _MOST_COLUMNS = 5000
+_FIRST = 30  # lines that may hold names
 
 
 def read_table(
@@ -41,12 +43,15 @@ def read_table(
     """
     file, source = load(path), str(path)
     content, notes = decode(file.raw, source, encoding)
-    notes = [*file.notes, *notes]
-    lines, touching = content.split("\n"), 0
-    if not lines[-1]:
-        lines.pop()
-    check_lengths(lines, source)
-    _join_quoted(lines)
+    check_lengths(content, source)
+    with _without_collection():
+        text, block, more = _block_of(content, source, delimiter, decimal)
+        return table_of_block(text, block, file.sha256, [*file.notes, *notes, *more])
+
+
+def _block_of(content: str, source: str, delimiter: str | None, decimal: str | None) -> tuple[Text, Block, list[Note]]:
+    """The lines with their layout, the block of numbers among them, and what was assumed of the layout."""
+    lines, touching, notes = _without_broken_names(lines_of(content)), 0, []
     try:
         layout = sniff(lines, source, delimiter, decimal)
     except DataError:
@@ -59,19 +64,18 @@ def read_table(
             f"{source}: {layout.width} columns, and {_MOST_COLUMNS} are the most; write one sample in a line"
         )
     text = Text(lines, layout, source, settled=decimal is not None)
-    with _without_collection():
-        block = clean_block(text, content)
-        if block is None:
-            if layout.delimiter is None and not touching:
-                lines, touching = apart(lines)
-                layout = sniff(lines, source, delimiter, decimal) if touching else layout
-                text = dataclasses.replace(text, lines=lines, layout=layout)
-            if touching:
-                words = f"columns that touch are separated before the minus sign: {touching} lines"
-                notes.append(Note(Code.FILE_FORMAT, words))
-            block = careful_block(text, [split(line, layout.delimiter) for line in lines])
-        notes.append(Note(Code.FILE_FORMAT, layout.words()))
-        return table_of_block(text, block, file.sha256, notes)
+    block = clean_block(text, content)
+    if block is None:
+        lines = list(lines)
+        if layout.delimiter is None and not touching:
+            lines, touching = apart(lines)
+            layout = sniff(lines, source, delimiter, decimal) if touching else layout
+        if touching:
+            words = f"columns that touch are separated before the minus sign: {touching} lines"
+            notes.append(Note(Code.FILE_FORMAT, words))
+        text = dataclasses.replace(text, lines=lines, layout=layout)
+        block = careful_block(text, [split(line, layout.delimiter) for line in lines])
+    return text, block, [*notes, Note(Code.FILE_FORMAT, layout.words())]
 
 
 @contextlib.contextmanager
@@ -86,10 +90,12 @@ def _without_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _join_quoted(lines: list[str]) -> None:
-    """Put names that are quoted over several of the first lines into the last of these, and leave the others blank."""
-    start = 0
-    while start < min(len(lines), 30):
+def _without_broken_names(lines: Sequence[str]) -> Sequence[str]:
+    """The lines; a name that is quoted over several of the first ones stands in the last of these, and the others are blank."""
+    if not any(line.count('"') % 2 for line in lines[:_FIRST]):
+        return lines
+    lines, start = list(lines), 0
+    while start < min(len(lines), _FIRST):
         end = start
         if lines[start].count('"') % 2:
             end = next((k for k in range(start + 1, min(start + 10, len(lines))) if lines[k].count('"') % 2), start)
@@ -97,6 +103,7 @@ def _join_quoted(lines: list[str]) -> None:
                 lines[end] = " ".join(lines[start : end + 1])
                 lines[start:end] = [""] * (end - start)
         start = end + 1
+    return lines
 
 
 def table_of_block(text: Text, block: Block, sha256: str, notes: Sequence[Note]) -> Table:
