@@ -123,16 +123,23 @@ def test_the_resonance_is_differentiable_up_to_critical_damping() -> None:
 # -- rate terms ------------------------------------------------------------------------------------------------------------
 
 
-def test_rate_terms_follow_the_backward_difference() -> None:
+@pytest.mark.parametrize("repeated", [[], [20], [-3, -2, -1], [1], [20, -1], [1, 2, 3, 4]])
+def test_rate_terms_follow_the_backward_difference(repeated: list[int]) -> None:
     u, dt = path(5)
-    dt[20] = 0.0  # a repeated time stamp keeps the last rate
+    dt[repeated] = 0.0  # a repeated time stamp keeps the last rate
     rate = [0.0]
     for k in range(1, u.size):
         rate.append((u[k] - u[k - 1]) / dt[k] if dt[k] > 0 else rate[-1])
-    np.testing.assert_allclose(simulate(Viscous(c=0.3), u, dt)[0], 0.3 * np.array(rate), rtol=1e-13)
-    np.testing.assert_allclose(
-        simulate(SaturatingRate(F=2.0, v0=4.0), u, dt)[0], 2.0 * np.tanh(np.array(rate) / 4.0), rtol=1e-12
-    )
+    rate = np.array(rate)
+    viscous, saturating = Viscous(c=0.3), SaturatingRate(F=2.0, v0=4.0)
+    y, resume = simulate(viscous, u, dt)
+    np.testing.assert_allclose(y, 0.3 * rate, rtol=1e-13)
+    np.testing.assert_allclose(resume.state, rate[-1:], rtol=1e-13)
+    np.testing.assert_allclose(simulate(saturating, u, dt)[0], 2.0 * np.tanh(rate / 4.0), rtol=1e-12)
+    # a run that is resumed where time stamps repeat goes on with its rate
+    first, resume = simulate(viscous, u[:15], dt[:15])
+    rest, _ = simulate(viscous, u[15:], dt[15:], resume=resume)
+    np.testing.assert_allclose(np.concatenate([first, rest]), 0.3 * rate, rtol=1e-13)
 
 
 def test_rate_derivatives_are_finite_over_repeated_time_stamps() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -13,18 +15,20 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.parallel.associative import StateMap
-from hystfit.models.shapes import Scalar, State
+from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.params.param import param
 
 
-class Viscous(AbstractHysteresis):
-    """Linear damping:  y = c du/dt."""
+class _AbstractRate(AbstractHysteresis):
+    """A force of the rate du/dt over the last sample."""
 
     rate_independent: ClassVar[bool] = False
     state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
-    c: Scalar = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
+    @abc.abstractmethod
+    def force(self, rate: Array) -> Array:
+        """Output at rates of the input [u/s], of any shape."""
 
     def init(self, u0: Scalar) -> State:
         """State: the last rate, kept over repeated time stamps."""
@@ -33,7 +37,31 @@ class Viscous(AbstractHysteresis):
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Rate over the sample."""
         rate = _rate(state[0], u0, u1, dt)
-        return rate[None], self.c * rate
+        return rate[None], self.force(rate)
+
+    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
+        """All rates at once, unless a time stamp is repeated within the record: padding repeats the last one."""
+        passes = dt[1:] > 0
+        count = jnp.sum(passes)
+
+        def at_once() -> tuple[Array, Array]:
+            before = jnp.concatenate([u0[None], u[:-1]])
+            rates = _rate(state[0], before, u, dt)
+            rates = jnp.where(jnp.arange(u.shape[0]) > count, rates[count], rates)
+            return rates[-1:], self.force(rates)
+
+        ordered = jnp.all(passes == (jnp.arange(passes.shape[0]) < count))
+        return jax.lax.cond(ordered, at_once, lambda: super(_AbstractRate, self).sweep(state, u0, u, dt))
+
+
+class Viscous(_AbstractRate):
+    """Linear damping:  y = c du/dt."""
+
+    c: Scalar = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
+
+    def force(self, rate: Array) -> Array:
+        """Proportional to the rate."""
+        return self.c * rate
 
     def start(self, records: Sequence[Record]) -> Viscous:
         """No damping; it follows from the fit."""
@@ -48,23 +76,15 @@ class Viscous(AbstractHysteresis):
         return CPart(template("rate.c"), 1, {"FORCE": self.c, "SATURATES": 0})
 
 
-class SaturatingRate(AbstractHysteresis):
+class SaturatingRate(_AbstractRate):
     """Damping that saturates:  y = F tanh((du/dt) / v0): the yield force of a magnetorheological damper, Coulomb friction."""
-
-    rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
     F: Scalar = param(0.1, unit="y", linear=True, doc="force far above v0")
     v0: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")
 
-    def init(self, u0: Scalar) -> State:
-        """State: the last rate, kept over repeated time stamps."""
-        return jnp.zeros((1,)) * u0
-
-    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """Rate over the sample."""
-        rate = _rate(state[0], u0, u1, dt)
-        return rate[None], self.F * jnp.tanh(rate / self.v0)
+    def force(self, rate: Array) -> Array:
+        """Bends at v0."""
+        return self.F * jnp.tanh(rate / self.v0)
 
     def start(self, records: Sequence[Record]) -> SaturatingRate:
         """A bend at a quarter of the typical rate."""
