@@ -38,12 +38,30 @@ def test_solution_equals_bounded_least_squares(seed):
     free = np.arange(8) < 3
     ridge = np.where(free, 0.0, 0.3)
     joint = np.column_stack([A, y])
-    found = solve_normal(joint.T @ joint, free, ridge)
+    found, positive = solve_normal(joint.T @ joint, free, ridge)
+    again, _ = solve_normal(joint.T @ joint, free, ridge, rng.random(8) < 0.5)
+    assert again == pytest.approx(found, abs=1e-12)  # wherever the search begins
+    assert np.array_equal(positive, free | (found > 0))
     stacked = np.vstack([A, np.diag(np.sqrt(ridge))])
     oracle = scipy.optimize.lsq_linear(
         stacked, np.append(y, np.zeros(8)), (np.where(free, -np.inf, 0), np.full(8, np.inf)), tol=1e-14
     ).x
     assert found == pytest.approx(oracle, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nearly_equal_columns_are_solved_by_their_ridge(seed):
+    rng = np.random.default_rng(seed)
+    base = rng.normal(size=(200, 6))
+    A = np.hstack([base, base + 1e-8 * rng.normal(size=base.shape)])
+    y = A @ rng.normal(size=12) + 0.1 * rng.normal(size=200)
+    free, joint = np.arange(12) % 3 == 0, np.column_stack([A, y])
+    found, _ = solve_normal(joint.T @ joint, free, np.full(12, 1e-6))
+    stacked, target = np.vstack([A, 1e-3 * np.eye(12)]), np.append(y, np.zeros(12))
+    oracle = scipy.optimize.lsq_linear(stacked, target, (np.where(free, -np.inf, 0), np.full(12, np.inf)), tol=1e-14).x
+    assert (found[~free] >= 0).all()
+    least = np.sum((target - stacked @ oracle) ** 2)
+    assert np.sum((target - stacked @ found) ** 2) == pytest.approx(least, rel=1e-7)
 
 
 def test_columns_are_the_plays():

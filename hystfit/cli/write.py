@@ -49,7 +49,7 @@ def finish(
                 save(scratch)
             if page is not None:
                 (scratch / "report.html").write_text(page(output.out).render(), encoding="utf-8")
-            names = sorted(path.name for path in scratch.iterdir())
+            names = sorted(path.name for path in scratch.iterdir() if not path.name.startswith("."))
         if pyplot := sys.modules.get("matplotlib.pyplot"):
             pyplot.close("all")
         text += written(output.out, names)

@@ -17,6 +17,7 @@ from hystfit.inference.blocks import chosen, parts, spread
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 from hystfit.models.design import FAR, left_out_squares
+from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.outcome import Code, Note, Severity
 
 # Half decades where ridges of plays lie: at a whole decade the best error can be 3 % larger, and the residuals 4 % above the noise.
@@ -147,32 +148,23 @@ def block_of(counts: np.ndarray) -> np.ndarray:
     return np.concatenate([np.full(part.size, number) for parts in split for number, part in enumerate(parts)])
 
 
-def solve_normal(matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> np.ndarray:
+def solve_normal(
+    matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
-
-    Free unknowns are eliminated (Schur complement), the others solved by non-negative least squares on a square root.
 
     Args:
         matrix: shape (p + 1, p + 1).
         free: unknowns without a lower bound, shape (p,), bool.
         ridge: added to the diagonal, shape (p,).
+        start: which unknowns are not zero at a neighboring solution, shape (p,), bool.
+
+    Returns:
+        w, shape (p,), and which unknowns are not held at zero, to start a similar problem from.
     """
     p = len(matrix) - 1
-    A, b = matrix[:p, :p] + np.diag(ridge), matrix[:p, p]
-    A = A + 1e-12 * np.trace(A) / p * np.eye(p)
-    bound = ~free
-    if not bound.any():
-        return np.linalg.solve(A, b)
-    inner = np.linalg.solve(A[np.ix_(free, free)], np.column_stack([A[np.ix_(free, bound)], b[free]]))
-    S = A[np.ix_(bound, bound)] - A[np.ix_(bound, free)] @ inner[:, :-1]
-    c = b[bound] - A[np.ix_(bound, free)] @ inner[:, -1]
-    values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-    root = np.sqrt(np.maximum(values, 1e-13 * values.max()))
-    w, _ = scipy.optimize.nnls((vectors * root).T, (vectors / root).T @ c, maxiter=50 * len(c))
-    out = np.empty(p)
-    out[bound] = w
-    out[free] = inner[:, -1] - inner[:, :-1] @ w
-    return out
+    A = matrix[:p, :p] + np.diag(ridge)
+    return solve_nonnegative(A + 1e-12 * np.trace(A) / p * np.eye(p), matrix[:p, p], ~free, start)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,21 +200,21 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
     total, n = grams.sum(axis=0), counts.sum()
     dead = ~np.isfinite(scale)
     held = system.ridged | dead
-    left_out = []
-    for strength in strengths:
-        error = 0.0
-        for gram, count in zip(grams, counts, strict=True):
-            others = total - gram
-            w = solve_normal(others, system.free, held * strength * (n - count) + dead)
-            error += left_out_squares(gram, w, ~held & (np.diag(others)[:-1] == 0))
-        left_out.append(np.sqrt(error / system.weight.sum()))
+    error = np.zeros(len(strengths))
+    for gram, count in zip(grams, counts, strict=True):
+        others, positive = total - gram, None
+        absent = ~held & (np.diag(others)[:-1] == 0)
+        for k, strength in enumerate(strengths):
+            w, positive = solve_normal(others, system.free, held * strength * (n - count) + dead, positive)
+            error[k] += left_out_squares(gram, w, absent)
+    left_out = np.sqrt(error / system.weight.sum())
     best = int(np.argmin(left_out))
     ridge = held * strengths[best] * n + dead
-    w = solve_normal(total, system.free, ridge)
+    w, _ = solve_normal(total, system.free, ridge)
     r = np.append(-w, 1.0)
     finite = np.where(dead, 1.0, scale)
     weights = np.where(dead, 0.0, w / finite) + system.origin
-    return RidgeFit(weights, strengths[best], ridge * finite**2, np.array(left_out), max(float(r @ total @ r), 0.0))
+    return RidgeFit(weights, strengths[best], ridge * finite**2, left_out, max(float(r @ total @ r), 0.0))
 
 
 def penalized(system: LinearSystem, strength: float) -> float:
@@ -235,7 +227,7 @@ def penalized(system: LinearSystem, strength: float) -> float:
     grams, scale, counts = system.normal()
     total, dead = grams.sum(axis=0), ~np.isfinite(scale)
     ridge = (system.ridged | dead) * strength * counts.sum() + dead
-    w = solve_normal(total, system.free, ridge)
+    w, _ = solve_normal(total, system.free, ridge)
     r = np.append(-w, 1.0)
     return max(float(r @ total @ r), 0.0) + float(ridge @ w**2)
 

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
+from scipy.linalg.lapack import dposv
 from threadpoolctl import ThreadpoolController
 
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one
@@ -27,7 +28,10 @@ def solve_nonnegative(
         w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
     """
     with _blas().limit(limits=1, user_api="blas"):
-        return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
+        try:
+            return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
+        except np.linalg.LinAlgError:  # positive definite but for rounding
+            return _by_root(A, b, bounded)
 
 
 @functools.cache
@@ -59,8 +63,9 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
     w = np.zeros(b.size)
     at = np.flatnonzero(active)
     if at.size:
-        factor = scipy.linalg.cho_factor(A[np.ix_(at, at)], overwrite_a=True, check_finite=False)
-        w[at] = scipy.linalg.cho_solve(factor, b[at], check_finite=False)
+        _, w[at], failed = dposv(A[at[:, None], at], b[at], overwrite_a=True)
+        if failed:
+            raise np.linalg.LinAlgError("not positive definite")
     return w, A[:, at] @ w[at] - b
 
 

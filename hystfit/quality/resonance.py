@@ -11,6 +11,7 @@ import dataclasses
 import functools
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from hystfit.quality.baselines import play_positions
 from hystfit.quality.lag import unexplained
@@ -234,18 +235,27 @@ def delayed(columns: np.ndarray, delay: float) -> np.ndarray:
 
 def lagged(columns: np.ndarray, time: float) -> np.ndarray:
     """Columns behind a first-order lag of this time constant [samples], from rest."""
-    from scipy.signal import lfilter
-
     keep = float(np.exp(-1 / time))
-    return columns[0] + lfilter([1 - keep], [1, -keep], columns - columns[0], axis=0)
+    return columns[0] + _recursion((1.0, -keep), (1 - keep) * (columns - columns[0]))
 
 
 def _filtered(columns: np.ndarray, frequency: float, damping: float) -> np.ndarray:
     """Columns behind a second-order filter of static gain one, from rest (bilinear transform, exact at its natural frequency)."""
-    from scipy.signal import lfilter
-
     w = np.tan(np.pi * frequency)
     norm = 1 + 2 * damping * w + w**2
-    numerator = w**2 / norm * np.array([1.0, 2.0, 1.0])
-    denominator = [1.0, 2 * (w**2 - 1) / norm, (1 - 2 * damping * w + w**2) / norm]
-    return columns[0] + lfilter(numerator, denominator, columns - columns[0], axis=0)
+    denominator = (1.0, 2 * (w**2 - 1) / norm, (1 - 2 * damping * w + w**2) / norm)
+    above = columns - columns[0]
+    driven = above.copy()
+    driven[1:] += 2 * above[:-1]
+    driven[2:] += above[:-2]
+    return columns[0] + _recursion(denominator, w**2 / norm * driven)
+
+
+def _recursion(taps: tuple[float, ...], columns: np.ndarray) -> np.ndarray:
+    """Columns y with taps[0] y[k] + taps[1] y[k - 1] + ... = columns[k], from rest: a banded triangular system.
+
+    As by `scipy.signal.lfilter`, whose import takes as long as a fit.
+    """
+    band = np.empty((len(taps), len(columns)), order="F")
+    band[:] = np.array(taps)[:, None]
+    return dtbtrs(band, columns, uplo="L")[0]
