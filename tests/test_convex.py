@@ -15,6 +15,7 @@ from hystfit.fitting.compare import SEARCH
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, solve_normal
 from hystfit.fitting.structure import search_structure
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.outcome import Code, Severity
 
 T = np.arange(0.0, 12.0, 0.01)
@@ -62,6 +63,18 @@ def test_nearly_equal_columns_are_solved_by_their_ridge(seed):
     assert (found[~free] >= 0).all()
     least = np.sum((target - stacked @ oracle) ** 2)
     assert np.sum((target - stacked @ found) ** 2) == pytest.approx(least, rel=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_singular_normal_equations_have_a_bounded_solution(seed):
+    rng = np.random.default_rng(seed)
+    M, y = rng.normal(size=(3, 8)), rng.normal(size=3)
+    A, bounded = M.T @ M, np.arange(8) > 1
+    A -= 1e-14 * np.eye(8)  # what rounding may leave: no longer positive
+    w, _ = solve_nonnegative(A, M.T @ y, bounded)
+    oracle = scipy.optimize.lsq_linear(M, y, (np.where(bounded, 0, -np.inf), np.full(8, np.inf)), tol=1e-14).x
+    assert (w[bounded] >= 0).all()
+    assert np.sum((y - M @ w) ** 2) == pytest.approx(np.sum((y - M @ oracle) ** 2), abs=1e-6)
 
 
 def test_columns_are_the_plays():

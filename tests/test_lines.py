@@ -8,7 +8,20 @@ import pytest
 from hystfit.errors import DataError
 from hystfit.reading.lines import check_lengths, lines_of
 
-TEXTS = ["", "\n", "\n\n", "a", "a\n", "a\n\n", "\na", "a\n\nbc\n", "a\nb", "µ\n1,2\n", "µ\n1,2", "t,u\n" + "1.5,2\n" * 40]
+TEXTS = [
+    "",
+    "\n",
+    "\n\n",
+    "a",
+    "a\n",
+    "a\n\n",
+    "\na",
+    "a\n\nbc\n",
+    "a\nb",
+    "µ\n1,2\n",
+    "µ\n1,2",
+    "t,u\n" + "1.5,2\n" * 40,
+]
 
 
 def _split(content: str) -> list[str]:

@@ -9,6 +9,7 @@ import pathlib
 
 import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,6 +28,7 @@ from hystfit.quality.check import examine
 from hystfit.quality.coverage import Coverage, coverage_notes
 from hystfit.quality.determination import Verdict
 from hystfit.quality.needs import Needs
+from hystfit.quality.resonance import _filtered, lagged
 from hystfit.quality.shape import loop_shape, strength_left
 from hystfit.quality.spline import cubic_spline
 from hystfit.quality.summary import outliers_of
@@ -458,6 +460,21 @@ def test_a_resonance_is_dynamics_and_not_damage(kind, frequency):
         assert record.dynamics.phase_high < -140
     assert report.advice.model == ("oscillator" if kind == "oscillator" else "bouc-wen+second-order")
     assert data_kinds(report.records)[-1] == "dynamic"
+
+
+@pytest.mark.parametrize("time", [0.3, 7.0, 400.0])
+def test_lag_of_the_search_is_that_of_scipy(time):
+    x, keep = np.random.default_rng(0).normal(size=(3000, 4)), np.exp(-1 / time)
+    expected = x[0] + scipy.signal.lfilter([1 - keep], [1, -keep], x - x[0], axis=0)
+    np.testing.assert_allclose(lagged(x, time), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(0.02, 0.1), (0.3, 0.02), (0.001, 1.5)])
+def test_resonance_of_the_search_is_that_of_scipy(frequency, damping):
+    x, omega = np.random.default_rng(0).normal(size=(3000, 4)), 2 * np.tan(np.pi * frequency)
+    numerator, denominator = scipy.signal.bilinear([omega**2], [1, 2 * damping * omega, omega**2])
+    expected = x[0] + scipy.signal.lfilter(numerator, denominator, x - x[0], axis=0)
+    np.testing.assert_allclose(_filtered(x, frequency, damping), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", [piezo, steel])
