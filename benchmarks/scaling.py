@@ -1,9 +1,12 @@
-"""Cost against samples, parameters, grid and batch: `python benchmarks/scaling.py` writes benchmarks/scaling.json and .svg."""
+"""Cost against samples, parameters, grid, batch and chains: `python benchmarks/scaling.py` writes benchmarks/scaling.json.
+
+The page on speed draws these numbers.
+"""
 
 from __future__ import annotations
 
-import argparse
 import json
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,14 +18,17 @@ import jax.numpy as jnp
 import numpy as np
 from loops import loop_of
 from run import machine
+from sampling import ensemble, record
 from steps import MODELS, signal
 from timing import alternate
 
 import hystfit as hf
 from hystfit.models.simulation import run
 from hystfit.params.space import ParameterSpace
+from hystfit.sampling.ensemble import start, walk
+from hystfit.sampling.setup import prepare
 
-HERE = Path(__file__).parent
+_DRAWS, _WARMUP, _STEPS = 200, 100, 50
 SHOWN = ("Bouc-Wen", "Bouc-Wen, exact", "Duhem", "10 plays", "logarithmic creep")
 Curve = dict[str, float]
 
@@ -95,51 +101,39 @@ def by_batch(lanes: tuple[int, ...], samples: int, repeats: int) -> dict[str, Cu
     return curves
 
 
-PANELS = {
-    "samples": ("samples", "ns a sample"),
-    "parameters": ("free parameters", "output and Jacobian / output"),
-    "grid": ("cells along an axis", "ms"),
-    "batch": ("parameter vectors", "ns a sample and vector"),
-}
+def by_chains(chains: tuple[int, ...], walkers: tuple[int, ...], samples: int, repeats: int) -> dict[str, Curve]:
+    """Milliseconds of one core a draw of each chain: of whole NUTS runs with their warm-up, and of the steps of emcee's walkers."""
+    fit = hf.fit("bouc-wen", record(samples), noise="iid", starts=1)
+    nuts = {
+        str(count): lambda count=count: hf.sample(fit, "nuts", noise="iid", chains=count, warmup=_WARMUP, draws=_DRAWS)
+        for count in chains
+    }
+    target = prepare(fit, noise="iid").target
+    steps = {str(count): ensemble(walk(target, count), start(target, count, 1), _STEPS) for count in walkers}
+    return {
+        f"NUTS, {_DRAWS} draws and {_WARMUP} of warm-up": _each(nuts, _DRAWS, 1),
+        "emcee, a step of all walkers": _each(steps, _STEPS, repeats),
+    }
 
 
-def draw(found: dict[str, Any], path: Path) -> None:
-    """Four panels, logarithmic in both directions."""
-    import matplotlib
-
-    matplotlib.use("svg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(2, 2, figsize=(10, 7), layout="constrained")
-    for ax, (panel, (across, up)) in zip(axes.flat, PANELS.items(), strict=True):
-        for name, curve in found[panel].items():
-            ax.loglog([int(k) for k in curve], list(curve.values()), "o-", label=name)
-        ax.set(xlabel=across, ylabel=up)
-        ax.grid(visible=True, which="both", alpha=0.3)
-        ax.legend(fontsize="small")
-    about = found["machine"]
-    figure.suptitle(
-        f"{about['cpu']}, one process, float64; jax {about['jax']}, numba {about['numba']}", fontsize="small"
-    )
-    figure.savefig(path, metadata={"Date": None})
-    pyplot.close(figure)
+def _each(calls: dict[str, Callable[[], Any]], draws: int, repeats: int) -> Curve:
+    return {
+        count: 1e3 * taken / (int(count) * draws)
+        for count, taken in alternate(calls, repeats, clock=time.process_time).items()
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--redraw", action="store_true", help="draw the stored numbers again")
-    numbers = HERE / "scaling.json"
-    if not parser.parse_args().redraw:
-        hf.enable_x64()
-        found = {
-            "machine": machine(),
-            "samples": by_samples((100, 1_000, 10_000, 100_000, 1_000_000), 7),
-            "parameters": by_parameters((3, 6, 12, 24, 48), 10_000, 7),
-            "grid": by_grid((10, 20, 40, 80), 10_000, 7),
-            "batch": by_batch((1, 4, 16, 64, 256), 10_000, 5),
-        }
-        numbers.write_text(json.dumps(found, indent=2) + "\n")
-    draw(json.loads(numbers.read_text()), HERE / "scaling.svg")
+    hf.enable_x64()
+    found = {
+        "machine": machine(),
+        "samples": by_samples((100, 1_000, 10_000, 100_000, 1_000_000), 7),
+        "parameters": by_parameters((3, 6, 12, 24, 48), 10_000, 7),
+        "grid": by_grid((10, 20, 40, 80), 10_000, 7),
+        "batch": by_batch((1, 4, 16, 64, 256), 10_000, 5),
+        "chains": by_chains((1, 2, 4, 8), (16, 32, 64, 128, 256), 2_000, 5),
+    }
+    (Path(__file__).parent / "scaling.json").write_text(json.dumps(found, indent=2) + "\n")
 
 
 if __name__ == "__main__":

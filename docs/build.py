@@ -62,7 +62,7 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
     import hystfit as hf
 
     hf.enable_x64()
-    from generate import api, commands, excerpts, explorer_demo, lists
+    from generate import api, commands, excerpts, explorer_demo, lists, scaling
     from generate.markdown import write
     from generate.model_pages import draw_pictures, write_model_pages
 
@@ -84,6 +84,7 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
         excerpts.contributing,
     ):
         write(source / "parts" / f"{make.__name__}.md", make())
+    write(source / "parts" / "scaling.md", scaling.scaling(source / "guide"))
     (source / "extra").mkdir()
     (source / "extra" / "explorer-demo.html").write_text(explorer_demo.explorer_page(), encoding="utf-8")
     write(source / "reference" / "commands.md", commands.command_page())

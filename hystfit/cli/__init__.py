@@ -31,7 +31,7 @@ Start with: hystfit check LOOP, then hystfit fit LOOP --out fit
 Options and examples of a verb: hystfit fit --help
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
-_COLLECTION = 100_000  # new objects between garbage collections; imports and traces make a million that stay
+_COLLECTION = 500_000  # new objects between garbage collections; imports and traces make 400 000 that stay
 _CACHE_BYTES = 2**28  # of compiled programs; those unused for longest are removed first
 
 

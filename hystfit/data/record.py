@@ -136,10 +136,12 @@ class Record:
         ]
         return f"<Record {self.name!r}: {', '.join(parts)}>"
 
-    @property
+    @functools.cached_property
     def used(self) -> np.ndarray:
-        """Samples that count: positive weight and a measured output, shape (T,), bool."""
-        return (self.weight > 0) & np.isfinite(self.y)
+        """Samples that count: positive weight and a measured output, shape (T,), bool, read-only."""
+        used = (self.weight > 0) & np.isfinite(self.y)
+        used.flags.writeable = False
+        return used
 
     @property
     def dt(self) -> np.ndarray:
