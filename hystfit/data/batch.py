@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import equinox as eqx
 import numpy as np
@@ -45,8 +46,12 @@ class Batch(eqx.Module):
         """Arrays of a data set."""
         records = list(Dataset.of(data))
         length = bucket(max(len(record) for record in records))
-        rows = [_pad(record, length) for record in records]
-        return cls(*(to_device(np.stack(column)) for column in zip(*rows, strict=True)))
+        return cls(
+            u=_column([record.u for record in records], length, hold=True),
+            y=_column((np.where(record.used, record.y, 0.0) for record in records), length),
+            dt=_column((record.dt for record in records), length),
+            weight=_column((np.where(record.used, record.weight, 0.0) for record in records), length),
+        )
 
     @property
     def count(self) -> int:
@@ -54,13 +59,7 @@ class Batch(eqx.Module):
         return int(np.count_nonzero(np.asarray(self.weight)))
 
 
-def _pad(record: Record, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    extra = length - len(record)
-    used = record.used
-    zeros = lambda values: np.pad(values, (0, extra))
-    return (
-        np.pad(record.u, (0, extra), mode="edge"),
-        zeros(np.where(used, record.y, 0.0)),
-        zeros(record.dt),
-        zeros(np.where(used, record.weight, 0.0)),
-    )
+def _column(values: Iterable[np.ndarray], length: int, *, hold: bool = False) -> Array:
+    """One row for each record, padded with 0, or with its last value."""
+    rows = [np.pad(row, (0, length - row.size), mode="edge" if hold else "constant") for row in values]
+    return to_device(rows[0][None] if len(rows) == 1 else np.stack(rows))

@@ -381,5 +381,5 @@ class Record:
     def _digest(self) -> str:
         hasher = hashlib.sha256()
         for column in (self.u, self.y, self.t, self.weight):
-            hasher.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
+            hasher.update(b"-" if column is None else np.ascontiguousarray(column))
         return hasher.hexdigest()

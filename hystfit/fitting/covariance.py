@@ -79,15 +79,14 @@ def uncertainty(
     """
     x, y = estimate.x, problem.scales.y
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
-    known, used = estimate.linearized, problem.used.reshape(-1)
-    linear = problem.linearization(x) if known is None else Linearization.of(*known, used)
+    linear = problem.linearization(x) if estimate.linearized is None else estimate.linearized
     at_bound = problem.on_bound(x)
     residual, relative = linear.misfit, relative_size(problem.space, x)
     rows, acts = _factor(problem, x, linear, at_bound)
     live = acts & ~at_bound
     live_columns = lambda: linear.columns(live) * relative[live]
-    analysis = ResidualAnalysis.of(problem.host_setting, residual * y, live_columns if live.sum() <= FEW else None)
-    plain = float(np.sum(residual**2)) / max(int(used.sum()) - int(live.sum()), 1)
+    analysis = ResidualAnalysis.of_misfit(problem, residual, live_columns if live.sum() <= FEW else None)
+    plain = float(np.sum(residual**2)) / max(int(np.count_nonzero(linear.used)) - int(live.sum()), 1)
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
         root = _correlated_root(analysis.of_errors, linear, acts, y)

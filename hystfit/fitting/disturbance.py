@@ -14,6 +14,7 @@ _SHORT = 0.03  # of the samples of a record
 _LARGER = 5.0  # times the rms error of the other samples
 # Residuals belong to the stretch that are this many times that rms error, with at most so many samples between two of them.
 _OUTSIDE, _GAP = 4.0, 4
+_BLOCK = 2**16  # samples looked at together
 
 
 def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool = False) -> Note | None:
@@ -48,9 +49,13 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
 
 def shortest_half(squares: np.ndarray) -> tuple[int, int]:
     """First and last of the fewest samples in a row that carry half of a sum of squares, shape (n,)."""
-    total = np.append(0.0, np.cumsum(squares))
-    starts = np.arange(squares.size)
-    stops = np.searchsorted(total, total[:-1] + 0.5 * total[-1])
-    length = np.where(stops <= squares.size, stops - starts, squares.size)
-    first = int(np.argmin(length))
-    return first, first + int(length[first]) - 1
+    count, total = squares.size, np.zeros(squares.size + 1)
+    np.cumsum(squares, out=total[1:])
+    first, fewest = 0, count + 1
+    for begin in range(0, count, _BLOCK):
+        starts = np.arange(begin, min(begin + _BLOCK, count))
+        stops = np.searchsorted(total, total[starts] + 0.5 * total[-1])
+        length = np.where(stops <= count, stops - starts, count)
+        if length.min() < fewest:
+            first, fewest = begin + int(np.argmin(length)), int(length.min())
+    return first, first + fewest - 1

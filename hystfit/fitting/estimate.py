@@ -8,6 +8,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Note
 
@@ -28,7 +29,7 @@ class Estimate:
         notes: choices that were made.
         left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
         toward_zero: the penalty is a ridge: nothing but its diagonal, toward zero.
-        linearized: `Problem.linearize_misfit` at x, where the estimator ended with it.
+        linearized: `Problem.linearization` at x, where the estimator ended with it.
     """
 
     x: np.ndarray
@@ -41,7 +42,7 @@ class Estimate:
     notes: tuple[Note, ...] = ()
     left_out: float | None = None
     toward_zero: bool = False
-    linearized: tuple[np.ndarray, np.ndarray] | None = None
+    linearized: Linearization | None = None
 
     @property
     def in_best_basin(self) -> int:

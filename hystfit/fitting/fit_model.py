@@ -23,6 +23,7 @@ from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.verdict import Fitted, verdict_of
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
+from hystfit.inference.blocks import chosen
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.problem import Problem
@@ -143,10 +144,7 @@ def _make_result(
 ) -> FitResult:
     """The `FitResult` of an estimate, with its verdict."""
     data, x = problem.data, estimate.x
-    measured = [r.y[r.used] for r in data]
-    predicted = [y[r.used] for r, y in zip(data, problem.predict(x), strict=True)]
-    train = Metrics.of(measured, predicted)
-    rows = [y - m for y, m in zip(predicted, measured, strict=True)]
+    train, rows = _errors(problem, x)
     model = problem.space.assembled(x)
     baselines = Baselines.of(data)
     fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
@@ -177,6 +175,14 @@ def _make_result(
         provenance=provenance(data, seed, evaluations=estimate.evaluations),
     )
     return result if estimate.left_out is None else with_left_out(result, estimate.left_out)
+
+
+def _errors(problem: Problem, x: np.ndarray) -> tuple[Metrics, list[np.ndarray]]:
+    """Metrics of the prediction, and its residuals at the samples of each record that count."""
+    used = [record.used for record in problem.data]
+    measured = [chosen(record.y, on) for record, on in zip(problem.data, used, strict=True)]
+    predicted = [chosen(y, on) for y, on in zip(problem.predict(x), used, strict=True)]
+    return Metrics.of(measured, predicted), [y - m for y, m in zip(predicted, measured, strict=True)]
 
 
 def _parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.inference.blocks import beside, triangle
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
@@ -27,14 +27,14 @@ _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, 
 class Polished(NamedTuple):
     """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations.
 
-    `linearized` is `Problem.linearize_misfit` there, None where another point was linearized last.
+    `linearized` is `Problem.linearization` there, None where another point was linearized last.
     """
 
     z: np.ndarray
     cost: float
     converged: bool
     evaluations: int
-    linearized: tuple[np.ndarray, np.ndarray] | None
+    linearized: Linearization | None
 
 
 def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN) -> Polished:
@@ -80,13 +80,13 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
 
 
 class _Linearized(NamedTuple):
-    """A point, unconstrained z and physical x; its cost, the triangular factor of [J, r] there, and `Problem.linearize_misfit`."""
+    """A point, unconstrained z and physical x; its cost, the triangular factor of [J, r] there, and `Problem.linearization`."""
 
     z: np.ndarray
     x: np.ndarray
     cost: float
     factor: np.ndarray
-    linearized: tuple[np.ndarray, np.ndarray] | None
+    linearized: Linearization | None
 
 
 def _largest_output(problem: Problem) -> float:
@@ -106,16 +106,16 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
 def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int) -> _Linearized:
     """The problem about a point, with the columns of J in an order; the factor is empty where the cost is not finite."""
     x, bounded = problem.space.physical(z), problem.space.kinds != REAL
-    residual, jacobian = problem.linearize_misfit(x)
+    linear = problem.linearization(x)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-        cost = 0.5 * float(residual @ residual)
+        cost = 0.5 * float(linear.misfit @ linear.misfit)
         if not np.isfinite(cost):
             return _Linearized(z, x, cost, np.empty((0, 0)), None)
-        factor = triangle(beside(jacobian, residual, order), x.size + 1)
+        factor = linear.factor(order)
         columns = factor[:, :-1]
         columns *= problem.space.slope(z)[order]
         columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < _NOTHING * np.sqrt(samples))] = 0.0
-    return _Linearized(z, x, cost, factor, (residual, jacobian))
+    return _Linearized(z, x, cost, factor, linear)
 
 
 def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:

@@ -103,8 +103,9 @@ def turns_back(data: Dataset) -> bool:
     for record in data:
         u = record.u[: int(np.flatnonzero(record.used)[-1]) + 1]
         span = float(np.ptp(u))
-        risen = float(np.max(u - np.minimum.accumulate(u)))
-        fallen = float(np.max(np.maximum.accumulate(u) - u))
+        lowest, highest = np.minimum.accumulate(u), np.maximum.accumulate(u)
+        risen = float(np.max(np.subtract(u, lowest, out=lowest)))
+        fallen = float(np.max(np.subtract(highest, u, out=highest)))
         if min(risen, fallen) > 0.01 * span > 0:
             return True
     return False

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hystfit.inference.blocks import chosen, parts, triangle
+from hystfit.inference.blocks import beside, chosen, parts, triangle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,12 +20,14 @@ class Linearization:
         used: which of them count, shape (n,), bool.
         size: p.
         blocks: begins a pass over the derivatives of the samples that count: arrays of p columns whose rows follow one another.
+        joint: R of [derivatives, misfit] = Q R, where it is known already; None elsewhere.
     """
 
     misfit: Float[np.ndarray, " n"]
     used: Bool[np.ndarray, " n"]
     size: int
     blocks: Callable[[], Iterator[np.ndarray]]
+    joint: Float[np.ndarray, "p1 p1"] | None = None
 
     @classmethod
     def of(
@@ -43,14 +45,33 @@ class Linearization:
             row += len(rows)
         return out
 
+    def factor(self, order: np.ndarray) -> Float[np.ndarray, "p1 p1"]:
+        """R of [derivatives in an order of the parameters, misfit] = Q R."""
+        if self.joint is not None:
+            return np.asarray(np.linalg.qr(self.joint[:, [*order, self.size]], mode="r"))
+        misfit, row = chosen(self.misfit, self.used), 0
+
+        def rows() -> Iterator[np.ndarray]:
+            nonlocal row
+            for block in self.blocks():
+                yield from beside(block, misfit[row : row + len(block)], order)
+                row += len(block)
+
+        return triangle(rows(), self.size + 1)
+
     def triangle(self, which: Bool[np.ndarray, " p"] | None = None) -> Float[np.ndarray, "k k"]:
         """R of the derivatives Q R with respect to some parameters, or all."""
+        if self.joint is not None:
+            columns = self.joint[:, :-1] if which is None else self.joint[:, :-1][:, which]
+            return np.asarray(np.linalg.qr(columns, mode="r"))
         if which is None or which.all():
             return triangle(self.blocks(), self.size)
         return triangle((rows[:, which] for rows in self.blocks()), int(np.count_nonzero(which)))
 
     def gradient(self) -> Float[np.ndarray, " p"]:
         """Derivatives of half the sum of squares."""
+        if self.joint is not None:
+            return self.joint[:, :-1].T @ self.joint[:, -1]
         out, misfit, row = np.zeros(self.size), self.misfit[self.used], 0
         for rows in self.blocks():
             out += misfit[row : row + len(rows)] @ rows

@@ -53,9 +53,9 @@ class Objective(eqx.Module):
 
     def residual(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
         """Prediction less measurement, output units: 0 where a sample does not count, `BROKEN` half ranges where not finite."""
-        return self._counted(self.predict(x) - self.batch.y, self.batch.weight)
+        return self.counted(self.predict(x) - self.batch.y, self.batch.weight)
 
-    def _counted(self, r: Array, weight: Array) -> Array:
+    def counted(self, r: Array, weight: Array) -> Array:
         """Residuals of the samples that count, see `residual`."""
         return jnp.where(weight > 0, jnp.where(jnp.isfinite(r), r, BROKEN * self.size), 0.0)
 
@@ -113,7 +113,7 @@ class Objective(eqx.Module):
         def one(record: Any) -> tuple[Array, Array]:
             def residual(x: Array) -> Array:
                 y = run(self.coordinates.assemble(x, record), batch.u[record], batch.dt[record])[0]
-                return self._counted(y - batch.y[record], batch.weight[record])
+                return self.counted(y - batch.y[record], batch.weight[record])
 
             push = lambda direction: jax.jvp(residual, (x,), (direction,))
             return jax.vmap(push, out_axes=(None, 0))(jax.nn.one_hot(own[record], x.shape[0], dtype=x.dtype))
@@ -224,13 +224,13 @@ def linearized(
     groups = list(parts(len(directions), objective.batch.u.size))
     if len(groups) <= 1:
         residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, None if every else directions))
-        return residual, _flat(jacobian)
+        return residual, flat(jacobian)
     out = np.empty((*objective.batch.u.shape, len(directions)))
     for group in groups:
         some = np.zeros((groups[0].stop, x.size))
         some[: group.stop - group.start] = directions[group]
         residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, some))
-        out[..., group] = _flat(jacobian[..., : group.stop - group.start])
+        out[..., group] = flat(jacobian[..., : group.stop - group.start])
     return residual, out
 
 
@@ -245,10 +245,10 @@ def _linearized_apart(
     for rows, derivatives, positions in zip(out, own, objective.coordinates.own, strict=True):
         wanted = place[positions] >= 0
         rows[:, place[positions[wanted]]] = derivatives[wanted].T
-    return residual, _flat(out)
+    return residual, flat(out)
 
 
-def _flat(jacobian: np.ndarray) -> np.ndarray:
+def flat(jacobian: np.ndarray) -> np.ndarray:
     """A Jacobian whose infinite entries (a root at zero, an unstable simulation) are set to 0."""
     if jacobian.max(initial=0.0) < _STEEPEST and jacobian.min(initial=0.0) > -_STEEPEST:
         return jacobian

@@ -25,6 +25,7 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import BROKEN, Loss, Objective, linearized, misfit_of, misfit_slope
 from hystfit.inference.priors import AbstractPrior, choose_priors
+from hystfit.inference.stretches import in_stretches, linearization_by_stretches, linearized_by_stretches
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
@@ -232,7 +233,8 @@ class Problem:
         Models with an exact design matrix use it: hundreds of weights have their derivatives from distinct states.
         """
         if not self._has_design:
-            return linearized(self.objective, x)
+            run = linearized_by_stretches if in_stretches(self.objective) else linearized
+            return run(self.objective, np.asarray(x, float))
         jacobian = np.zeros((*self.used.shape, len(self.space)))
         for number, part, rows in responses(self.space, list(self.data), self.predict, np.asarray(x)):
             jacobian[number, part] = rows
@@ -253,7 +255,12 @@ class Problem:
         return misfit_of(self.objective, *self.linearize(x))
 
     def linearization(self, x: Any) -> Linearization:
-        """`misfit` and its derivatives with respect to physical x; those by design matrices are never in memory all at once."""
+        """`misfit` and its derivatives with respect to physical x.
+
+        Those of long records, and those by design matrices, are never in memory all at once.
+        """
+        if not self._has_design and in_stretches(self.objective):
+            return linearization_by_stretches(self.objective, np.asarray(x, float))
         if not self._has_design:
             misfit, jacobian = self.linearize_misfit(x)
             return Linearization.of(misfit, jacobian, self.used.reshape(-1))

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.inference.autocorrelation import autocorrelation_time, is_correlated
-from hystfit.inference.blocks import gram, parts, qr
+from hystfit.inference.blocks import chosen, gram, parts, qr
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.noise.slow_likelihood import POINTS, Contrasts, Samples, SlowNoiseFit, fit_slow_noise
+from hystfit.inference.noise.slow_likelihood import POINTS, Contrasts, Samples, SlowNoiseFit, by_record, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.table import number
@@ -40,13 +40,15 @@ class ResidualAnalysis:
     """Analysis of the residuals of a fit and of the noise in them.
 
     Attributes:
-        samples: those that count.
+        on: the samples that count, shape (R, T), bool.
         residual: output units times the square root of the weight, shape (n,).
-        derivatives: makes the weighted derivatives with respect to the parameters, shape (n, p), which white residuals do not need.
+        setting: makes the data in the form of noise models, which white residuals do not need.
+        derivatives: makes the weighted derivatives with respect to the parameters, shape (n, p), which these do not need either.
     """
 
-    samples: Samples
+    on: np.ndarray
     residual: Float[np.ndarray, " n"]
+    setting: Callable[[], Setting]
     derivatives: Derivatives | None = None
 
     @classmethod
@@ -57,9 +59,22 @@ class ResidualAnalysis:
 
         `residual` is weighted [y], shape (R T,).
         """
-        samples = Samples.of(setting)
-        on = samples.on.reshape(-1)
-        return cls(samples, residual[on], derivatives)
+        on = np.asarray(setting.weight) > 0
+        return cls(on, residual[on.reshape(-1)], lambda: setting, derivatives)
+
+    @classmethod
+    def of_misfit(
+        cls, problem: Problem, misfit: Float[np.ndarray, " m"], derivatives: Derivatives | None = None
+    ) -> ResidualAnalysis:
+        """From the misfit of all samples of a problem, shape (R T,), and derivatives as in `of`."""
+        on = problem.used
+        residual = chosen(misfit, on.reshape(-1)) * problem.scales.y
+        return cls(on, residual, lambda: problem.host_setting, derivatives)
+
+    @functools.cached_property
+    def samples(self) -> Samples:
+        """The samples that count."""
+        return Samples.of(self.setting())
 
     @functools.cached_property
     def basis(self) -> Float[np.ndarray, "n p"]:
@@ -71,7 +86,7 @@ class ResidualAnalysis:
     @functools.cached_property
     def rows(self) -> list[np.ndarray]:
         """Residuals record by record."""
-        return self.samples.by_record(self.residual)
+        return by_record(self.residual, self.on)
 
     @functools.cached_property
     def correlation_time(self) -> float:
@@ -147,7 +162,7 @@ def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
     live = ~problem.on_bound(x)
     few = live.any() and int(live.sum()) <= FEW
     columns = lambda: linear.columns(live) * relative_size(problem.space, x)[live]
-    return ResidualAnalysis.of(problem.host_setting, linear.misfit * problem.scales.y, columns if few else None)
+    return ResidualAnalysis.of_misfit(problem, linear.misfit, columns if few else None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,7 +238,8 @@ def excess_kurtosis(rows: list[np.ndarray]) -> float:
     differences = np.concatenate([np.diff(row) for row in rows])
     if differences.size <= 30:
         return 0.0
-    squares = np.square(differences - differences.mean())  # a power of 4 takes several times as long
+    differences -= differences.mean()
+    squares = np.square(differences, out=differences)  # a power of 4 takes several times as long
     return float(np.mean(np.square(squares)) / max(float(squares.mean()) ** 2, 1e-300) - 3)
 
 

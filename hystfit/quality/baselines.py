@@ -60,15 +60,15 @@ class Baselines:
         chosen = (_LINE, _CURVE, _PLAYED) if enough else (_LINE, _CURVE)
         theta = _least_squares([fitted(k) for k in range(len(train))], chosen)
 
-        squares, y = np.zeros(len(chosen)), np.concatenate([record.y[record.used] for record in judged])
+        squares, outputs = np.zeros(len(chosen)), [_measured(record) for record in judged]
         for record in judged:
             k = own.get(record.name, 0)
             parts = fitted(k) if record is train[k] else frame.parts(record)
-            misses = [measured - theta[:, :_ROWS] @ rows - theta[:, _ROWS + k, None] for rows, measured in parts]
-            miss = np.concatenate(misses, axis=1)
-            squares += np.sum((miss - (miss.mean(axis=1, keepdims=True) if refit_offset else 0.0)) ** 2, axis=1)
-        line, curve, *plays = np.sqrt(squares / y.size).tolist()
-        return cls(float(np.ptp(y)), _noise(judged), line, curve, *(plays or [None]))
+            misses = (measured - theta[:, :_ROWS] @ rows - theta[:, _ROWS + k, None] for rows, measured in parts)
+            squares += _squares(misses, about_mean=refit_offset)
+        line, curve, *plays = np.sqrt(squares / sum(y.size for y in outputs)).tolist()
+        span = max(y.max(initial=-np.inf) for y in outputs) - min(y.min(initial=np.inf) for y in outputs)
+        return cls(float(span), _noise(outputs), line, curve, *(plays or [None]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,13 +85,32 @@ class _Frame:
 
     def parts(self, record: Record) -> Iterator[_Part]:
         """Rows of the descriptions and outputs at the samples of a record that count, block by block."""
-        place, used = (record.u - self.middle) / self.half, record.used  # -1 to 1 over the fitted range
-        before = None
-        for start in range(0, place.size, _BLOCK):
+        used, before = record.used, None
+        for start in range(0, used.size, _BLOCK):
             at = slice(start, start + _BLOCK)
-            rows = _rows(place[at], before)
-            before = place[at][-1], rows[-_PLAYS:, -1]
+            place = (record.u[at] - self.middle) / self.half  # -1 to 1 over the fitted range
+            rows = _rows(place, before)
+            before = place[-1], rows[-_PLAYS:, -1]
             yield (rows, record.y[at]) if used[at].all() else (rows[:, used[at]], record.y[at][used[at]])
+
+
+def _measured(record: Record) -> np.ndarray:
+    """Outputs at the samples that count."""
+    used = record.used
+    return record.y if used.all() else record.y[used]
+
+
+def _squares(misses: Iterable[np.ndarray], *, about_mean: bool) -> np.ndarray:
+    """Sum of squares of each row of the blocks (K, m), about zero or the row's mean."""
+    count, mean, squares = 0, np.zeros(1), np.zeros(1)  # one for each row, from the first block on
+    for miss in misses:
+        m = miss.shape[1]
+        if m == 0:
+            continue
+        shift = miss.mean(axis=1) - mean
+        squares = squares + np.sum((miss - (mean + shift)[:, None]) ** 2, axis=1) + shift**2 * count * m / (count + m)
+        count, mean = count + m, mean + shift * m / (count + m)
+    return squares if about_mean else squares + count * mean**2
 
 
 def _least_squares(records: Sequence[Iterable[_Part]], chosen: Sequence[Sequence[int]]) -> np.ndarray:
@@ -167,11 +186,10 @@ def play_positions(
     return p.T
 
 
-def _noise(records: Sequence[Record]) -> float | None:
-    """Pooled rms noise of the output; None where it is unknown on any record."""
+def _noise(outputs: Sequence[np.ndarray]) -> float | None:
+    """Pooled rms noise of the outputs of records; None where it is unknown on any of them."""
     squares, count = 0.0, 0
-    for record in records:
-        y = record.y[record.used]
+    for y in outputs:
         rms, is_bound = noise_rms(y)
         if rms is None or is_bound:
             return None

@@ -35,14 +35,13 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
         RMS in the unit of the values (None with fewer than 16 samples), and whether it is only an upper bound: the samples are
         so sparse that the differences still contain the signal.
     """
-    values = np.asarray(values, dtype=float)
-    values = values[np.isfinite(values)]
+    values = _finite(values)
     if values.size < 16:
         return None, False
     sizes, differences = [], np.diff(values)
     for order in range(2, 7):
         differences = np.diff(differences)
-        sizes.append(MAD_TO_RMS * float(np.median(np.abs(differences))) / math.sqrt(math.comb(2 * order, order)))
+        sizes.append(MAD_TO_RMS * _median_size(differences) / math.sqrt(math.comb(2 * order, order)))
     step, least = resolution(values) or 0.0, min(sizes)
     floor = max(float(np.finfo(float).eps * np.max(np.abs(values))), _PRINTED * step)
     if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one with jumps
@@ -69,18 +68,29 @@ def rounding_rms(values: np.ndarray) -> float:
 
 def resolution(values: np.ndarray) -> float | None:
     """Smallest difference of two distinct values [unit of the values]; None where all are equal."""
-    finite = np.unique(np.asarray(values, dtype=float)[np.isfinite(values)])
+    finite = np.sort(_finite(values))
     if finite.size < 2:
         return None
     steps = np.diff(finite)
-    steps = steps[steps > 1e-12 * max(abs(finite[0]), abs(finite[-1]))]
-    return float(steps.min()) if steps.size else None
+    distinct = steps > 1e-12 * max(abs(finite[0]), abs(finite[-1]))
+    return float(np.min(steps, where=distinct, initial=np.inf)) if distinct.any() else None
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """The finite values; not a copy where all are."""
+    values = np.asarray(values, dtype=float)
+    finite = np.isfinite(values)
+    return values if finite.all() else values[finite]
+
+
+def _median_size(values: np.ndarray) -> float:
+    return float(np.median(np.abs(values), overwrite_input=True))
 
 
 def runs(mask: np.ndarray) -> np.ndarray:
     """First sample and end (exclusive) of every run of True, shape (K, 2)."""
-    edges = np.diff(np.concatenate([[0], np.asarray(mask, dtype=int), [0]]))
-    return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
+    edges = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]))
+    return np.flatnonzero(edges).reshape(-1, 2)
 
 
 def bridged(y: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     moves = np.flatnonzero(steps)
     if moves.size == 0:
         return np.empty(0, dtype=int)
-    rises = steps[moves] > 0
+    rises = (steps > 0)[moves]
     # only local extremes can be turning points: the value before each change of direction, first of its flat run
     change = np.flatnonzero(rises[1:] != rises[:-1])
     corners = np.concatenate([[0], moves[change] + 1, [moves[-1] + 1]])

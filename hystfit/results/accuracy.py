@@ -60,8 +60,10 @@ def persistent_error(errors: np.ndarray) -> np.ndarray:
     size = np.abs(errors)
     if size.size < _LASTING:
         return size
-    inner = np.minimum(np.minimum(size[:-2], size[1:-1]), size[2:])
-    return np.concatenate([[inner[0]], inner, [inner[-1]]])
+    inner = np.minimum(size[:-2], size[1:-1])
+    np.minimum(inner, size[2:], out=inner)
+    size[0], size[1:-1], size[-1] = inner[0], inner, inner[-1]
+    return size
 
 
 def _lasting_percent(rows: Sequence[np.ndarray], baselines: Baselines) -> float:

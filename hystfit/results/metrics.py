@@ -29,13 +29,26 @@ class Metrics:
     @classmethod
     def of(cls, measured: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> Metrics:
         """Metrics over records: arrays (T_r,) of the samples that count."""
-        y, error = np.concatenate(measured), np.concatenate(predicted) - np.concatenate(measured)
-        span, variance = float(np.ptp(y)), float(np.sum((y - y.mean()) ** 2))
-        rmse, largest = float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error)))
+        y = _joined(measured)
+        span, variance = float(np.ptp(y)), _sum_of_squares(y - y.mean())
+        error = _joined(predicted) - y
+        largest = max(float(error.max()), -float(error.min()))
+        squares = _sum_of_squares(error)
+        rmse = float(np.sqrt(squares / y.size))
         percent = lambda value: 100 * value / span if span > 0 else None
-        r2 = 1 - float(np.sum(error**2)) / variance if variance > 0 else None
+        r2 = 1 - squares / variance if variance > 0 else None
         return cls(rmse, percent(rmse), largest, percent(largest), r2, y.size)
 
     def to_dict(self) -> dict[str, float | int | None]:
         """For `result.json`."""
         return {k: (v if v is None or np.isfinite(v) else None) for k, v in dataclasses.asdict(self).items()}
+
+
+def _joined(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """One array of several; a single one as it is."""
+    return np.asarray(rows[0]) if len(rows) == 1 else np.concatenate(rows)
+
+
+def _sum_of_squares(values: np.ndarray) -> float:
+    """The values are overwritten: long records have no room for copies."""
+    return float(np.sum(np.multiply(values, values, out=values)))

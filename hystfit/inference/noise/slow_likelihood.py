@@ -56,7 +56,7 @@ class Samples:
 
     def by_record(self, values: np.ndarray) -> list[np.ndarray]:
         """Values of these samples, shape (n,), record by record."""
-        return np.split(values, np.cumsum(self.on.sum(axis=1))[:-1])
+        return by_record(values, self.on)
 
     def precision(self, time: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Inverse of the slow part's correlation matrix, which is tridiagonal: (diagonal, beside it, log determinant of the matrix)."""
@@ -65,6 +65,11 @@ class Samples:
         diagonal = 1 / fresh
         diagonal[:-1] += decay**2 / fresh[1:]
         return diagonal, -decay / fresh[1:], float(np.sum(np.log(fresh)))
+
+
+def by_record(values: np.ndarray, on: np.ndarray) -> list[np.ndarray]:
+    """Values of the samples that count, shape (n,), record by record; `on` says which do, shape (R, T), bool."""
+    return np.split(values, np.cumsum(on.sum(axis=1))[:-1])
 
 
 @dataclasses.dataclass(frozen=True)
