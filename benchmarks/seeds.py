@@ -20,7 +20,7 @@ from sampling import Runner, compared, ensemble, peer_parameters, peer_step, rec
 
 import hystfit as hf
 from hystfit.sampling.diagnostics import effective_size
-from hystfit.sampling.nuts import Nuts
+from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.setup import Setup, prepare
 
 WALKERS, SEEDS, TAIL = 64, 10, 0.9  # the tail is rho > 0.9
@@ -90,8 +90,8 @@ def chains(setup: Setup, seed: int, settings: Nuts) -> tuple[np.ndarray, float]:
             parts.append(settings.chunk(target, warm, q, jax.random.fold_in(key, k))["q"])
             q = jnp.asarray(parts[-1][-1])
         busy += time.process_time() - begin
-        # Each chain has a factor of its own; the target's coordinates serve all.
-        drawn.append(np.linalg.solve(np.asarray(target.factor), warm["factor"] @ np.concatenate(parts).T).T)
+        # Each chain has coordinates of its own; the target's serve all.
+        drawn.append(target.q_of(adapted(target, warm).v_of(np.concatenate(parts), np), np))
     return np.stack(drawn), busy
 
 

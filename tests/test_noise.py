@@ -1,6 +1,9 @@
 """Noise likelihoods against dense Gaussian densities, and the fits that they refine against least squares with the dense covariance."""
 
+import dataclasses
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.data.batch import Batch
+from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.fit_setup import solve
 from hystfit.fitting.noise_refinement import refine
@@ -78,6 +82,38 @@ def test_log_density_is_the_dense_gaussian(noise, tolerance, even):
     on = weight > 0
     want = scipy.stats.multivariate_normal(cov=dense(noise, gap, weight, setting)).logpdf(r[on])
     assert float(noise.log_density(setting, jnp.asarray(r)[None])) == pytest.approx(want, rel=tolerance)
+
+
+@pytest.mark.parametrize("noise", [CASES[1][0], CASES[2][0], OrnsteinUhlenbeck(2.0, 0.01, 3e4)], ids=str)
+def test_density_of_full_records_is_the_dense_gaussian_and_has_its_derivatives(noise):
+    """Records of different length, each with one weight: the variances have a closed form."""
+    rng, sizes, weights = np.random.default_rng(2), (60, 45), (1.0, 2.5)
+    rows = [(str(n), rng.normal(size=n), np.full(n, weight)) for n, weight in zip(sizes, weights, strict=True)]
+    records = [hf.Record(u=y, y=y, t=np.arange(y.size) * 0.1, weight=w, name=name) for name, y, w in rows]
+    full = Setting.of(Batch.of(Dataset.of(records)))
+    np.testing.assert_array_equal(full.full, sizes)
+    r = np.zeros(full.weight.shape)
+    covers = []
+    for k, (n, weight) in enumerate(zip(sizes, weights, strict=True)):
+        r[k, :n] = rng.normal(size=n)
+        covers.append(dense(noise, np.ones(n), np.full(n, weight), full))
+    normal = lambda cover, row: scipy.stats.multivariate_normal(cov=cover, allow_singular=True).logpdf(row)
+    want = sum(normal(cover, row[:n]) for cover, row, n in zip(covers, r, sizes, strict=True))
+    tolerance = 1e-6 if isinstance(noise, Ar1) else 1e-9
+    assert float(noise.log_density(full, jnp.asarray(r))) == pytest.approx(want, rel=tolerance)
+    recursion = dataclasses.replace(full, full=None)
+    slopes = [jax.grad(lambda n, r: n.log_density(s, r), (0, 1))(noise, jnp.asarray(r)) for s in (full, recursion)]  # noqa: B023
+    for one, other in zip(*map(jax.tree.leaves, slopes), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8 * np.abs(other).max())
+
+
+def test_only_records_whose_samples_count_alike_are_full():
+    t = np.arange(8.0)
+    rising = hf.Record(u=t, y=t, t=t)
+    for weight in (np.r_[1, 1, 0, np.ones(5)], np.r_[0, np.ones(7)], np.r_[2, np.ones(7)]):
+        assert Setting.of(Batch.of(rising.replace(weight=weight))).full is None
+    assert Setting.of(Batch.of(hf.Record(u=t, y=t, t=t**1.5))).full is None
+    assert Setting.of(Batch.of(rising.replace(weight=np.r_[np.ones(6), 0, 0]))).full == 6
 
 
 @settings(max_examples=12)

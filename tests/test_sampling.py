@@ -26,16 +26,17 @@ from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterEr
 from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.sampling.bend import Bend
-from hystfit.sampling.diagnostics import Convergence, bulk_ess, rhat, tail_ess
+from hystfit.sampling.bend import Bend, straight
+from hystfit.sampling.diagnostics import Convergence, bulk_ess, effective_size, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.files import load_posterior
-from hystfit.sampling.nuts import Nuts
+from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import Setup, checked, prepare
+from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
 
 
@@ -120,6 +121,82 @@ def test_coordinates_of_weights_are_linear_above_their_bound_and_exponential_nex
     np.testing.assert_allclose(np.diff(np.log(weight[v[:, 0] < -5])), 0.1, rtol=0.01)
     slopes = np.exp([float(bend.log_slope(row)) for row in v[1:-1]])
     np.testing.assert_allclose(slopes, np.asarray(z[2:, 0] - z[:-2, 0]) / 0.2, rtol=0.01)
+
+
+CORRELATED = np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [1.8, 0.3, 0.5]]) @ np.diag([1.0, 1.0, 0.7])
+
+
+def test_shear_keeps_straight_ridges_straight_up_to_a_bound():
+    """Coordinates 1 and 2 have two bounds; the center of the latter is nearer to one of them."""
+    bend, center = Bend(jnp.asarray([False, True, True]), jnp.zeros(3)), np.array([0.3, 0.1, 0.9])
+    shear = Shear.of(bend, center, CORRELATED)
+    assert list(shear.order) == [2, 1]
+    y = center + np.random.default_rng(0).normal(size=(50, 3)) @ CORRELATED.T
+    v = shear.sheared(jnp.asarray(y))
+    np.testing.assert_allclose(shear.sheared(y, np), v, atol=1e-12)
+    np.testing.assert_allclose(shear.unsheared(v), y, atol=1e-12)
+    np.testing.assert_allclose(jnp.linalg.det(jax.vmap(jax.jacfwd(shear.sheared))(jnp.asarray(y))), 1.0, rtol=1e-12)
+    # A line along the regressions on the bounded one: x stays on it, with x that of a linear coordinate.
+    cover = CORRELATED @ CORRELATED.T
+    slopes = cover[:, 2] / cover[2, 2]
+    v = np.asarray(shear.sheared(jnp.asarray(center + np.linspace(0, 4, 40)[:, None] * slopes)))
+    x = np.column_stack([v[:, 0], straight(v[:, 1], np), straight(v[:, 2], np)])
+    assert x[-1, 2] > 1.99
+    np.testing.assert_allclose(x[:, :2] - center[:2], (x[:, 2:] - center[2]) * slopes[:2], atol=0.02)
+
+
+def test_a_center_in_the_bend_itself_shears_nothing():
+    bend = Bend(jnp.asarray([False, True, True]), jnp.zeros(3))
+    slopes = Shear.of(bend, np.array([0.0, 0.0, 2.5]), CORRELATED).slopes
+    assert np.any(slopes[1])
+    assert not np.any(slopes[0])
+
+
+class Ridge(Target):
+    """x = straight(v[0]) / 2 is normal about 0.5 with deviation 0.25, cut at its bounds -1 and 1; v[1] is 8 x, to 0.1."""
+
+    def log_density(self, v, lean=False):
+        x, slope = jax.jvp(lambda v: straight(v) / 2, (v[0],), (jnp.ones(()),))
+        return -0.5 * ((x - 0.5) / 0.25) ** 2 - 0.5 * ((v[1] - 8 * x) / 0.1) ** 2 + jnp.log(slope)
+
+    def slope(self, v):
+        return jax.value_and_grad(self.log_density)(v)
+
+
+def test_nuts_follows_a_ridge_into_a_bound(fitted):
+    """The tail next to the bound has the probability of the truncated normal, and costs no small steps."""
+    bend, start = Bend(jnp.asarray([True, False]), jnp.zeros(2)), jnp.asarray([[0.5, 0.0], [2.0, 0.1]])
+    ridge = Ridge(prepare(fitted, noise="iid").target.density, bend, jnp.asarray([1.0, 4.0]), start)
+    nuts, drawn, steps = Nuts(warmup=300), [], 0
+    for key in jax.random.split(jax.random.key(5), 2):
+        warm = nuts.warm(ridge, key)
+        q = jnp.asarray(warm["q"])
+        for k in range(40):
+            chunk = nuts.chunk(ridge, warm, q, jax.random.fold_in(key, k))
+            q, steps = jnp.asarray(chunk["q"][-1]), steps + chunk["steps"].sum()
+            drawn.append(straight(adapted(ridge, warm).v_of(chunk["q"], np)[:, 0], np) / 2)
+            assert not chunk["diverging"].any()
+    x = np.concatenate(drawn).reshape(2, -1)
+    truth = scipy.stats.truncnorm(-1.5 / 0.25, 0.5 / 0.25, 0.5, 0.25)
+    for place in (0.7, 0.9, 0.97):
+        inside, share = (x > place).astype(float), truth.sf(place)
+        assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside))
+    assert effective_size(x) > 0.15 * steps
+
+
+def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
+    target, found = prepare(fitted, noise="iid").target, []
+    for goal in (0.65, 0.85):
+        nuts, shares = Nuts(target_accept=goal), []
+        for key in jax.random.split(jax.random.key(3), 4):
+            warm = nuts.warm(target, key)
+            q = jnp.asarray(warm["q"])
+            for k in range(4):
+                chunk = nuts.chunk(target, warm, q, jax.random.fold_in(key, k))
+                q = jnp.asarray(chunk["q"][-1])
+                shares.append(chunk["acceptance"].mean())
+        found.append(np.mean(shares))
+    np.testing.assert_allclose(found, [0.65, 0.85], atol=0.06)
 
 
 def test_weights_that_replace_each_other_are_sampled():

@@ -15,6 +15,8 @@ because weights that replace each other have a straight valley in x and one with
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -73,6 +75,12 @@ class Bend(eqx.Module):
         t = self._place(v)
         near = jnp.minimum(t, 1 - t)
         return BEND * (jax.nn.softplus(near / BEND) - jax.nn.softplus((near - 1) / BEND)), near
+
+
+def straight(v: Any, xp: Any = jnp) -> Any:
+    """v without its bend, for coordinates between two bounds: 4 (x - lower) / (upper - lower) - 2; `xp` is the module of the arrays."""
+    t = v / 4 + 0.5
+    return 4 * BEND * (xp.logaddexp(0.0, t / BEND) - xp.logaddexp(0.0, (t - 1) / BEND)) - 2
 
 
 def _log_softplus(v: Array) -> Array:

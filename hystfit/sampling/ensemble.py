@@ -126,7 +126,7 @@ def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
 def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
     together = _TOGETHER if target.density.keeps_trajectories and not on_gpu() else len(q)
-    one = lambda row: target.log_density(target.center + target.factor @ row, lean=True)
+    one = lambda row: target.log_density(target.v_of(row), lean=True)
     return jax.lax.map(one, q, batch_size=together)
 
 

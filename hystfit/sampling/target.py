@@ -1,8 +1,9 @@
-"""The log posterior in whitened coordinates q: v = center + factor q, with the posterior near N(0, I) in q after a fit."""
+"""The log posterior in whitened coordinates q: y = center + factor q, with the posterior near N(0, I) in q after a fit."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +13,9 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
+from hystfit.params.host_arrays import to_device
 from hystfit.sampling.bend import Bend
+from hystfit.sampling.shear import Shear
 
 
 class Target(eqx.Module):
@@ -21,13 +24,15 @@ class Target(eqx.Module):
     Attributes:
         density: over z, the unconstrained parameters of model and noise.
         bend: between z and the coordinates v of `hystfit.sampling.bend`.
-        center, factor: v = center + factor q.
+        center, factor: y = center + factor q.
+        shear: between y and v; None where they are the same.
     """
 
     density: Density
     bend: Bend
     center: Float[Array, " d"]
     factor: Float[Array, "d d"]
+    shear: Shear | None = None
 
     @classmethod
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
@@ -40,9 +45,29 @@ class Target(eqx.Module):
         """The same density in other coordinates q."""
         return dataclasses.replace(self, center=center, factor=factor)
 
+    def sheared(self, factor: Float[Array | np.ndarray, "d d"]) -> Target:
+        """The same density in coordinates of another factor, in which others follow those with two bounds; outside traced code.
+
+        The center stays where it is; that of this target is one of v.
+        """
+        center, factor = np.asarray(self.center), np.asarray(factor)
+        shear = Shear.of(self.bend, center, factor)
+        center = to_device(shear.unsheared(center, np))
+        return dataclasses.replace(self, center=center, factor=to_device(factor), shear=shear)
+
+    def v_of(self, q: Any, xp: Any = jnp) -> Any:
+        """v from q, shape (..., d); `xp` is the module of the arrays, as in `q_of`."""
+        y = xp.asarray(self.center) + q @ xp.asarray(self.factor).T
+        return y if self.shear is None else self.shear.sheared(y, xp)
+
+    def q_of(self, v: Any, xp: Any = jnp) -> Any:
+        """q from v."""
+        y = v if self.shear is None else self.shear.unsheared(v, xp)
+        return xp.linalg.solve(xp.asarray(self.factor), (y - xp.asarray(self.center))[..., None])[..., 0]
+
     def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
         """z from q."""
-        return self.bend.unbent(self.center + q @ self.factor.T)
+        return self.bend.unbent(self.v_of(q))
 
     def physical(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
         """x from q."""
@@ -67,11 +92,12 @@ class Target(eqx.Module):
 
         @jax.custom_vjp
         def value(q: Array) -> Array:
-            return self.log_density(self.center + self.factor @ q)
+            return self.log_density(self.v_of(q))
 
         def both(q: Array) -> tuple[Array, Array]:
-            total, gradient = self.slope(self.center + self.factor @ q)
-            return total, self.factor.T @ gradient
+            v, pull = jax.vjp(self.v_of, q)
+            total, gradient = self.slope(v)
+            return total, pull(gradient)[0]
 
         value.defvjp(both, lambda gradient, cotangent: (cotangent * gradient,))
         return value(q)

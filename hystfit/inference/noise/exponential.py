@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.base import LOG_2PI, AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.parallel.associative import affine_scan, ratio_scan
@@ -19,6 +19,7 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
 _MISSING = 1e100  # variance of the white part where there is no measurement
+_FASTEST = -700.0  # logarithm of a ratio between neighboring samples whose powers are 0 to all digits
 
 
 class AbstractSlow(AbstractNoise):
@@ -55,6 +56,38 @@ class AbstractSlow(AbstractNoise):
         mean = decay * state[0]
         v = r - mean
         return jnp.stack([mean + gain * v, after]), v / jnp.sqrt(total), jnp.log(total)
+
+    def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Scalar:
+        """See `AbstractNoise.log_density`; where the samples of each record count alike, variances have a closed form."""
+        at_once = route(r.shape[1], associative=True) is Route.ASSOCIATIVE
+        if setting.full is None or at_once or self.has_shapes or not self.gaussian:
+            return super().log_density(setting, r)
+        rows = (r, setting.full, self.white_variance / setting.weight[:, 0])
+        if r.shape[0] == 1:
+            return self._log_density_full(*(row[0] for row in rows))
+        return jnp.sum(jax.lax.map(lambda row: self._log_density_full(*row), rows))
+
+    def _log_density_full(self, r: Float[Array, " T"], count: Scalar, white: Scalar) -> Scalar:
+        """Log density of the first `count` samples of an evenly sampled record, with white noise of one variance.
+
+        The total variance of sample k before it is read is e (1 - u[k+1]) / (1 - u[k]) with u[k] = u[0] ratio^k: the recursion of
+        the filter is a Moebius map, e and e ratio are the eigenvalues of its matrix, and the product of all variances telescopes.
+        """
+        lost, slow = -jnp.expm1(-2 / self.noise_time), self.noise_slow**2
+        bend = lost * (white - slow)
+        root = 0.5 * (jnp.abs(bend) + jnp.sqrt(bend**2 + 4 * lost * slow * white))
+        settled = jnp.where(bend > 0, lost * slow * white / root, root)  # variance of the slow part after many samples
+        e = settled + white
+        log_ratio = jnp.maximum(2 * (jnp.log(white / e) - 1 / self.noise_time), _FASTEST)
+        start = (slow - settled) / (slow + white - e * jnp.exp(log_ratio))
+        u = start * jnp.exp(jnp.arange(r.shape[0] + 1) * log_ratio)
+        logs = count * jnp.log(e) + jnp.log1p(-start * jnp.exp(count * log_ratio)) - jnp.log1p(-start)
+        part = white / e * (1 - u[:-1]) / (1 - u[1:])  # of the total variance that is white
+        decay = jnp.exp(-1 / self.noise_time)
+        keep = decay * part
+        _, mean = jax.lax.scan(lambda m, at: (at[0] * m + at[1], m), jnp.zeros(()), (keep, (decay - keep) * r))
+        squares = jnp.where(jnp.arange(r.shape[0]) < count, (r - mean) ** 2 * part, 0.0)
+        return -0.5 * (jnp.sum(squares) / white + logs + count * LOG_2PI)
 
     def whiten(
         self, setting: Setting, rows: Float[Array, "R T k"]

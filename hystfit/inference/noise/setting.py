@@ -24,6 +24,8 @@ class Setting(eqx.Module):
         rising: whether the input last rose, shape (R, T), bool.
         count: of the samples that count.
         log_weight: sum of the logarithms of their weights.
+        full: samples of each record that count, shape (R,), where sampling is even and in each record these are the first ones and
+            have one weight; None elsewhere.
     """
 
     gap: Float[Array | np.ndarray, "*samples"]
@@ -32,6 +34,7 @@ class Setting(eqx.Module):
     rising: Array | np.ndarray
     count: Float[Array | np.ndarray, ""]
     log_weight: Float[Array | np.ndarray, ""]
+    full: Float[Array | np.ndarray, " R"] | None = None
 
     @classmethod
     def of(cls, batch: Batch, limits: tuple[float, float] | None = None) -> Setting:
@@ -56,11 +59,19 @@ class Setting(eqx.Module):
             rising=np.stack([_held(row) for row in turning]) > 0,
             count=np.array(float(np.count_nonzero(weight))),
             log_weight=np.array(float(np.sum(np.log(weight[weight > 0])))),
+            full=_full(weight) if even else None,
         )
 
     def on_device(self) -> Setting:
         """The same with arrays of JAX."""
         return jax.tree_util.tree_map(to_device, self)
+
+
+def _full(weight: Float[np.ndarray, "R T"]) -> Float[np.ndarray, " R"] | None:
+    """Samples of each record that count, where these are the first ones and have one weight; None elsewhere."""
+    count = np.count_nonzero(weight, axis=1)
+    alike = weight == np.where(np.arange(weight.shape[1]) < count[:, None], weight[:, :1], 0.0)
+    return count.astype(float) if alike.all() and count.all() else None
 
 
 def _held(sign: np.ndarray) -> np.ndarray:
