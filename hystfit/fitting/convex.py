@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -109,12 +110,18 @@ class LinearSystem:
         scale[constant] = 1.0
         n, p = self.columns.shape
         grams = np.zeros((int(self.block.max()) + 1, p + 1, p + 1))
-        for part in parts(n, p + 1):
-            some, block = self.columns[part], self.block[part]
-            joint = np.column_stack([some / scale, self.target[part] - some @ self.origin])
-            for k in np.unique(block):
-                rows = joint[block == k]
-                grams[k] += rows.T @ rows
+        ends = [*(np.flatnonzero(np.diff(self.block)) + 1).tolist(), n]
+        for start, end in itertools.pairwise([0, *ends]):
+            gram = grams[self.block[start]]
+            for part in parts(end - start, p + 1):
+                some = self.columns[start:end][part]
+                target = self.target[start:end][part] - some @ self.origin
+                gram[:p, :p] += some.T @ some
+                gram[:p, p] += some.T @ target
+                gram[p, p] += target @ target
+        grams[:, p, :p] = grams[:, :p, p]
+        by = np.append(1 / scale, 1.0)
+        grams *= by * by[:, None]
         return grams, scale, np.bincount(self.block)
 
 

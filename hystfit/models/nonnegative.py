@@ -66,7 +66,7 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
         _, w[at], failed = dposv(A[at[:, None], at], b[at], overwrite_a=True)
         if failed:
             raise np.linalg.LinAlgError("not positive definite")
-    return w, A[:, at] @ w[at] - b
+    return w, A @ w - b
 
 
 def _by_root(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
