@@ -42,7 +42,7 @@ def _blas() -> ThreadpoolController:
 
 def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     fewest, patience = b.size + 1, _PATIENCE
-    for _ in range(_LIMIT):
+    for left in range(_LIMIT, 0, -1):
         w, dual = _solve_on(A, b, active)
         slack = 1e-13 * float(np.abs(w).max(initial=0.0))
         wrong = bounded & np.where(active, w < -slack, dual < -1e-11 * np.abs(b).max(initial=1e-300))
@@ -53,6 +53,8 @@ def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray
             fewest, patience = count, _PATIENCE
         elif patience:
             patience -= 1
+        elif count > left:
+            break
         else:  # Murty's rule: one at a time always ends
             wrong[: np.flatnonzero(wrong)[-1]] = False
         active = active ^ wrong
@@ -63,7 +65,8 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
     w = np.zeros(b.size)
     at = np.flatnonzero(active)
     if at.size:
-        _, w[at], failed = dposv(A[at[:, None], at], b[at], overwrite_a=True)
+        # Transposed, the symmetric matrix lies in memory as LAPACK expects it.
+        _, w[at], failed = dposv(A[at[:, None], at].T, b[at], overwrite_a=True)
         if failed:
             raise np.linalg.LinAlgError("not positive definite")
     return w, A @ w - b
