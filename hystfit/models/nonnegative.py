@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dpotrs
 from threadpoolctl import ThreadpoolController
 
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one
@@ -65,10 +65,9 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
     w = np.zeros(b.size)
     at = np.flatnonzero(active)
     if at.size:
-        # Transposed, the symmetric matrix lies in memory as LAPACK expects it.
-        _, w[at], failed = dposv(A[at[:, None], at].T, b[at], overwrite_a=True)
-        if failed:
-            raise np.linalg.LinAlgError("not positive definite")
+        # The factorization of NumPy, unlike that of scipy, runs beside other threads.
+        factor = np.linalg.cholesky(A.take(at, 0).take(at, 1).T)
+        w[at], _ = dpotrs(factor.T, b[at])
     return w, A @ w - b
 
 
