@@ -20,9 +20,9 @@ from hystfit.fitting import sizes
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _ranked
 from hystfit.fitting.comparison import Comparison, Row
+from hystfit.fitting.comparison_run import ComparisonRun, ShownProgress
 from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.judge import Judge, ShownProgress
 from hystfit.fitting.sizes import choose_size, first_error
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, Terms, build, max_plays, search_structure
@@ -240,21 +240,21 @@ def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison():
 def test_only_a_model_that_serves_the_purpose_stops_others():
     rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
     for purpose in ("inverse", "prediction"):
-        judge = Judge(stepped_loops(), "blocks", purpose, FitOptions(), {})
-        judge.rows.append(rival)
-        judge.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
-        assert (judge.rows[1].score_percent is None) == (purpose == "prediction")
+        comparing = ComparisonRun(stepped_loops(), "blocks", purpose, FitOptions(), {})
+        comparing.rows.append(rival)
+        comparing.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
+        assert (comparing.rows[1].score_percent is None) == (purpose == "prediction")
 
 
 def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validated():
     data = stepped_loops()
     error = hf.compare(data, ["duhem"]).rows[0].in_sample_percent
     for share, validated in ((0.8, False), (1.05, True)):
-        judge = Judge(data, "blocks", "prediction", FitOptions(), {})
-        judge.rows.append(Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={}))
-        judge.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
-        assert (judge.rows[1].score_percent is not None) == validated
-        assert judge.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
+        comparing = ComparisonRun(data, "blocks", "prediction", FitOptions(), {})
+        comparing.rows.append(Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={}))
+        comparing.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
+        assert (comparing.rows[1].score_percent is not None) == validated
+        assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
 
 
 def _numbers(comparison):

@@ -10,9 +10,9 @@ from hystfit.config import require_x64
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Purpose, Row
+from hystfit.fitting.comparison_run import EQUAL, ComparisonRun, ShownProgress
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.judge import EQUAL, Judge, ShownProgress
 from hystfit.fitting.left_out import SCHEMES, Scheme
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -76,19 +76,19 @@ def compare(
     named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named), "") if named else candidates(data)
     data = without_faults(data)
-    judge = Judge(data, left_out, purpose, options, named)
+    run = ComparisonRun(data, left_out, purpose, options, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
-        judge.search(chosen, ShownProgress(update, (*chosen.names, *chosen.without_resonance)), Workers(workers))
-    rows = _ranked(judge.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
-    if not judge.fits:
-        raise judge.refusal(rows)
+        run.search(chosen, ShownProgress(update, (*chosen.names, *chosen.without_resonance)), Workers(workers))
+    rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
+    if not run.fits:
+        raise run.refusal(rows)
     best = rows[0]
     if purpose != "prediction" and not best.serves(purpose):
         reasons = "; ".join(
             f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles and purpose in row.obstacles
         )
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
-    return Comparison(tuple(rows), judge.fits[best.asked], judge.fits, left_out, purpose, chosen.reason)
+    return Comparison(tuple(rows), run.fits[best.asked], run.fits, left_out, purpose, chosen.reason)
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:

@@ -104,7 +104,7 @@ def _contenders(waiting: Sequence[Candidate]) -> list[Candidate]:
     return [one for one, first in sized or firsts if first.error <= first.limit * least]
 
 
-class Judge:
+class ComparisonRun:
     """Fits candidates and keeps their rows.
 
     Args:
