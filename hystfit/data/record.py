@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.preparation import integral, interval_of, real_numbers, smooth
+from hystfit.data.stated import Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
@@ -52,6 +53,7 @@ class Record:
         sigma: standard deviation of the output of a sample of weight 1 [y_unit]; None if unknown (see `with_sigma`).
         reading: options of `hystfit.read` other than the defaults, by name, as at the shell.
         metadata: properties of the sample as the header of its file states them, by name (size, mass, ...).
+        stated: results that the instrument computed from this loop and wrote into its file.
         notes: what was assumed, left out or changed when the record was read or prepared.
 
     Raises:
@@ -73,6 +75,7 @@ class Record:
     sigma: float | None = None
     reading: Mapping[str, str] = dataclasses.field(default_factory=dict)
     metadata: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    stated: tuple[Stated, ...] = ()
     notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.data.stated import Stated
 from hystfit.errors import DataError, HystfitError
 from hystfit.results.stored_values import Stored, parse
 
@@ -85,6 +86,7 @@ def _labels(record: Record) -> dict[str, Any]:
         field.name: getattr(record, field.name) for field in dataclasses.fields(record) if field.name not in _ARRAYS
     }
     plain = {"reading": dict(record.reading), "metadata": dict(record.metadata)}
+    plain["stated"] = [dataclasses.asdict(one) for one in record.stated]
     return fields | plain | {"notes": [note.to_dict() for note in record.notes]}
 
 
@@ -95,4 +97,10 @@ def _labels_of(stored: Stored) -> dict[str, Any]:
     labels |= {"sha256": stored.optional_text("sha256"), "sigma": stored.optional_number("sigma")}
     if "reading" in stored.content:  # fits of 0.1 and 0.2 have none
         labels["reading"] = stored.words("reading")
-    return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes")}
+    if "stated" not in stored.content:  # fits of 0.1 have none
+        return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes")}
+    stated = tuple(
+        Stated(one.text("label"), one.number("value"), one.text("unit"), one.text("quantity"))
+        for one in (Stored(part, f"{stored.place}: stated") for part in stored.listed("stated"))
+    )
+    return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes"), "stated": stated}
