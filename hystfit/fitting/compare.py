@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 from hystfit.config import require_x64
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
-from hystfit.fitting.comparison import Comparison, Purpose, Row
+from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
 from hystfit.fitting.comparison_run import EQUAL, ComparisonRun, ShownProgress
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.left_out import SCHEMES, Scheme
+from hystfit.fitting.left_out import CHOICES, LeftOut
+from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.baselines import rounding_error
-from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading.in_memory import records_of
 from hystfit.runs.threads import Workers
 
 
 def compare(
     data: Any,
-    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto"] | None = None,
+    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto", "quick"] | None = None,
     *,
-    left_out: Scheme = "blocks",
+    left_out: LeftOut = "auto",
     purpose: Purpose = "prediction",
     seed: int = 0,
     starts: int = 8,
@@ -67,18 +68,20 @@ def compare(
     require_x64()
     options = FitOptions(seed=seed, starts=starts)
     options.check()
-    for what, value, known in (("left_out", left_out, SCHEMES), ("purpose", purpose, get_args(Purpose))):
+    for what, value, known in (("left_out", left_out, CHOICES), ("purpose", purpose, get_args(Purpose))):
         if value not in known:
             raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
     data = records_of(data)
-    if left_out == "future" and recognize_family(data) is not None:
-        raise ModelError("reversal curves have no order in time: use left_out='blocks'")
-    named = _named(models) if models and models != "auto" else {}
-    chosen = Candidates(tuple(named), "") if named else candidates(data)
+    if left_out == "future" and not turns_back(data):
+        raise ModelError("reversal curves have no order in time: use left_out='auto'")
+    named = _named(models) if models and models not in ("auto", "quick") else {}
+    chosen = Candidates(tuple(named)) if named else candidates(data)
+    if models == "quick":
+        chosen = dataclasses.replace(chosen, iterated=(), resonant=())
     data = without_faults(data)
     run = ComparisonRun(data, left_out, purpose, options, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
-        run.search(chosen, ShownProgress(update, (*chosen.names, *chosen.without_resonance)), Workers(workers))
+        run.search(chosen, ShownProgress(update, chosen.names), Workers(workers))
     rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
     if not run.fits:
         raise run.refusal(rows)
@@ -88,7 +91,8 @@ def compare(
             f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles and purpose in row.obstacles
         )
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
-    return Comparison(tuple(rows), run.fits[best.asked], run.fits, left_out, purpose, chosen.reason)
+    fits = Fits(run.fits, run.judged)
+    return Comparison(tuple(rows), fits[best.asked], fits, run.scheme, purpose)
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
@@ -111,19 +115,35 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 
 def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0) -> list[Row]:
-    """From best to worst. Of models whose errors are within 2 % of the smallest, converged fits and fewer parameters come first.
+    """From best to worst. Where errors are within 2 % of the smallest, converged fits, fewer parameters and an inverse come first.
 
     `floor`: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
     """
     ranked = sorted(rows, key=lambda row: _rank(row, purpose))
-    least = ranked[0].score_percent if ranked else None
-    if least is None:
+    if not ranked or ranked[0].score_percent is None:
         return ranked
+    least = ranked[0].score_percent * _handicap(ranked[0])
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(EQUAL * least, floor)
-    equal = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) <= most]
-    simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, row.parameters or 0, row.score_percent))
+    equal = [
+        row
+        for row in ranked
+        if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) * _handicap(row) <= most
+    ]
+    plain = lambda row: (row.parameters or 0, len(row.obstacles or ()), row.score_percent)
+    simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
     return simple + ranked[len(equal) :]
+
+
+# How many times the error of the others may be that of a fit which has not converged, so that it has no standard errors to rely on, and
+# of a model without an inverse: a flexible one that describes a lag or a drift of this loop by weights that no other loop would have.
+_UNSURE, _NO_INVERSE = 1.5, 1.2
+
+
+def _handicap(row: Row) -> float:
+    """Factor by which a model must err less than the others."""
+    unsure = _UNSURE if row.status is Status.NOT_CONVERGED else 1.0
+    return unsure * (_NO_INVERSE if row.serves("inverse") is False else 1.0)
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
@@ -134,5 +154,5 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
         row.status is Status.NO_LOOP,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
-        row.score_percent or row.in_sample_percent or 0.0,
+        (row.score_percent or row.in_sample_percent or 0.0) * _handicap(row),
     )
