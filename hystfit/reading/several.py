@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion
+from hystfit.reading.charge_throughput import cycled
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.file_bytes import exists
 from hystfit.reading.raw_table import Table
@@ -62,6 +63,9 @@ def pair_of(path: str | Path) -> tuple[str, str] | None:
 
 def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them."""
+    if cycle := cycled([data for _, data in parts if isinstance(data, Record)]):
+        if len(parts) == 1 or len(cycle) < len(parts) == len([data for _, data in parts if isinstance(data, Record)]):
+            return cycle[0]
     if len(parts) == 1:
         return parts[0][1]
     labeled = [(path, record) for path, data in parts for record in Dataset.of(data)]
