@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 from hystfit.errors import DataError
@@ -30,6 +31,8 @@ def with_adjusted(table: Table, *, adjusted: bool) -> Table:
                 f"{table.describe()}"
             )
         return table
+    if adjusted and table.pair is not None:
+        table = dataclasses.replace(table, pair=tuple(dict(pairs).get(k, k) for k in table.pair))
     dropped = {pair[0 if adjusted else 1] for pair in pairs}
     used = "adjusted" if adjusted else "raw"
     names = ", ".join(repr(table.names[k]) for k in sorted(dropped))

@@ -26,6 +26,7 @@ _OF_DISCHARGE = re.compile(
 )
 _OF_STEP = re.compile(_CAPACITY)
 _UNITS = frozenset({"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr"})
+_AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name that is the unit
 _OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b")
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
@@ -65,7 +66,7 @@ def with_throughput(table: Table) -> Table | None:
     return dataclasses.replace(
         table,
         names=(*table.names, NAME),
-        units=(*table.units, table.units[source]),
+        units=(*table.units, table.units[source] or "Ah"),
         columns=(*table.columns, passed),
         pair=(len(table.names), voltage),
     ).noted(Note(Code.PREPARED, f"the input is the charge that passed: {how}"))
@@ -81,7 +82,12 @@ def _is_number(table: Table, position: int) -> bool:
 
 def _is_capacity(table: Table, position: int) -> bool:
     """Whether a column holds a charge that only grows, apart from where it starts again."""
-    if not _is_number(table, position) or table.units[position].replace(" ", "").replace("·", ".") not in _UNITS:
+    unit = table.units[position].replace(" ", "").replace("·", ".")
+    if (
+        not _is_number(table, position)
+        or unit not in _UNITS
+        and (unit or not _AMPERE_HOURS.fullmatch(table.names[position]))
+    ):
         return False
     steps = np.diff(table.columns[position])
     return bool(np.mean(steps[np.isfinite(steps)] < 0) < _BACK)
@@ -152,4 +158,5 @@ def _joined(records: Sequence[Record]) -> Record:
         weight=join(weight),
         name="+".join(names),
         sha256="+".join(str(one.sha256) for one in records),
+        source="+".join(one.source for one in records),
     ).noted(Code.CURVES, text)

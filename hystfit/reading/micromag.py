@@ -132,7 +132,7 @@ def _by_segments(table: Table, lines: Sequence[str], rows: Sequence[int]) -> Tab
     if not number:
         return table
     fields = [table.columns[0][curve == k] for k in range(number + 1)]
-    moves = np.array([np.ptp(field[np.isfinite(field)]) > same for field in fields])
+    moves = np.array([field.size > 1 and np.ptp(field) > same for field in fields])
     text = f"{moves.sum()} curves: between them, the instrument swept without measuring ({len(rows)} segments)"
     notes = [Note(Code.CURVES, text)]
     if not moves.all():

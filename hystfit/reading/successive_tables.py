@@ -32,18 +32,19 @@ _NAMED = 6  # tables named in a note
 
 @dataclasses.dataclass(frozen=True)
 class _Piece:
-    """Lines of one table: where those above it, its numbers, and the next table begin; and lines of its header."""
+    """Lines of one table: where those above it, its numbers, and the next table begin; its rows; and lines of its header."""
 
     above: int
     first: int
     stop: int
+    rows: int
     header: tuple[str, ...]
 
 
 def read_tables(text: TextFile) -> Table | None:
     """Tables after each other: each of the same columns a record, with the settings and results above it."""
     pieces = _pieces(text)
-    if len(pieces) < 2 or not _are_tables(text, pieces):
+    if not _are_tables(text, pieces):
         return None
     tables = {k: table for k, piece in enumerate(pieces) if (table := _table(text, piece)) is not None}
     groups: dict[tuple[str, ...], list[int]] = {}
@@ -97,11 +98,11 @@ def _pieces(text: TextFile) -> list[_Piece]:
     for k, count in zip(firsts.tolist(), counts.tolist(), strict=True):
         first, stop = int(numbers[k]), int(numbers[k + count - 1]) + 1
         above = found[-1].stop if found else 0
-        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first]) if count >= _FEWEST else ()
+        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first])
         if header or not found:
-            found.append(_Piece(above, first, stop, header))
-        elif count >= _FEWEST:
-            found[-1] = dataclasses.replace(found[-1], stop=stop)
+            found.append(_Piece(above, first, stop, count, header))
+        else:
+            found[-1] = dataclasses.replace(found[-1], stop=stop, rows=found[-1].rows + count)
     return [piece for piece in found if piece.header]
 
 
@@ -120,8 +121,9 @@ def _header(above: Sequence[str], row: str) -> tuple[str, ...]:
 
 def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:
     """Whether the pieces are tables of their own, and not one whose header is repeated on every page while its first column goes on."""
-    if len({piece.header for piece in pieces}) > 1:
-        return True
+    pieces = [piece for piece in pieces if piece.rows >= _FEWEST]
+    if len(pieces) < 2 or len({piece.header for piece in pieces}) > 1:
+        return len(pieces) > 1
     between = [line for piece in pieces[1:] for line in text.lines[piece.above : piece.first] if line.strip()]
     if len(between) == sum(len(piece.header) for piece in pieces[1:]):
         return False

@@ -111,9 +111,13 @@ def _apart(first: np.ndarray, second: np.ndarray, order: int) -> float:
 
 def _of_one_input(table: Table, pair: _Pair) -> Table | None:
     """The loop of two outputs over one input, which runs once from end to end."""
-    drive = next((k for k in range(len(table.names)) if k not in pair.columns and _runs_once(table, k)), None)
-    if drive is None:
+    drives = [k for k in range(len(table.names)) if k not in pair.columns and _runs_once(table, k)]
+    if not drives:
         return None
+    heated = lambda k: (
+        column_quantity(table.names[k], table.units[k]) == "temperature"
+    )  # drifts beside a field or a force
+    drive = min(drives, key=lambda k: (heated(k), k))
     u, outputs = table.columns[drive], [table.columns[k] for k in pair.columns]
     if not pair.directed:
         outputs = _numbered_branches(u, *outputs)
@@ -175,5 +179,9 @@ def _table(
 
 
 def _without(name: str, word: str) -> str:
-    """A name without the word of a branch."""
-    return re.sub(rf"[ _.-]?(?<![a-z]){word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-") or name
+    """A name without the word of a branch, where it has one."""
+    return (
+        name
+        if not word
+        else re.sub(rf"[ _.-]?(?<![a-z]){word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-") or name
+    )
