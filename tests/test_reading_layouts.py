@@ -212,8 +212,8 @@ def test_the_table_with_most_rows_is_read_of_those_with_other_columns(mark: str,
 
 
 def magic(version: int) -> str:
-    names = {2: ["er_specimen_name", "magic_method_codes", "measurement_flag", "measurement_lab_field_dc", "measurement_magn_moment", "treatment_dc_field"],
-             3: ["specimen", "method_codes", "quality", "meas_field_dc", "magn_mass", "treat_dc_field"]}[version]  # fmt: skip
+    fields = "er_specimen_name magic_method_codes measurement_flag measurement_lab_field_dc measurement_magn_moment treatment_dc_field"
+    names = (fields if version == 2 else "specimen method_codes quality meas_field_dc magn_mass treat_dc_field").split()
     lines = ["tab \tmagic_measurements" if version == 2 else "tab delimited\tmeasurements", "\t".join(names)]
     for k, name in enumerate(("IS06a-1", "IS06a-2", "IS06a-3"), 1):
         lines += [f"{name}\tLP-HYS\tg\t{u:e}\t{k * y:e}\t" for u, y in zip(FIELD, MOMENT, strict=True)]
@@ -278,7 +278,8 @@ def test_text_that_names_the_steps_of_one_experiment_does_not_divide_it(
 
 
 def test_a_logger_writes_a_preamble_a_counter_dates_and_events(tmp_path: Path) -> None:
-    text = "Header Size:  7\nVersion:  2\nSampling Rate:  1000\nSample Count:  81\nSample Number, Date/Time, Force (N), Position (mm), Events\n"
+    text = "Header Size:  7\nVersion:  2\nSampling Rate:  1000\nSample Count:  81\n"
+    text += "Sample Number, Date/Time, Force (N), Position (mm), Events\n"
     text += "".join(
         f"   {k},  06/29/2022 04:08:{40 + k / 100:06.3f} PM, {y:.6f}, {u:.6f}{', DAQ Start' * (k == 1)}\n"
         for k, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True), 1)

@@ -83,11 +83,8 @@ def _is_number(table: Table, position: int) -> bool:
 def _is_capacity(table: Table, position: int) -> bool:
     """Whether a column holds a charge that only grows, apart from where it starts again."""
     unit = table.units[position].replace(" ", "").replace("·", ".")
-    if (
-        not _is_number(table, position)
-        or unit not in _UNITS
-        and (unit or not _AMPERE_HOURS.fullmatch(table.names[position]))
-    ):
+    named = not unit and _AMPERE_HOURS.fullmatch(table.names[position]) is not None
+    if not _is_number(table, position) or not (unit in _UNITS or named):
         return False
     steps = np.diff(table.columns[position])
     return bool(np.mean(steps[np.isfinite(steps)] < 0) < _BACK)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,6 +21,7 @@ _FEWEST = 2  # numbers of an array that is a column
 _MOST_METADATA = 40
 _LONGEST = 200  # characters of a text that is kept
 _DEEPEST = 30
+_UNITS = re.compile(r"(?:^|\.)units?\.[^.]+$", re.IGNORECASE)
 
 
 def read_json(text: TextFile) -> Table | None:
@@ -36,7 +38,7 @@ def read_json(text: TextFile) -> Table | None:
     parts = _parts(_columnar(content))
     if not parts:
         raise DataError(f"{text.source} holds no arrays of numbers; write each column as a list under its name")
-    tables = [_table(text, arrays) for arrays, _, _ in parts]
+    tables = [_table(text, _with_units(arrays, scalars)) for arrays, _, scalars in parts]
     table = tables[0] if len(tables) == 1 else below_each_other(tables)
     described = [_part(name, scalars) for _, name, scalars in parts]
     return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
@@ -89,6 +91,10 @@ def _parts(value: Any) -> list[tuple[dict[str, np.ndarray], str, dict[str, Any]]
     items = [("", item) for item in value] if isinstance(value, list) else []
     if isinstance(value, Mapping):
         items = [(key, item) for key, item in value.items() if isinstance(item, Mapping)]
+        listed = [
+            item for item in value.values() if isinstance(item, list) and any(isinstance(one, Mapping) for one in item)
+        ]
+        items = [("", one) for item in listed for one in item] if len(listed) == 1 and not items else items
     leaves = [(name, *_leaves(item)) for name, item in items if isinstance(item, Mapping)]
     leaves = [one for one in leaves if len(one[1]) > 1]
     if len(leaves) > 1 and len({tuple(sorted(arrays)) for _, arrays, _ in leaves}) == 1:
@@ -103,7 +109,9 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
     scalars: dict[str, Any] = {}
     for key, item in tree.items():
         name = f"{prefix}{key}"
-        if isinstance(item, Mapping):
+        if isinstance(item, Mapping) and (column := _column(name, item)) is not None:
+            arrays |= column
+        elif isinstance(item, Mapping):
             below = _leaves(item, f"{name}.")
             arrays |= below[0]
             scalars |= below[1]
@@ -115,6 +123,16 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
     return arrays, scalars
 
 
+def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
+    """The column of a mapping that describes one, {"label": "H", "unit": "A/m", "values": [...]}; None for others."""
+    lists = [value for value in item.values() if isinstance(value, list)]
+    unit = next((item[key] for key in ("unit", "units") if isinstance(item.get(key), str)), None)
+    if len(lists) != 1 or unit is None or (array := _array(lists[0])) is None:
+        return None
+    label = next((str(item[key]) for key in ("label", "name", "title") if key in item), name)
+    return {f"{label} [{unit}]" if unit else label: array}
+
+
 def _array(items: list[Any]) -> np.ndarray | None:
     """A column of numbers, NaN where missing, or of text; None for other lists."""
     if len(items) < _FEWEST or any(isinstance(item, list | Mapping) for item in items):
@@ -123,6 +141,13 @@ def _array(items: list[Any]) -> np.ndarray | None:
         return np.array([np.nan if item is None or item == "" else float(item) for item in items])
     except (ValueError, TypeError):
         return np.array([str(item) for item in items])
+
+
+def _with_units(arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The arrays with the units in their names that a mapping beside them holds, {"units": {"force": "N"}}."""
+    units = {key.rpartition(".")[2]: str(value) for key, value in scalars.items() if _UNITS.search(key)}
+    last = lambda name: name.rpartition(".")[2]
+    return {f"{name} [{units[last(name)]}]" if last(name) in units else name: array for name, array in arrays.items()}
 
 
 def _table(text: TextFile, arrays: Mapping[str, np.ndarray]) -> Table:

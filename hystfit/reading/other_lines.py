@@ -14,6 +14,7 @@ from hystfit.reading.dialect import Text
 from hystfit.reading.header import read_header, split_unit
 from hystfit.reading.number_block import Block, is_comment
 
+_BETWEEN = 3  # lines between the names and the numbers
 _WORDS = {
     "header": "repeated header",
     "cells": "row with another number of cells than {width}",
@@ -66,10 +67,24 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         for position in nameless:
             names.insert(position, "")
             units.insert(position, "")
-    if not used and first and text.lines[first - 1].strip():
+    if not used and (place := _apart(text, block)):
+        names, units, used = read_header(text.lines[low:place], dialect.width, dialect.delimiter, dialect.decimal, cut)
+    elif not used and first and text.lines[first - 1].strip():
         names, used = _uneven(text, block)
         units = [split_unit(name, names)[1] for name in names]
     return Header(names, units, used)
+
+
+def _apart(text: Text, block: Block) -> int:
+    """Line after the names where one or two lines that are no cells stand between them and the numbers ("@@Data"); 0 without them."""
+    dialect, first = text.dialect, int(block.index[0])
+    for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
+        row = [cells.clean(cell) for cell in block.rows[place - 1]]
+        if dialect.delimiter is not None and len(row) == dialect.width > 2:
+            return place if all(cells.kind(cell, dialect.decimal) == cells.TEXT for cell in row) else 0
+        if len(row) > 1:
+            return 0
+    return 0
 
 
 def _uneven(text: Text, block: Block) -> tuple[list[str], int]:

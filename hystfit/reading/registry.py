@@ -51,7 +51,7 @@ class Format:
 
 
 def _is_numpy(file: FileBytes) -> bool:
-    return file.raw.startswith(b"\x93NUMPY") or (_is_zip(file) and not _is_workbook(file))
+    return file.raw.startswith(b"\x93NUMPY") or _holds(file, ".npy", ".npz")
 
 
 def _is_matlab(file: FileBytes) -> bool:
@@ -60,19 +60,19 @@ def _is_matlab(file: FileBytes) -> bool:
     return file.raw.startswith(b"MATLAB") or (file.suffix == ".mat" and (hdf or b"\0" in file.raw[:20]))
 
 
-def _is_zip(file: FileBytes) -> bool:
-    return file.raw.startswith(b"PK\x03\x04")
-
-
 def _is_workbook(file: FileBytes) -> bool:
-    """A zip archive with sheets; of a damaged one, the ending tells."""
-    if not _is_zip(file):
+    return _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm")
+
+
+def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
+    """Whether a file is a zip archive with such a member; of a damaged one, the ending tells."""
+    if not file.raw.startswith(b"PK\x03\x04"):
         return False
     try:
         with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
-            return not any(name.endswith(".npy") for name in archive.namelist())
+            return any(name.endswith(member) for name in archive.namelist())
     except zipfile.BadZipFile:
-        return file.suffix != ".npz"
+        return file.suffix in suffixes
 
 
 FORMATS = (

@@ -18,7 +18,7 @@ _NAMES = {
     "": r"initial slope|slope correction|squareness|S\*",
 }
 _RESULT = re.compile(
-    "|".join(f"(?P<q{k}>{pattern})" for k, pattern in enumerate(_NAMES.values())).join(("(?:", r")\s*[+-]?")),
+    "|".join(f"(?P<q{k}>{pattern})" for k, pattern in enumerate(_NAMES.values())).join(("±?(?:", r")\s*[+-]?")),
     re.IGNORECASE,
 )
 _VALUE = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s,;]\S{0,11})?\s*", re.ASCII)
