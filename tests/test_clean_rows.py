@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hystfit.errors import DataError
 from hystfit.reading import clean_rows, text
 from hystfit.reading.raw_table import Table
-from hystfit.reading.text import read_table
+from hystfit.reading.read import table_of
 
 PARSERS = {"numpy": clean_rows._by_numpy, "pandas": clean_rows._by_pandas}
 
@@ -27,7 +27,7 @@ def _table(path: Path, monkeypatch: pytest.MonkeyPatch, parser: str | None) -> T
         else:
             patch.setattr(clean_rows, "_parsed", PARSERS[parser])
         try:
-            return read_table(path)
+            return table_of(path)
         except DataError as error:
             return str(error)
 

@@ -33,8 +33,7 @@ from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
 from hystfit.models.registry import MODELS
 from hystfit.outcome import Code, Status
-from hystfit.reading.array_files import KINDS
-from hystfit.reading.formats import WORKBOOKS
+from hystfit.reading.registry import FORMATS
 from hystfit.sampling.registry import SAMPLERS
 
 from .conftest import ROOT
@@ -267,7 +266,7 @@ def test_every_part_has_its_page_or_section(pages):
     assert [name for name in NOISES if f'id="{name}"' not in text("guide/errors.html")] == []
     assert [name for name in SAMPLERS if f'id="{name}"' not in text("guide/samplers.html")] == []
     assert [name for name in (*ESTIMATORS, *IDENTIFIERS) if f">{name}<" not in text("guide/samplers.html")] == []
-    assert [suffix for suffix in (*KINDS, *WORKBOOKS) if f">{suffix}<" not in text("guide/files.html")] == []
+    assert [suffix for one in FORMATS for suffix in one.suffixes if f">{suffix}<" not in text("guide/files.html")] == []
     assert [verb for verb in VERBS if f'id="verb-{verb}"' not in text("reference/commands.html")] == []
     assert known_options() <= set(OPTION.findall(text("reference/commands.html")))
     reference = "".join(page.text for name, page in pages.items() if name.startswith("reference/api/"))

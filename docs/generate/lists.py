@@ -17,9 +17,7 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Status
 from hystfit.params.param import leaves_of
 from hystfit.params.units import Scales
-from hystfit.reading.array_files import KINDS
-from hystfit.reading.formats import WORKBOOKS
-from hystfit.reading.read import TEXT_SUFFIXES
+from hystfit.reading.registry import ARRANGEMENTS, FORMATS, REPLACING, TEXTS
 from hystfit.registry import Registry
 from hystfit.results.quantities import QUANTITIES
 from hystfit.sampling.registry import SAMPLERS
@@ -114,16 +112,12 @@ def signals() -> str:
 
 def formats() -> str:
     """Every kind of file that can be read."""
-    text = " ".join(f"`{suffix}`" for suffix in sorted(TEXT_SUFFIXES) if suffix)
-    about = (
-        "text of any layout: delimiter, decimal mark, header, units and encoding are recognized; also without a suffix"
-    )
-    readers: dict[str, list[str]] = {}
-    for suffix, reader in KINDS.items():
-        readers.setdefault(inspect.getdoc(reader) or "", []).append(f"`{suffix}`")
-    sheets = 'Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"'
-    readers[sheets] = [f"`{suffix}`" for suffix in sorted(WORKBOOKS)]
-    rows = [(text, about), *((" ".join(suffixes), plain(doc)) for doc, suffixes in readers.items())]
+    about = "any ending; delimiter, decimal mark, header, units and encoding are recognized"
+    rows = [("text", about), *(("", plain(inspect.getdoc(read) or "")) for read in TEXTS[:-1])]
+    rows += [(" ".join(f"`{suffix}`" for suffix in one.suffixes), plain(one.about)) for one in FORMATS]
+    rows += [
+        ("columns of any file", plain((inspect.getdoc(one) or "").split(";")[0])) for one in (*ARRANGEMENTS, *REPLACING)
+    ]
     return table(["file", "what is read"], rows)
 
 

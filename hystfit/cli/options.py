@@ -83,6 +83,7 @@ class Reading:
         delimiter: column delimiter; recognized by default.
         decimal: decimal mark, "." or ",".
         encoding: text encoding.
+        adjusted: take the columns that the instrument adjusted, for a slope or an offset, in place of the raw ones.
     """
 
     time: Text = None
@@ -102,6 +103,7 @@ class Reading:
     delimiter: Text = None
     decimal: Text = None
     encoding: Text = None
+    adjusted: Annotated[bool, Parameter(group=FILE, negative=())] = False
 
 
 @Parameter(name="*")
@@ -123,6 +125,7 @@ class ReferenceReading:
         delimiter: column delimiter; recognized by default.
         decimal: decimal mark, "." or ",".
         encoding: text encoding.
+        adjusted: take the columns that the instrument adjusted, for a slope or an offset, in place of the raw ones.
     """
 
     time: Text = None
@@ -138,6 +141,7 @@ class ReferenceReading:
     delimiter: Text = None
     decimal: Text = None
     encoding: Text = None
+    adjusted: Annotated[bool, Parameter(group=FILE, negative=())] = False
 
     def reading(self) -> Reading:
         """The same as options of any file."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ def check_members(archive: zipfile.ZipFile, raw: bytes) -> None:
     check_size(sum(member.file_size for member in archive.infolist()), raw)
 
 
-def _numpy(raw: bytes) -> dict[str, np.ndarray]:
+def numpy_arrays(raw: bytes) -> dict[str, np.ndarray]:
     """NumPy arrays: each array of a .npz is a column, a matrix gives several, a structured array its fields."""
     if raw.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
@@ -75,12 +75,12 @@ def _npy_size(start: bytes, size: int) -> int:
     return count * max(_DOUBLE, dtype.itemsize)
 
 
-def _matlab(raw: bytes) -> dict[str, np.ndarray]:
+def matlab_arrays(raw: bytes) -> dict[str, np.ndarray]:
     """MATLAB variables, also within structures; version 7.3 files need the extra "files"."""
     from scipy.io import loadmat, whosmat
 
     if raw[:128].startswith(b"MATLAB 7.3") or raw[:4] == b"\x89HDF" or raw[512:516] == b"\x89HDF":
-        return {name: array.T for name, array in _hdf5(raw).items()}  # MATLAB stores columns first
+        return {name: array.T for name, array in hdf5_arrays(raw).items()}  # MATLAB stores columns first
     check_structure(raw)
     shapes = [shape for _, shape, _ in whosmat(io.BytesIO(raw))]
     check_size(sum(_DOUBLE * math.prod(map(int, shape)) for shape in shapes), raw)
@@ -98,7 +98,7 @@ def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]
     return arrays
 
 
-def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
+def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
     """HDF5 data sets in all groups, and the fields of compound ones; needs the extra "files"."""
     h5py = optional("h5py", "files", "reading HDF5 (and MATLAB 7.3) files")
     found: list[tuple[str, Any]] = []
@@ -124,7 +124,7 @@ def _hdf5(raw: bytes) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _parquet(raw: bytes) -> dict[str, np.ndarray]:
+def parquet_arrays(raw: bytes) -> dict[str, np.ndarray]:
     """The columns of a Parquet file; needs the extra "frames"."""
     parquet = optional("pyarrow.parquet", "frames", "reading Parquet files")
     file = parquet.ParquetFile(io.BytesIO(raw))
@@ -135,14 +135,3 @@ def _parquet(raw: bytes) -> dict[str, np.ndarray]:
 
 def _text(values: np.ndarray) -> np.ndarray:
     return np.array([v.decode(errors="replace") if isinstance(v, bytes) else str(v) for v in values.ravel()])
-
-
-KINDS: dict[str, Callable[[bytes], dict[str, np.ndarray]]] = {
-    ".npz": _numpy,
-    ".npy": _numpy,
-    ".mat": _matlab,
-    ".h5": _hdf5,
-    ".hdf5": _hdf5,
-    ".nc": _hdf5,  # netCDF-4
-    ".parquet": _parquet,
-}

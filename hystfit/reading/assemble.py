@@ -18,11 +18,10 @@ from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, select_curves, shown, split_curves, text_of
-from hystfit.reading.raw_table import Table
+from hystfit.reading.raw_table import Part, Table
+from hystfit.reading.registry import arranged
 from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
-from hystfit.reading.side_by_side import stacked
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
-from hystfit.reading.two_branches import unfolded
 
 Column = str | int
 _UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
@@ -52,25 +51,27 @@ def assemble(
         raise DataError(f"gaps must be 'error', 'split' or 'drop', got {gaps!r}")
     _check_unread(table, gaps)
     stem = name or Path(table.source).stem or "record"
+    table = arranged(
+        table, chosen=any(key is not None and key is not False for key in (time, input, output, sigma, by, where))
+    )
     notes = list(table.notes)
     table, replaced = without_infinite(table)
     table, taken = _filter(table, where, notes)
     divider = None if by is None else find(table, by, "by")
     spread = None if sigma is None else find(table, sigma, "sigma")
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
-    if input is None and output is None and time in (None, False) and not others and (loop := unfolded(table)):
-        (table, input, output), time = loop, False
-        notes = [*table.notes]
-    elif input is None and output is None and time in (None, False) and not others and (loops := stacked(table)):
-        table, time = loops, False
-        notes = [*table.notes]
+    input, output = _of_layout(table, input, output)
     marked, dividers = marked_by_kind(table, others)
+    named = {"time": None if isinstance(time, bool) or time == "none" else time, "input": input, "output": output}
+    _check_problems(table, [None if key is None else find(table, key, role) for role, key in named.items()])
     choice = choose(table, time, input, output, [*others, *dividers])
-    notes += choice.notes
+    _check_problems(table, [choice.time, choice.input, choice.output])
+    notes += [*choice.notes, *_unread_time(table, choice, time)]
     for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
         notes += replaced_notes(replaced[position], role) if position in replaced else []
-    if marked is None and divider is None:
+    if marked is None and divider is None and table.part is None:
         marked = marked_by_place(table, choice)
+    marked = table.calibration if table.calibration is not None and divider is None else marked
     table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
     groups, several = split_curves(table, choice, divider, notes)
     if only is not None:
@@ -87,6 +88,32 @@ def assemble(
         return records[0]
     # A column that the user names separates measurements, whose numbers may be equal.
     return Dataset(tuple(records) if by is not None else without_copies(records), name=stem)
+
+
+def _of_layout(table: Table, input: Column | None, output: Column | None) -> tuple[Column | None, Column | None]:
+    """Input and output: those of the user, and where one is left open that which the layout of the file determines."""
+    if table.pair is None:
+        return input, output
+    drive, sensor = table.pair
+    if input is None and (output is None or find(table, output, "output") != drive):
+        input = drive
+    if output is None and find(table, input if input is not None else drive, "input") != sensor:
+        output = sensor
+    return input, output
+
+
+def _check_problems(table: Table, positions: Sequence[int | None]) -> None:
+    """Refuse a chosen column that cannot be read for certain."""
+    if problem := next((table.problems[k] for k in positions if k in table.problems), None):
+        raise DataError(problem)
+
+
+def _unread_time(table: Table, choice: Choice, time: Column | bool | None) -> list[Note]:
+    """A warning where there is no time because its stamps cannot be read."""
+    unread = next((table.problems[k] for k in sorted(table.stamps) if k in table.problems), None)
+    if choice.time is not None or time is not None or unread is None:
+        return []
+    return [warn(Code.FILE_FORMAT, f"read without time: {unread}")]
 
 
 def _check_unread(table: Table, gaps: str) -> None:
@@ -239,6 +266,7 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
 
 def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
     time_unit = "s" if choice.time is None else table.units[choice.time]
+    part = table.parts[0 if table.part is None else int(table.part[0])] if table.parts else Part()
     if not time_unit:
         notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))
     try:
@@ -254,7 +282,8 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             name=title,
             source=table.source,
             sha256=table.sha256,
-            metadata=table.metadata,
+            metadata={**table.metadata, **part.metadata},
+            stated=part.stated,
             notes=tuple(notes),
         )
     except DataError as error:

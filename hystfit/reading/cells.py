@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -46,6 +47,7 @@ def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern
 
 
 _LONGEST = 1000  # characters of a number or stamp
+_LONGER = 10.0  # step from one date to the next over the longest within a date, up to which an experiment goes on
 
 
 def clean(cell: str) -> str:
@@ -206,13 +208,11 @@ def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     matches = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
     stamps = [stamp for stamp in matches if stamp]
     notes: list[Note] = []
-    day_first = _day_first(stamps, where)
     try:
-        pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in matches]
+        readings = [_passed(matches, day_first) for day_first in _day_orders(stamps)]
     except ValueError as error:
         raise DataError(f"{where}: a time stamp is not a valid date ({error}); correct it") from error
-    days = np.array([day for day, _ in pairs]) - next((day for day, clock in pairs if clock == clock), 0)
-    values = 86400.0 * days + np.array([clock for _, clock in pairs])
+    values = readings[0] if len(readings) == 1 else _likelier(stamps, readings, where)
     if not any(stamp["y"] or stamp["p"] for stamp in stamps):
         turns = np.concatenate([[0.0], np.cumsum(np.diff(values) < -43200.0)])
         if turns[-1]:
@@ -223,14 +223,35 @@ def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     return values - (first[0] if first.size else 0.0), notes
 
 
-def _day_first(stamps: Sequence[re.Match[str]], where: str) -> bool:
+def _passed(matches: Sequence[re.Match[str] | None], day_first: bool) -> np.ndarray:
+    """Seconds from the day of the first stamp, shape (rows,), NaN where there is none."""
+    pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in matches]
+    days = np.array([day for day, _ in pairs]) - next((day for day, clock in pairs if clock == clock), 0)
+    return 86400.0 * days + np.array([clock for _, clock in pairs])
+
+
+def _day_orders(stamps: Sequence[re.Match[str]]) -> tuple[bool, ...]:
+    """Whether the day is the first number of dates such as 3/4/2024; both answers where the dates do not tell."""
     dates = {(int(stamp["p"]), int(stamp["q"])) for stamp in stamps if stamp["p"]}
     if any(first > 12 for first, _ in dates) or len(dates) <= 1:
-        return not any(second > 12 for _, second in dates)
-    if any(second > 12 for _, second in dates):
-        return False
+        return (not any(second > 12 for _, second in dates),)
+    return (False,) if any(second > 12 for _, second in dates) else (True, False)
+
+
+def _likelier(stamps: Sequence[re.Match[str]], readings: Sequence[np.ndarray], where: str) -> np.ndarray:
+    """The reading of dates in which the samples go on from one date to the next as they do within a date."""
+    steps = [np.abs(np.diff(values[np.isfinite(values)])) for values in readings]
+    dates = [stamp.group("p", "q", "yy") for stamp in stamps]
+    within = np.array([one == other for one, other in itertools.pairwise(dates)])
+    if within.any():
+        most = _LONGER * steps[0][within].max()
+        fit = [values for values, step in zip(readings, steps, strict=True) if (step <= most).all()]
+        if len(fit) == 1:
+            return fit[0]
+    shown = "/".join(min(dates)[:2])
     raise DataError(
-        f"{where}: dates such as {'/'.join(map(str, min(dates)))} are ambiguous (day or month first); write them as 2025-01-31"
+        f"{where}: dates such as {shown} are ambiguous (day or month first); write them as 2025-01-31, or read without time "
+        "(time=False, --time none)"
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.reading import cells
-from hystfit.reading.layout import Layout
+from hystfit.reading.dialect import Dialect
 
 _LARGEST_WHOLE = 2.0**53  # larger whole numbers are read digit by digit
 _EXAMINED = 1000  # rows in which the decimal mark must show what it is
@@ -18,7 +18,7 @@ _TAIL = 1 << 16  # characters at the end that are searched for blanks at a time
 
 
 def clean_columns(
-    text: str, lines: Sequence[str], first: int, layout: Layout, *, settled: bool
+    text: str, lines: Sequence[str], first: int, dialect: Dialect, *, settled: bool
 ) -> list[np.ndarray] | None:
     """All columns from line `first` on, each of shape (rows,); None where a line needs a careful reading.
 
@@ -27,19 +27,19 @@ def clean_columns(
     Args:
         settled: the decimal mark is not a guess.
     """
-    if set(layout.kinds) != {cells.NUMBER}:
+    if set(dialect.kinds) != {cells.NUMBER}:
         return None
     start = 0
     for _ in range(first):
         start = text.index("\n", start) + 1
     body = text[start : _end_of_rows(text, start)]
     count = np.count_nonzero(np.frombuffer(body.encode(), np.uint8) == ord("\n")) + 1
-    if count < 2 or (layout.decimal == "," and "." in body):
+    if count < 2 or (dialect.decimal == "," and "." in body):
         return None
-    if not settled and not _shows_its_mark(lines[first : first + _EXAMINED], body, layout):
+    if not settled and not _shows_its_mark(lines[first : first + _EXAMINED], body, dialect):
         return None
-    numbers = _parsed(body, layout)
-    if numbers is None or numbers.shape != (count, layout.width):
+    numbers = _parsed(body, dialect)
+    if numbers is None or numbers.shape != (count, dialect.width):
         return None
     if not (np.abs(numbers) <= _LARGEST_WHOLE).all():  # not for NaN either
         return None
@@ -58,33 +58,33 @@ def _end_of_rows(text: str, start: int) -> int:
     return start
 
 
-def _shows_its_mark(lines: Sequence[str], body: str, layout: Layout) -> bool:
+def _shows_its_mark(lines: Sequence[str], body: str, dialect: Dialect) -> bool:
     """Whether the decimal mark does not occur, or a number proves that it does not separate thousands."""
-    if layout.decimal not in body or (layout.decimal == "." and not cells.dots_are_doubtful(layout.delimiter)):
+    if dialect.decimal not in body or (dialect.decimal == "." and not cells.dots_are_doubtful(dialect.delimiter)):
         return True
     return any(
-        layout.decimal in cell and not cells.may_be_thousands(cells.clean(cell), layout.decimal)
+        dialect.decimal in cell and not cells.may_be_thousands(cells.clean(cell), dialect.decimal)
         for line in lines
-        for cell in line.split(layout.delimiter)
+        for cell in line.split(dialect.delimiter)
     )
 
 
-def _parsed(body: str, layout: Layout) -> np.ndarray | None:
+def _parsed(body: str, dialect: Dialect) -> np.ndarray | None:
     """Numbers of all rows, shape (rows, columns), correctly rounded; None where a cell is not a number."""
     if "pandas" in sys.modules:  # its parser is three times as fast, but importing it takes longer than reading a file
-        return _by_pandas(body, layout)
-    return _by_numpy(body, layout)
+        return _by_pandas(body, dialect)
+    return _by_numpy(body, dialect)
 
 
-def _by_numpy(body: str, layout: Layout) -> np.ndarray | None:
-    rows = body.replace(",", ".") if layout.decimal == "," else body
+def _by_numpy(body: str, dialect: Dialect) -> np.ndarray | None:
+    rows = body.replace(",", ".") if dialect.decimal == "," else body
     try:
-        return np.loadtxt(rows.split("\n"), delimiter=layout.delimiter, comments=None, ndmin=2)
+        return np.loadtxt(rows.split("\n"), delimiter=dialect.delimiter, comments=None, ndmin=2)
     except ValueError:
         return None
 
 
-def _by_pandas(body: str, layout: Layout) -> np.ndarray | None:
+def _by_pandas(body: str, dialect: Dialect) -> np.ndarray | None:
     import pandas as pd
 
     options = {"header": None, "na_filter": False, "quoting": 3, "skip_blank_lines": False, "dtype": np.float64}
@@ -95,8 +95,8 @@ def _by_pandas(body: str, layout: Layout) -> np.ndarray | None:
             warnings.simplefilter("error")
             frame = pd.read_csv(
                 io.BytesIO(body.encode()),
-                sep=r"\s+" if layout.delimiter is None else layout.delimiter,
-                decimal=layout.decimal,
+                sep=r"\s+" if dialect.delimiter is None else dialect.delimiter,
+                decimal=dialect.decimal,
                 engine="c",
                 low_memory=False,
                 **options,

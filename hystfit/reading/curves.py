@@ -58,6 +58,8 @@ def split_curves(
     """
     if divider is not None:
         return _of_several_rows(_by_column(table, divider, notes), table, choice, notes), True
+    if table.part is not None:
+        return _by_part(table, choice, notes), True
     if table.calibration is not None:
         return calibrated_curves(table, choice, table.calibration, notes), True
     number = _numbers_of_curves(table, choice, notes)
@@ -125,6 +127,23 @@ def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str,
         )
     title = split_unit(table.names[divider])[0]
     return [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
+
+
+def _by_part(table: Table, choice: Choice, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
+    """Name and rows of the records into which the layout of the file divides it, those without an input left out."""
+    groups = [(part.name, np.flatnonzero(table.part == k)) for k, part in enumerate(table.parts)]
+    filled = [group for group in groups if np.isfinite(table.columns[choice.input][group[1]]).any()]
+    filled = [group for group in filled if np.isfinite(table.columns[choice.output][group[1]]).any()]
+    if len(filled) < len(groups):
+        names = {name for name, _ in filled}
+        lacking = shown([name for name, _ in groups if name not in names])
+        text = f"left out: records without {table.names[choice.input]!r} or {table.names[choice.output]!r}: {lacking}"
+        notes.append(warn(Code.LEFT_OUT, text))
+    if not filled:
+        raise DataError(
+            f"{table.source}: no record has both an input and an output; choose other columns with input= and output="
+        )
+    return _of_several_rows(filled, table, choice, notes)
 
 
 def _numbers_of_curves(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:

@@ -15,15 +15,15 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 
 _MAGIC = {
-    b"PK\x03\x04": "a zip archive or Excel file (name it .xlsx)",
-    b"\x89HDF": "an HDF5 file (name it .h5, or .mat if MATLAB wrote it)",
+    b"PK\x03\x04": "a zip archive (unpack it; read an Excel file with hystfit.read)",
+    b"\x89HDF": "an HDF5 file (read it with hystfit.read)",
     b"\xd0\xcf\x11\xe0": "an old Excel file (save it as .xlsx)",
-    b"MATLAB": "a MATLAB file (name it .mat)",
-    b"\x93NUMPY": "a numpy file (name it .npy)",
+    b"MATLAB": "a MATLAB file (read it with hystfit.read)",
+    b"\x93NUMPY": "a numpy file (read it with hystfit.read)",
     b"TDSm": "a TDMS file (export it as CSV)",
-    b"%PDF": "a PDF document",
-    b"\x89PNG": "a picture",
-    b"PAR1": "a Parquet file (name it .parquet)",
+    b"%PDF": "a PDF document (export the numbers as CSV)",
+    b"\x89PNG": "a picture (export the numbers as CSV)",
+    b"PAR1": "a Parquet file (read it with hystfit.read)",
 }
 
 # Words of column names and headers, by the encoding of files in that language.
@@ -178,7 +178,7 @@ def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Not
         line = 1 + text.count("\n", 0, place.start() if place else 0)
         raise DataError(
             f"{source}, line {line}: {odd} NUL or control bytes; this is a binary or damaged file: export it as text, "
-            "or name it by its format (.mat, .npz, .xlsx, .h5)"
+            "or as one of .mat, .npz, .xlsx, .h5"
         )
     if "\r" in text:
         text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")

@@ -23,11 +23,17 @@ _LZMA_ALONE = b"\x5d\x00\x00"
 
 @dataclasses.dataclass(frozen=True)
 class FileBytes:
-    """Content of a file, unpacked; SHA-256 of the file as it is stored; and what was done with it."""
+    """Content of a file, unpacked; SHA-256 of the file as it is stored; its path; and what was done with it."""
 
     raw: bytes
     sha256: str
+    source: str
     notes: tuple[Note, ...] = ()
+
+    @property
+    def suffix(self) -> str:
+        """Ending of the name in lower case, without that of a packed file: a hint where the content has no mark."""
+        return inner_name(self.source).suffix.lower()
 
 
 def allowed(size: int) -> int:
@@ -78,10 +84,10 @@ def load(path: str | Path) -> FileBytes:
     if not kind and path.suffix.lower() == ".lzma" and raw.startswith(_LZMA_ALONE):
         kind = "lzma"
     if not kind:
-        return FileBytes(raw, digest)
+        return FileBytes(raw, digest, str(path))
     content = _unpacked(raw, kind, str(path))
     note = Note(Code.FILE_FORMAT, f"unpacked from {kind}: {len(content)} bytes")
-    return FileBytes(content, digest, (note,))
+    return FileBytes(content, digest, str(path), (note,))
 
 
 def _unpacked(raw: bytes, kind: str, source: str) -> bytes:

@@ -9,7 +9,7 @@ from hystfit.params.units import quantity
 from hystfit.reading import cells
 
 _BASE = (
-    r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|sec|psi|gf|lbf))|[uµμm]strain"
+    r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
     r"|in|inch|ft|lb|lbs|kips?|kgf|ksi|min|h|hr|deg|degC|°C|°|%|rpm|counts|volts?|newtons?|meters?|seconds?|erg|cc|cm3|dB"
 )
 _POWER = r"(?:\^?[-⁻]?[\d¹²³])?"
@@ -85,20 +85,26 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     return name, ""
 
 
+def setting_of(line: str) -> tuple[str, str] | None:
+    """Name and value in a line of a header; None where it has none."""
+    if len(line) > _LONGEST_SETTING:
+        return None
+    text = re.sub(rf"^\s*{_COMMENT}\s*", "", line).strip()
+    match = next((m for pattern in _SETTINGS if (m := pattern.fullmatch(text))), None)
+    return None if match is None else (match["key"].strip(), match["value"])
+
+
 def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     """Size, mass and other properties of the sample, by their name in the header, as text."""
     known: dict[str, str] = {}
     for line in lines:
-        if len(line) > _LONGEST_SETTING:
+        key, text = setting_of(line) or ("", "")
+        if not _SAMPLE.match(key) or "sampl" in text.lower():
             continue
-        text = re.sub(rf"^\s*{_COMMENT}\s*", "", line).strip()
-        match = next((m for pattern in _SETTINGS if (m := pattern.fullmatch(text))), None)
-        if match is None or not _SAMPLE.match(match["key"]) or "sampl" in match["value"].lower():
-            continue
-        value = cells.clean(match["value"])
-        column = {match["key"].strip(), value}.intersection(names)
+        value = cells.clean(text)
+        column = {key, value}.intersection(names)
         if not column and value.lower() not in _NO_VALUE and len(known) < _MOST_METADATA:
-            known.setdefault(match["key"].strip(), value)
+            known.setdefault(key, value)
     return known
 
 

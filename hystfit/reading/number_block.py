@@ -1,4 +1,4 @@
-"""The rows of numbers in a text: those that have the layout's cells, without what only resembles them."""
+"""The rows of numbers in a text: those that have the dialect's cells, without what only resembles them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading import cells
 from hystfit.reading.clean_rows import clean_columns
-from hystfit.reading.layout import Layout, Text, split
+from hystfit.reading.dialect import Dialect, Text, split
 
 _HEAD = 200  # lines in which clean rows must begin
+_REMARKS = 2  # cells of text after the last column of a row
 _FEW = 3  # rows of numbers above a header
 _COMMENT_MARKS = ("#", "%", "//", "!")
 
@@ -47,16 +48,16 @@ class Block:
 
 def clean_block(text: Text, content: str) -> Block | None:
     """The rows of numbers where nothing but plain numbers follows the first of them, in the `content` of a file; None elsewhere."""
-    lines, layout = text.lines, text.layout
-    rows = [split(line, layout.delimiter) for line in lines[:_HEAD]]
-    candidates, _ = _of_width(rows, layout)
+    lines, dialect = text.lines, text.dialect
+    rows = [split(line, dialect.delimiter) for line in lines[:_HEAD]]
+    candidates, _ = _of_width(rows, dialect)
     if not candidates:
         return None
-    _, fits, _ = _parse_columns(list(zip(*[rows[k] for k in candidates], strict=True)), layout)
+    _, fits, _ = _parse_columns(list(zip(*[rows[k] for k in candidates], strict=True)), dialect)
     if not fits.any():
         return None
     first = candidates[int(np.argmax(fits))]
-    columns = clean_columns(content, lines, first, layout, settled=text.settled)
+    columns = clean_columns(content, lines, first, dialect, settled=text.settled)
     if columns is None:
         return None
     return Block(first + np.arange(columns[0].size), [*columns], [], rows, [])
@@ -64,35 +65,35 @@ def clean_block(text: Text, content: str) -> Block | None:
 
 def careful_block(text: Text, rows: list[list[str]]) -> Block:
     """The rows of numbers, from the cells of every line."""
-    lines, layout = text.lines, text.layout
-    candidates, ragged = _of_width(rows, layout)
+    lines, dialect = text.lines, text.dialect
+    candidates, ragged = _of_width(rows, dialect)
     columns = list(zip(*[rows[k] for k in candidates], strict=True))
     if not columns:
         raise DataError(f"{text.source}: no row of numbers found; a loop needs at least two")
-    values, fits, spoiled = _parse_columns(columns, layout)
+    values, fits, spoiled = _parse_columns(columns, dialect)
     spoiled &= np.array([not is_comment(lines[k]) for k in candidates])
     keep = fits | spoiled
     index = np.array(candidates)[keep]
-    keep[keep] = _main_runs(rows, index, layout, lines)
+    keep[keep] = _main_runs(rows, index, dialect, lines)
     index, above = np.array(candidates)[keep], 0
     if index.size:
-        above = _above_header(rows, lines, index, layout)
+        above = _above_header(rows, lines, index, dialect)
         keep[np.flatnonzero(keep)[:above]] = False
         index = index[above:]
     if index.size < 2:
         raise DataError(f"{text.source}: only {index.size} row of numbers found; a loop needs at least two")
     kept = np.flatnonzero(keep)
     chosen = [[column[k] for k in kept] for column in columns]
-    notes = _spoiled_notes(rows, np.array(candidates)[keep & spoiled], layout)
+    notes = _spoiled_notes(rows, np.array(candidates)[keep & spoiled], dialect)
     if above:
         notes.append(warn(Code.LEFT_OUT, f"left out: {above} rows of numbers above the header"))
     return Block(index, [v if v is None else v[keep] for v in values], chosen, rows, ragged, tuple(notes))
 
 
-def _of_width(rows: list[list[str]], layout: Layout) -> tuple[list[int], list[int]]:
-    """Rows of the layout's width, and others; empty cells at the end are cut or added where they mean nothing."""
-    width = layout.width
-    last = max(k for k, kind in enumerate(layout.kinds) if kind != cells.MISSING) + 1
+def _of_width(rows: list[list[str]], dialect: Dialect) -> tuple[list[int], list[int]]:
+    """Rows of the dialect's width, and others; empty cells at the end are cut or added where they mean nothing."""
+    width = dialect.width
+    last = max(k for k, kind in enumerate(dialect.kinds) if kind != cells.MISSING) + 1
     fit, ragged = [], []
     for k, row in enumerate(rows):
         if len(row) != width:
@@ -101,7 +102,7 @@ def _of_width(rows: list[list[str]], layout: Layout) -> tuple[list[int], list[in
                 filled -= 1
             if filled == 0:
                 continue
-            if filled != last:
+            if filled != last and not _with_remark(row[:filled], dialect):
                 ragged.append(k)
                 continue
             rows[k] = row[:width] + [""] * (width - len(row))
@@ -109,8 +110,21 @@ def _of_width(rows: list[list[str]], layout: Layout) -> tuple[list[int], list[in
     return fit, ragged
 
 
+def _with_remark(row: list[str], dialect: Dialect) -> bool:
+    """Whether a row of numbers is followed by a text, such as the event at that sample."""
+    width = dialect.width
+    if not width < len(row) <= width + _REMARKS:
+        return False
+    kinds = [cells.kind(cell, dialect.decimal) for cell in row]
+    return (
+        cells.TEXT not in kinds[:width]
+        and cells.NUMBER in kinds[:width]
+        and {*kinds[width:]} <= {cells.TEXT, cells.MISSING}
+    )
+
+
 def _parse_columns(
-    columns: list[tuple[str, ...]], layout: Layout
+    columns: list[tuple[str, ...]], dialect: Dialect
 ) -> tuple[list[np.ndarray | None], np.ndarray, np.ndarray]:
     """Numbers of every column (None for text and stamps), which rows are rows of numbers, and which but for a word in a cell."""
     count = len(columns[0])
@@ -118,12 +132,12 @@ def _parse_columns(
     any_number, spoiled = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
     leading: np.ndarray | None = None
     values: list[np.ndarray | None] = []
-    for column, kind in zip(columns, layout.kinds, strict=True):
+    for column, kind in zip(columns, dialect.kinds, strict=True):
         numbers = None
         if kind == cells.STAMP:
             stamped &= np.array([cells.is_stamp(cells.clean(cell)) for cell in column])
         elif kind != cells.TEXT:
-            numbers, kinds = cells.parse(column, layout.decimal)
+            numbers, kinds = cells.parse(column, dialect.decimal)
             any_number |= kinds == cells.NUMBER
             if kind == cells.NUMBER:
                 text = kinds == cells.TEXT
@@ -136,17 +150,17 @@ def _parse_columns(
     return values, fits, stamped & spoiled & short & below & (np.zeros(count, bool) if leading is None else leading)
 
 
-def _spoiled_notes(rows: Sequence[Sequence[str]], spoiled: np.ndarray, layout: Layout) -> list[Note]:
+def _spoiled_notes(rows: Sequence[Sequence[str]], spoiled: np.ndarray, dialect: Dialect) -> list[Note]:
     """A note on words in place of numbers."""
     if not spoiled.size:
         return []
-    is_text = lambda cell, kind: kind == cells.NUMBER and cells.kind(cell, layout.decimal) in (cells.TEXT, cells.STAMP)
-    first = next(cell for cell, kind in zip(rows[spoiled[0]], layout.kinds, strict=True) if is_text(cell, kind))
+    is_text = lambda cell, kind: kind == cells.NUMBER and cells.kind(cell, dialect.decimal) in (cells.TEXT, cells.STAMP)
+    first = next(cell for cell, kind in zip(rows[spoiled[0]], dialect.kinds, strict=True) if is_text(cell, kind))
     text = f"words in place of numbers are treated as missing values: {spoiled.size} rows, the first with {first.strip()!r}"
     return [warn(Code.MISSING_VALUES, f"{text} in line {spoiled[0] + 1}")]
 
 
-def _above_header(rows: Sequence[Sequence[str]], lines: Sequence[str], index: np.ndarray, layout: Layout) -> int:
+def _above_header(rows: Sequence[Sequence[str]], lines: Sequence[str], index: np.ndarray, dialect: Dialect) -> int:
     """Number of rows of numbers that stand above the header, which is followed by many more."""
     if index[0] and lines[index[0] - 1].strip():
         return 0
@@ -156,14 +170,14 @@ def _above_header(rows: Sequence[Sequence[str]], lines: Sequence[str], index: np
     between = range(index[top - 1] + 1, index[top])
     if not all(lines[k].strip() for k in between):
         return 0
-    is_name = lambda cell: cells.kind(cell, layout.decimal) == cells.TEXT
-    headers = [k for k in between if len(rows[k]) == layout.width and all(map(is_name, rows[k]))]
+    is_name = lambda cell: cells.kind(cell, dialect.decimal) == cells.TEXT
+    headers = [k for k in between if len(rows[k]) == dialect.width and all(map(is_name, rows[k]))]
     return top if headers and len(headers) == len(between) else 0
 
 
-def _main_runs(rows: list[list[str]], index: np.ndarray, layout: Layout, lines: Sequence[str]) -> np.ndarray:
+def _main_runs(rows: list[list[str]], index: np.ndarray, dialect: Dialect, lines: Sequence[str]) -> np.ndarray:
     """Which rows belong with the longest run: a run that shares none of its tags (text cells) does not."""
-    tags = [k for k, kind in enumerate(layout.kinds) if kind == cells.TEXT]
+    tags = [k for k, kind in enumerate(dialect.kinds) if kind == cells.TEXT]
     keep = np.ones(index.size, dtype=bool)
     tags = [k for k in tags if index.size and not cells.are_clocks([rows[index[0]][k]])]
     if not tags or index.size < 2:

@@ -10,10 +10,11 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
+from hystfit.reading.dialect import Text
 from hystfit.reading.header import read_header, split_unit
-from hystfit.reading.layout import Text
 from hystfit.reading.number_block import Block, is_comment
 
+_BETWEEN = 3  # lines between the names and the numbers
 _WORDS = {
     "header": "repeated header",
     "cells": "row with another number of cells than {width}",
@@ -53,35 +54,49 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     Args:
         extra: positions of columns that may have no name of their own, such as the time of day beside a date.
     """
-    layout, first = text.layout, int(block.index[0])
+    dialect, first = text.dialect, int(block.index[0])
     low = max(0, first - 12)
     cut = {k - low: block.rows[k] for k in range(low, first)}
-    names, units, used = read_header(text.lines[low:first], layout.width, layout.delimiter, layout.decimal, cut)
-    empty = range(len(layout.kinds.rstrip(cells.MISSING)), layout.width)
+    names, units, used = read_header(text.lines[low:first], dialect.width, dialect.delimiter, dialect.decimal, cut)
+    empty = range(len(dialect.kinds.rstrip(cells.MISSING)), dialect.width)
     for nameless in (empty, extra, [*extra, *empty]):
         if used or not nameless:
             continue
-        fewer = layout.width - len(nameless)
-        names, units, used = read_header(text.lines[low:first], fewer, layout.delimiter, layout.decimal, cut)
+        fewer = dialect.width - len(nameless)
+        names, units, used = read_header(text.lines[low:first], fewer, dialect.delimiter, dialect.decimal, cut)
         for position in nameless:
             names.insert(position, "")
             units.insert(position, "")
-    if not used and first and text.lines[first - 1].strip():
+    if not used and (place := _apart(text, block)):
+        names, units, used = read_header(text.lines[low:place], dialect.width, dialect.delimiter, dialect.decimal, cut)
+    elif not used and first and text.lines[first - 1].strip():
         names, used = _uneven(text, block)
         units = [split_unit(name, names)[1] for name in names]
     return Header(names, units, used)
 
 
+def _apart(text: Text, block: Block) -> int:
+    """Line after the names where one or two lines that are no cells stand between them and the numbers ("@@Data"); 0 without them."""
+    dialect, first = text.dialect, int(block.index[0])
+    for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
+        row = [cells.clean(cell) for cell in block.rows[place - 1]]
+        if dialect.delimiter is not None and len(row) == dialect.width > 2:
+            return place if all(cells.kind(cell, dialect.decimal) == cells.TEXT for cell in row) else 0
+        if len(row) > 1:
+            return 0
+    return 0
+
+
 def _uneven(text: Text, block: Block) -> tuple[list[str], int]:
     """Names from a header with one name fewer (row numbers have none) or up to two more than there are columns."""
-    layout, first = text.layout, int(block.index[0])
-    width, row = layout.width, [cells.clean(cell) for cell in block.rows[first - 1]]
-    if any(cells.kind(cell, layout.decimal) != cells.TEXT or "=" in cell for cell in row):
+    dialect, first = text.dialect, int(block.index[0])
+    width, row = dialect.width, [cells.clean(cell) for cell in block.rows[first - 1]]
+    if any(cells.kind(cell, dialect.decimal) != cells.TEXT or "=" in cell for cell in row):
         return [""] * width, 0
     numbered = [block.rows[k][0].strip(' "') for k in range(first, min(first + 2, len(block.rows))) if block.rows[k]]
     if len(row) == width - 1 and numbered in (["0", "1"], ["1", "2"]):
         return ["", *row], 1
-    if layout.delimiter is not None and width < len(row) <= width + 2:
+    if dialect.delimiter is not None and width < len(row) <= width + 2:
         return row[:width], 1
     return [""] * width, 0
 
@@ -97,15 +112,15 @@ def left_out(text: Text, block: Block, header: Header) -> LeftOut:
     if above > 0:
         count["metadata"] = above
         notes.append(Note(Code.FILE_FORMAT, f"metadata above the numbers: {above} line" + "s" * (above > 1)))
-    good, layout = block.index.size, text.layout
+    good, dialect = block.index.size, text.dialect
     if len(odd) > 2 and len(odd) > 0.25 * good:
         raise DataError(
-            f"{text.source}, line {odd[0] + 1}: {len(odd)} rows do not have the {layout.width} cells that {good} "
-            f"rows have ({layout.words()}); set the delimiter or the decimal mark, or keep one table in the file"
+            f"{text.source}, line {odd[0] + 1}: {len(odd)} rows do not have the {dialect.width} cells that {good} "
+            f"rows have ({dialect.words()}); set the delimiter or the decimal mark, or keep one table in the file"
         )
     for key, numbers in groups.items():
         if numbers:
-            words = _WORDS[key].format(width=layout.width)
+            words = _WORDS[key].format(width=dialect.width)
             count[words] = len(numbers)
             first = f"line {numbers[0] + 1}: {text.lines[numbers[0]].strip()[:40]!r}"
             notes.append(Note(Code.LEFT_OUT, f"left out: {len(numbers)} x {words}, first in {first}"))
@@ -114,14 +129,14 @@ def left_out(text: Text, block: Block, header: Header) -> LeftOut:
 
 def _mostly_numbers(row: Sequence[str], text: Text) -> tuple[bool, list[str]]:
     """Whether more than half of the cells are numbers, and the kind of each."""
-    kinds = [cells.kind(cell, text.layout.decimal) for cell in row]
+    kinds = [cells.kind(cell, text.dialect.decimal) for cell in row]
     return kinds.count(cells.NUMBER) > len(kinds) / 2, kinds
 
 
 def _directly_above(text: Text, block: Block, header: Header) -> list[int]:
     """Rows of numbers of another width that end where the header, or the first row, begins: they are no metadata."""
     end = start = int(block.index[0]) - header.used
-    while start and len(row := block.rows[start - 1]) != text.layout.width and _mostly_numbers(row, text)[0]:
+    while start and len(row := block.rows[start - 1]) != text.dialect.width and _mostly_numbers(row, text)[0]:
         start -= 1
     return list(range(start, end))
 

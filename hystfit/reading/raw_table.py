@@ -3,10 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.stated import Stated
 from hystfit.outcome import Note
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """What a file says of one of its records.
+
+    Attributes:
+        name: of the record, "" where the file gives none.
+        metadata: properties of the sample, as written there.
+        stated: results that the instrument computed.
+    """
+
+    name: str = ""
+    metadata: dict[str, str] = dataclasses.field(default_factory=dict)
+    stated: tuple[Stated, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +47,10 @@ class Table:
         metadata: properties of the sample in the header (size, mass, ...), as written there.
         sectioned: the file has sections [Header] and [Data], in which rows without a measurement are ordinary.
         calibration: which rows are calibration points, shape (rows,), bool; None where that is unknown or there are none.
+        part: number of the record that a row belongs to, shape (rows,), where the layout of the file divides it into records; else None.
+        parts: what the file says of each of these records, by number; of a file that is not divided the only one, or ().
+        pair: positions of the input and the output, where the layout of the file determines them.
+        problems: why the numbers of a column are in doubt, by position; an error where the column is used.
     """
 
     names: tuple[str, ...]
@@ -49,6 +70,10 @@ class Table:
     metadata: dict[str, str] = dataclasses.field(default_factory=dict)
     sectioned: bool = False
     calibration: np.ndarray | None = None
+    part: np.ndarray | None = None
+    parts: tuple[Part, ...] = ()
+    pair: tuple[int, int] | None = None
+    problems: dict[int, str] = dataclasses.field(default_factory=dict)
 
     @property
     def rows(self) -> int:
@@ -71,7 +96,30 @@ class Table:
             section=self.section[rows],
             line=self.line[rows],
             calibration=None if self.calibration is None else self.calibration[rows],
+            part=None if self.part is None else self.part[rows],
         )
+
+    def select(self, positions: Sequence[int]) -> Table:
+        """The table with some of its columns, in this order."""
+        place = {old: new for new, old in enumerate(positions)}
+        of = lambda by_position: {place[k]: value for k, value in by_position.items() if k in place}
+        pair = (
+            self.pair if self.pair is None or not place.keys() >= {*self.pair} else tuple(place[k] for k in self.pair)
+        )
+        return dataclasses.replace(
+            self,
+            names=tuple(self.names[k] for k in positions),
+            units=tuple(self.units[k] for k in positions),
+            columns=tuple(self.columns[k] for k in positions),
+            labels=of(self.labels),
+            problems=of(self.problems),
+            stamps=frozenset(place[k] for k in self.stamps if k in place),
+            pair=pair,
+        )
+
+    def noted(self, *notes: Note) -> Table:
+        """The table with more notes."""
+        return dataclasses.replace(self, notes=(*self.notes, *notes))
 
     def describe(self) -> str:
         """The columns in one line, for error messages."""
@@ -109,3 +157,23 @@ def plain_table(
     zeros = np.zeros(rows, dtype=int)
     line = np.arange(1, rows + 1)
     return Table(tuple(names), tuple(units), tuple(columns), labels, zeros, zeros, line, source, sha256, notes=notes)
+
+
+def below_each_other(tables: Sequence[Table]) -> Table:
+    """Tables with columns of the same names as one, of which each is a record; the columns are in the order of the first."""
+    first, rows = tables[0], [table.rows for table in tables]
+    places = [[table.names.index(name) for name in first.names] for table in tables]
+    below = lambda of, k: np.concatenate([of(table)[place[k]] for table, place in zip(tables, places, strict=True)])
+    zeros = np.zeros(sum(rows), dtype=int)
+    return dataclasses.replace(
+        first,
+        columns=tuple(below(lambda table: table.columns, k) for k in range(len(first.names))),
+        labels={k: below(lambda table: table.labels, k) for k in first.labels},
+        curve=zeros,
+        section=zeros,
+        line=np.concatenate([table.line for table in tables]),
+        part=np.repeat(np.arange(len(tables)), rows),
+        metadata={},
+        left_out={},
+        unread=sum(table.unread for table in tables),
+    )

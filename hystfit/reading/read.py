@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,16 +12,13 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.reading.assemble import Column, assemble
-from hystfit.reading.file_bytes import inner_name
+from hystfit.reading.file_bytes import inner_name, load
 from hystfit.reading.frames import frame_table, is_frame
 from hystfit.reading.raw_table import Table
+from hystfit.reading.registry import table_of_file
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
-from hystfit.reading.text import read_table
+from hystfit.reading.text_file import Opening
 from hystfit.reading.treatment import Treatment
-
-TEXT_SUFFIXES = frozenset(
-    {"", ".csv", ".dat", ".txt", ".tsv", ".asc", ".prn", ".lvm", ".log", ".tab", ".frc", ".forc", ".data"}
-)
 
 
 def read(
@@ -45,14 +41,15 @@ def read(
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    adjusted: bool = False,
     name: str | None = None,
 ) -> Record | Dataset:
     """A record, or a data set where there are several curves or files, from files of any kind that hystfit reads.
 
     Args:
-        path: .csv .dat .txt .tsv and other text, .npz .npy .mat .xlsx .h5 .hdf5 .parquet, also packed as .gz .bz2 .xz; or several of
-            them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one record with its input in the first file and
-            its output in the second. Or a data frame (pandas, polars, a dictionary of columns).
+        path: text of any layout, JSON, NumPy, MATLAB, Excel, HDF5 or Parquet, recognized by the content whatever the name, also packed as
+            .gz .bz2 .xz; or several of them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one record with its
+            input in the first file and its output in the second. Or a data frame (pandas, polars, a dictionary of columns).
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
             `time=False` reads without time.
         sigma: column with the standard deviation of the output of each sample, from which the weights follow.
@@ -68,18 +65,19 @@ def read(
         smooth: smooth the input by a zero-phase filter of so many samples (odd).
         sheet: sheet of a workbook, by name or number from 0.
         delimiter, decimal, encoding: of a text file; detected where None.
+        adjusted: take the columns that the instrument adjusted (for a slope, an offset) in place of the raw ones.
         name: name of the record or data set; the file's name by default.
 
     Raises:
         DataError: the file cannot be read as requested; the message names the remedy.
         MissingExtraError: a package for this kind of file is not installed.
     """
-    layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding}
+    layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding, "adjusted": adjusted}
     columns = {"time": time, "input": input, "output": output}
     options = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
     options["treatment"] = Treatment(rate, dt, units, integrate, smooth)
     if is_frame(path):
-        if file_options := [key for key, value in layout.items() if value is not None]:
+        if file_options := [key for key, value in layout.items() if value]:
             raise DataError(f"a data frame is not a file: leave out {file_options[0]}=")
         return assemble(frame_table(path), **columns, **options, name=name or "data")
     return _read_all(path, lambda file: table_of(file, **layout), columns, options, name, layout)
@@ -92,16 +90,10 @@ def table_of(
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    adjusted: bool = False,
 ) -> Table:
     """The columns of a file of any kind that hystfit reads; arguments and errors as for `read`."""
-    suffix = inner_name(path).suffix.lower()
-    if suffix in TEXT_SUFFIXES or re.fullmatch(r"\.\d+", suffix):
-        if sheet is not None:
-            raise DataError(f"{path} is text and has no sheets; leave out sheet=")
-        return read_table(path, delimiter=delimiter, decimal=decimal, encoding=encoding)
-    from hystfit.reading.formats import read_binary
-
-    return read_binary(path, sheet=sheet)
+    return table_of_file(load(path), Opening(sheet, delimiter, decimal, encoding, adjusted))
 
 
 def read_csv(
@@ -123,25 +115,26 @@ def read_csv(
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    adjusted: bool = False,
     name: str | None = None,
 ) -> Record | Dataset:
-    """Like `read`, for text files whatever their suffix.
+    """Like `read`, for text files only: other files are refused.
 
     Args:
         path: as for `read`.
         time, input, output, sigma, rate, dt, units, integrate, smooth, by, only, where, gaps, name: see `read`.
         delimiter, decimal, encoding: of the text; detected where None.
+        adjusted: see `read`.
 
     Raises:
         DataError: the file cannot be read as requested; the message names the remedy.
     """
-    layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding}
+    layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding, "adjusted": adjusted}
     columns = {"time": time, "input": input, "output": output}
     rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
     treatment = Treatment(rate, dt, units, integrate, smooth)
-    return _read_all(
-        path, lambda file: read_table(file, **layout), columns, rows | {"treatment": treatment}, name, layout
-    )
+    open_one = lambda file: table_of_file(load(file), Opening(**layout), text_only=True)
+    return _read_all(path, open_one, columns, rows | {"treatment": treatment}, name, layout)
 
 
 def _read_all(

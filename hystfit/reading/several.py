@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion
+from hystfit.reading.charge_throughput import cycled
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.file_bytes import exists
 from hystfit.reading.raw_table import Table
@@ -62,8 +63,13 @@ def pair_of(path: str | Path) -> tuple[str, str] | None:
 
 def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them."""
+    halves = [record for _, data in parts for record in Dataset.of(data)]
+    cycle = cycled(halves)
+    if len(cycle) < len(halves):
+        return cycle[0]
     if len(parts) == 1:
-        return parts[0][1]
+        return parts[0][1] if cycle == halves else cycle[0]
+    parts = list(zip([path for path, _ in parts], cycle, strict=True)) if len(halves) == len(parts) else parts
     labeled = [(path, record) for path, data in parts for record in Dataset.of(data)]
     names = [record.name for _, record in labeled]
     stems = [Path(path).stem for path, _ in labeled]

@@ -17,7 +17,7 @@ _FEWEST_ROWS = 4
 
 
 def stacked(table: Table) -> Table | None:
-    """The loops of such a table one below the other, each a curve; None for other tables.
+    """Loops side by side, of an input and an output each (H1, B1, H2, B2), are a record each; None for other tables.
 
     The pairs of columns have the same two names, and no other column of numbers stands beside them: channels of one experiment, which
     share a time, are no loops of their own. The inputs and the outputs alternate (H1, B1, H2, B2), or the columns of a matrix of inputs

@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import gc
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -19,63 +18,58 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading import cells
-from hystfit.reading.encodings import decode
-from hystfit.reading.file_bytes import load
+from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
-from hystfit.reading.instruments import micromag_columns, waveform_units
-from hystfit.reading.layout import Layout, Text, apart, sniff, split
 from hystfit.reading.lines import check_lengths, lines_of
 from hystfit.reading.number_block import Block, careful_block, clean_block
-from hystfit.reading.other_lines import header_of, left_out
-from hystfit.reading.raw_table import Table
+from hystfit.reading.other_lines import Header, header_of, left_out
+from hystfit.reading.raw_table import Part, Table
+from hystfit.reading.stated_results import stated_in
+from hystfit.reading.text_file import TextFile
 
 _MOST_COLUMNS = 5000
 _FIRST = 30  # lines that may hold names
 
 
-def read_table(
-    path: str | Path, *, delimiter: str | None = None, decimal: str | None = None, encoding: str | None = None
-) -> Table:
-    """All columns of a text file.
+def plain_text(text: TextFile, header: Header | None = None) -> Table:
+    """Text of any layout: delimiter, decimal mark, header, units and encoding are recognized.
 
     Args:
-        delimiter, decimal, encoding: detected where None.
+        header: names and units of the columns, where the layout of the file has them elsewhere than above the numbers.
     """
-    file, source = load(path), str(path)
-    content, notes = decode(file.raw, source, encoding)
-    check_lengths(content, source)
+    check_lengths(text.content, text.source)
     with _without_collection():
-        text, block, more = _block_of(content, source, delimiter, decimal)
-        return table_of_block(text, block, file.sha256, [*file.notes, *notes, *more])
+        parsed, block, more = _block_of(text.content, text.source, text.opening.delimiter, text.opening.decimal)
+        return table_of_block(parsed, block, text.sha256, [*text.notes, *more], header)
 
 
 def _block_of(content: str, source: str, delimiter: str | None, decimal: str | None) -> tuple[Text, Block, list[Note]]:
-    """The lines with their layout, the block of numbers among them, and what was assumed of the layout."""
+    """The lines with their dialect, the block of numbers among them, and what was assumed of the dialect."""
     lines, touching, notes = _without_broken_names(lines_of(content)), 0, []
     try:
-        layout = sniff(lines, source, delimiter, decimal)
+        dialect = sniff(lines, source, delimiter, decimal)
     except DataError:
         lines, touching = apart(lines)
         if delimiter is not None or not touching:
             raise
-        layout = sniff(lines, source, delimiter, decimal)
-    if layout.width > _MOST_COLUMNS:
+        dialect = sniff(lines, source, delimiter, decimal)
+    if dialect.width > _MOST_COLUMNS:
         raise DataError(
-            f"{source}: {layout.width} columns, and {_MOST_COLUMNS} are the most; write one sample in a line"
+            f"{source}: {dialect.width} columns, and {_MOST_COLUMNS} are the most; write one sample in a line"
         )
-    text = Text(lines, layout, source, settled=decimal is not None)
+    text = Text(lines, dialect, source, settled=decimal is not None)
     block = clean_block(text, content)
     if block is None:
         lines = list(lines)
-        if layout.delimiter is None and not touching:
+        if dialect.delimiter is None and not touching:
             lines, touching = apart(lines)
-            layout = sniff(lines, source, delimiter, decimal) if touching else layout
+            dialect = sniff(lines, source, delimiter, decimal) if touching else dialect
         if touching:
             words = f"columns that touch are separated before the minus sign: {touching} lines"
             notes.append(Note(Code.FILE_FORMAT, words))
-        text = dataclasses.replace(text, lines=lines, layout=layout)
-        block = careful_block(text, [split(line, layout.delimiter) for line in lines])
-    return text, block, [*notes, Note(Code.FILE_FORMAT, layout.words())]
+        text = dataclasses.replace(text, lines=lines, dialect=dialect)
+        block = careful_block(text, [split(line, dialect.delimiter) for line in lines])
+    return text, block, [*notes, Note(Code.FILE_FORMAT, dialect.words())]
 
 
 @contextlib.contextmanager
@@ -106,28 +100,32 @@ def _without_broken_names(lines: Sequence[str]) -> Sequence[str]:
     return lines
 
 
-def table_of_block(text: Text, block: Block, sha256: str, notes: Sequence[Note]) -> Table:
-    """The table of a block of numbers and the lines around it."""
-    lines, layout, index = text.lines, text.layout, block.index
+def table_of_block(
+    text: Text, block: Block, sha256: str | None, notes: Sequence[Note], header: Header | None = None
+) -> Table:
+    """The table of a block of numbers and the lines around it.
+
+    Args:
+        header: as for `plain_text`; found above the numbers where it is None or has another number of columns.
+    """
+    lines, dialect, index = text.lines, text.dialect, block.index
     notes = [*notes, *block.notes]
-    if not text.settled:
-        notes += _check_thousands(text, block)
-    clocks = _clocks(block.cells, layout)
-    header = header_of(text, block, [k for extra in clocks.values() for k in extra])
+    problems, doubts = ({}, []) if text.settled else _check_thousands(text, block)
+    notes += doubts
+    clocks = _clocks(block.cells, dialect)
+    if header is None or len(header.names) != dialect.width:
+        header = header_of(text, block, [k for extra in clocks.values() for k in extra])
     names, units, named = header.names, header.units, header.used > 0
     above = lines[: int(index[0])]
     metadata = sample_properties(above, names)
-    if not named and (micromag := micromag_columns(above)) and len(names) == len(micromag):
-        (names, units), named = zip(*micromag, strict=True), True
-    if not any(units):
-        units = waveform_units(above, names)
+    stated = stated_in(above)
     others = left_out(text, block, header)
     notes += others.notes
     if metadata:
         listed = ", ".join(f"{key} {value}" for key, value in metadata.items())
         notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {listed}"))
     shown = [name or f"column {k}" for k, name in enumerate(names)]
-    numbers, labels, stamps, more = _columns(text, block, clocks, shown)
+    numbers, labels, stamps, more, unclear = _columns(text, block, clocks, shown)
     notes += more
     notes += _doubtful_first_row(text, block, numbers, labels, named=named)
     return Table(
@@ -147,27 +145,35 @@ def table_of_block(text: Text, block: Block, sha256: str, notes: Sequence[Note])
         unread=others.unread,
         metadata=metadata,
         sectioned=any(line.strip(" ,;\t").lower() == "[data]" for line in above),
+        parts=(Part(stated=stated),) if stated else (),
+        problems=problems | unclear,
     )
 
 
 def _columns(
     text: Text, block: Block, clocks: dict[int, tuple[int, ...]], names: Sequence[str]
-) -> tuple[list[np.ndarray], dict[int, np.ndarray], set[int], list[Note]]:
-    """Numbers of every column, text by position, positions of time stamps, and notes.
+) -> tuple[list[np.ndarray], dict[int, np.ndarray], set[int], list[Note], dict[int, str]]:
+    """Numbers of every column, text by position, positions of time stamps, notes, and stamps that cannot be read, by position.
 
     `clocks` has the positions of the time of day that belongs to the date in a column, by the position of the date.
     """
     stamps, labels, numbers = set(), {}, []
     notes: list[Note] = []
-    for position, kind in enumerate(text.layout.kinds):
+    problems: dict[int, str] = {}
+    for position, kind in enumerate(text.dialect.kinds):
         parsed = block.values[position]
         column = np.full(block.index.size, np.nan) if parsed is None else parsed
         date = next((k for k, extra in clocks.items() if position in extra), None)
         if kind == cells.STAMP and date is None:
             parts = [block.cells[k] for k in (position, *clocks.get(position, ()))]
             stamped = [" ".join(part) for part in zip(*parts, strict=True)] if len(parts) > 1 else parts[0]
-            column, assumed = cells.seconds(stamped, f"{text.source}, {names[position]!r}")
             stamps.add(position)
+            try:
+                column, assumed = cells.seconds(stamped, f"{text.source}, {names[position]!r}")
+            except DataError as error:
+                problems[position] = str(error)
+                numbers.append(column)
+                continue
             words = f"{names[position]!r}: time stamps converted to seconds from the first one"
             beside = "; the time of day is in the next column" if len(parts) > 1 else ""
             notes += [Note(Code.FILE_FORMAT, words + beside), *assumed]
@@ -187,7 +193,7 @@ def _columns(
     if empty:
         numbered = ", ".join(map(str, empty))
         notes.append(Note(Code.LEFT_OUT, f"empty columns are not used: {numbered} (numbered from 0)"))
-    return numbers, labels, stamps, notes
+    return numbers, labels, stamps, notes, problems
 
 
 def _doubtful_first_row(
@@ -205,53 +211,58 @@ def _doubtful_first_row(
     if len(numbers) > 2 and (first == list(range(len(first))) or first == list(range(1, len(first) + 1))):
         words = "the first row is 0, 1, ... and was read as data; delete it if it numbers the columns"
         return [warn(Code.FILE_FORMAT, words)]
-    top, *below = [split(text.lines[k], text.layout.delimiter) for k in block.index[:50]]
-    decimals = lambda row: sum(text.layout.decimal in cell for cell in row)
+    top, *below = [split(text.lines[k], text.dialect.delimiter) for k in block.index[:50]]
+    decimals = lambda row: sum(text.dialect.decimal in cell for cell in row)
     if decimals(top) == 0 and all(decimals(row) >= len(numbers) - 1 and decimals(row) > 0 for row in below):
         words = "the first row holds whole numbers and the others decimals; it was read as data: delete it if it is a header"
         return [warn(Code.FILE_FORMAT, words)]
     return []
 
 
-def _clocks(columns: Sequence[Sequence[str]], layout: Layout) -> dict[int, tuple[int, ...]]:
+def _clocks(columns: Sequence[Sequence[str]], dialect: Dialect) -> dict[int, tuple[int, ...]]:
     """Columns that hold the time of day, and AM or PM, of the date in the column before, by the position of the date."""
     found: dict[int, tuple[int, ...]] = {}
-    for k, kind in enumerate(layout.kinds):
-        if kind != cells.STAMP or k + 1 >= layout.width or layout.kinds[k + 1] not in (cells.STAMP, cells.TEXT):
+    for k, kind in enumerate(dialect.kinds):
+        if kind != cells.STAMP or k + 1 >= dialect.width or dialect.kinds[k + 1] not in (cells.STAMP, cells.TEXT):
             continue
         if not cells.are_dates(columns[k]) or not cells.are_clocks(columns[k + 1]):
             continue
-        halves = k + 2 < layout.width and {cells.clean(cell).upper() for cell in columns[k + 2]} <= {"AM", "PM"}
+        halves = k + 2 < dialect.width and {cells.clean(cell).upper() for cell in columns[k + 2]} <= {"AM", "PM"}
         found[k] = (k + 1, k + 2) if halves else (k + 1,)
     return found
 
 
-def _check_thousands(text: Text, block: Block) -> list[Note]:
-    """Notes on marks that could separate thousands; none for clean rows, where the decimal mark showed itself."""
-    layout, columns = text.layout, block.cells
-    numbers = [k for k, kind in enumerate(layout.kinds) if kind == cells.NUMBER] if columns else []
-    evidence = {k: cells.thousands(columns[k], layout.decimal) for k in numbers}
+def _check_thousands(text: Text, block: Block) -> tuple[dict[int, str], list[Note]]:
+    """Columns whose marks could separate thousands, by position, and notes; none for clean rows, whose decimal mark showed itself."""
+    dialect, columns = text.dialect, block.cells
+    numbers = [k for k, kind in enumerate(dialect.kinds) if kind == cells.NUMBER] if columns else []
+    evidence = {k: cells.thousands(columns[k], dialect.decimal) for k in numbers}
     proven = any(marks[2] for marks in evidence.values())
     certain = any(marks[3] for marks in evidence.values())
-    doubt = next((k for k, marks in evidence.items() if marks[0] or (marks[1] and not certain)), None)
-    other = "," if layout.decimal == "." else "."
-    if doubt is None:
-        return _doubtful_dots([columns[k] for k in numbers], layout)
-    mark = other if evidence[doubt][0] else layout.decimal
-    row = next(k for k, cell in enumerate(columns[doubt]) if mark in cell)
-    cell = columns[doubt][row].strip()
-    if proven:
-        words = f"the {other!r} separates thousands, as in {cell!r}; if it is the decimal mark give decimal={other!r}"
-        return [Note(Code.FILE_FORMAT, f"{words} (--decimal {other})")]
-    raise DataError(
-        f"{text.source}, line {block.index[row] + 1}: ambiguous: in {cell!r} the {mark!r} could be "
-        "the decimal mark or separate thousands; give decimal='.' or decimal=',' (--decimal, decimal=)"
-    )
+    doubtful = [k for k, marks in evidence.items() if marks[0] or (marks[1] and not certain)]
+    other = "," if dialect.decimal == "." else "."
+    if not doubtful:
+        return {}, _doubtful_dots([columns[k] for k in numbers], dialect)
+    problems = {}
+    for k in doubtful:
+        mark = other if evidence[k][0] else dialect.decimal
+        row = next(row for row, cell in enumerate(columns[k]) if mark in cell)
+        cell = columns[k][row].strip()
+        if proven:
+            words = (
+                f"the {other!r} separates thousands, as in {cell!r}; if it is the decimal mark give decimal={other!r}"
+            )
+            return {}, [Note(Code.FILE_FORMAT, f"{words} (--decimal {other})")]
+        problems[k] = (
+            f"{text.source}, line {block.index[row] + 1}: ambiguous: in {cell!r} the {mark!r} could be "
+            "the decimal mark or separate thousands; give decimal='.' or decimal=',' (--decimal, decimal=)"
+        )
+    return problems, []
 
 
-def _doubtful_dots(columns: Sequence[Sequence[str]], layout: Layout) -> list[Note]:
+def _doubtful_dots(columns: Sequence[Sequence[str]], dialect: Dialect) -> list[Note]:
     """A warning where every decimal point could separate thousands, as in 12.345 between semicolons."""
-    if layout.decimal != "." or not cells.dots_are_doubtful(layout.delimiter):
+    if dialect.decimal != "." or not cells.dots_are_doubtful(dialect.delimiter):
         return []
     dotted = ""
     for cell in (cell for column in columns for cell in column if "." in cell):

@@ -1,63 +1,187 @@
-"""Tables of a loop in which each row has one input and two outputs: on the rising and on the falling branch."""
+"""Loops whose two branches stand side by side: two outputs over one input, or an input and an output of each branch."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.outcome import Code, Note
+from hystfit.reading.branch_words import FALLING, RISING
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
-_RISING = "up rising rise ascending asc increasing inc loading load forward fwd heating upward upscale charging"
-_FALLING = "down falling fall descending desc decreasing dec unloading unload backward bwd cooling downward downscale discharging reverse"
-_ROWS = 4
+_FEWEST = 4  # rows of a branch
+_NEAR = 0.1  # of the ranges, within which the branches of a loop meet at both ends
+_OPEN = 0.02  # of the range of the outputs, by which numbered branches have to differ somewhere
+_NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
+_NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
+_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zµ]+|\d+")
 
 
-def unfolded(table: Table) -> tuple[Table, int, int] | None:
-    """The loop of such a table (the rising branch, then the falling one in the opposite order), its input and output; None for others."""
-    branches = _branches(table)
-    if branches is None or table.rows < _ROWS:
+@dataclasses.dataclass(frozen=True)
+class _Pair:
+    """Two columns that differ in the word of a branch: the rest of their name, and their positions, rising or first one first."""
+
+    base: str
+    columns: tuple[int, int]
+    word: str
+    directed: bool = True
+
+
+def unfolded(table: Table) -> Table | None:
+    """Branches side by side (forward and reverse, up and down, 1 and 2) are joined to one loop; None for other tables.
+
+    The branches are named by directions (up, down; forward, reverse; loading, unloading) or numbers (1, 2), in any order and beside other
+    columns. Branches that are only numbered have to meet at both ends, as two loops or two sensors do not.
+    """
+    if not table.named:
         return None
-    drive, rising, falling = branches
-    order = np.argsort(table.columns[drive], kind="stable")
-    both = table.take(np.concatenate([order, order[::-1]]))
-    columns = [*both.columns]
-    columns[rising] = np.concatenate([table.columns[rising][order], table.columns[falling][order[::-1]]])
-    columns[falling] = np.full(both.rows, np.nan)
-    names = ", ".join(repr(table.names[k]) for k in (rising, falling))
-    text = f"the rising and the falling branch are in two columns, {names}: they are joined to one loop over {table.names[drive]!r}"
-    return (
-        dataclasses.replace(both, columns=tuple(columns), notes=(*table.notes, Note(Code.CURVES, text))),
-        drive,
-        rising,
+    pairs = _pairs(table)
+    if len(pairs) == 2 and not set(pairs[0].columns) & set(pairs[1].columns):
+        return _of_own_inputs(table, pairs)
+    if len(pairs) == 1:
+        return _of_one_input(table, pairs[0])
+    return None
+
+
+def _pairs(table: Table) -> list[_Pair]:
+    """Pairs of columns of numbers whose names differ only in the word of a branch."""
+    split = {
+        k: _branch(table.names[k]) for k in range(len(table.names)) if k not in table.labels and k not in table.stamps
+    }
+    found = []
+    for (i, (base, word)), (j, (other, word2)) in itertools.combinations(split.items(), 2):
+        if not (word and word2) or base != other or table.units[i] != table.units[j]:
+            continue
+        if word in RISING and word2 in FALLING:
+            found.append(_Pair(base, (i, j), word))
+        elif word in FALLING and word2 in RISING:
+            found.append(_Pair(base, (j, i), word2))
+        elif (word, word2) in _NUMBERED:
+            found.append(_Pair(base, (i, j), word, directed=False))
+    return found
+
+
+def _branch(name: str) -> tuple[str, str]:
+    """A name without its unit and the word of a branch, in lower case, and that word; "" without one."""
+    tokens = [token.lower() for token in _TOKEN.findall(split_unit(name)[0])]
+    numbers = {word for pair in _NUMBERED for word in pair}
+    place = next((k for k, token in enumerate(tokens) if token in RISING | FALLING), None)
+    if place is None and len(tokens) > 1 and tokens[-1] in numbers:
+        place = len(tokens) - 1
+    if place is None:
+        return " ".join(tokens), ""
+    return " ".join(tokens[:place] + tokens[place + 1 :]), tokens[place]
+
+
+def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
+    """The loop of branches with an input and an output each, the columns in the order of the file."""
+    pairs = sorted(pairs, key=lambda pair: min(pair.columns))
+    rows = [
+        np.flatnonzero(np.isfinite(table.columns[i]) & np.isfinite(table.columns[o]))
+        for i, o in zip(pairs[0].columns, pairs[1].columns, strict=True)
+    ]
+    if min(map(len, rows)) < _FEWEST:
+        return None
+    values = lambda branch, kept: np.column_stack([table.columns[pair.columns[branch]][kept] for pair in pairs])
+    first, second = (values(branch, kept) for branch, kept in enumerate(rows))
+    if pairs[0].word not in _NEUTRAL and pairs[0].directed and first[0, 0] > first[-1, 0]:
+        first, rows[0] = first[::-1], rows[0][::-1]
+    apart = [_apart(first, second, order) for order in (1, -1)]
+    if not pairs[0].directed and min(apart) > _NEAR:
+        return None
+    order = 1 if apart[0] <= apart[1] else -1
+    loop = np.concatenate([first, second[::order]])
+    return _table(
+        table, [pair.columns[0] for pair in pairs], [pair.word for pair in pairs], loop, [rows[0], rows[1][::order]]
     )
 
 
-def _branches(table: Table) -> tuple[int, int, int] | None:
-    """Positions of the input, the rising and the falling output, in a table with no other column of numbers but the number of the row."""
-    if not table.named or table.stamps:
-        return None
-    of = lambda words: [k for k, name in enumerate(table.names) if set(words.split()) & _words(name)]
-    rising, falling = of(_RISING), of(_FALLING)
-    if len(rising) != 1 or len(falling) != 1 or rising == falling:
-        return None
-    rest = lambda name: _words(name) - set(f"{_RISING} {_FALLING}".split())
-    others = [
-        k
-        for k in range(len(table.names))
-        if k not in (*rising, *falling, *table.labels)
-        and not table.constant(k)
-        and column_quantity(table.names[k], table.units[k]) not in ("index", "time")
-    ]
-    if rest(table.names[rising[0]]) != rest(table.names[falling[0]]) or len(others) != 1:
-        return None
-    steps = np.diff(table.columns[others[0]])
-    runs_once = bool((steps > 0).all() or (steps < 0).all())
-    return (others[0], rising[0], falling[0]) if runs_once else None
+def _apart(first: np.ndarray, second: np.ndarray, order: int) -> float:
+    """Largest distance of the ends of two branches, run one after the other, over the ranges; columns are input and output."""
+    second = second[::order]
+    ends = np.abs(np.stack([second[0] - first[-1], second[-1] - first[0]]))
+    return float((ends / np.maximum(np.ptp(np.concatenate([first, second]), axis=0), np.finfo(float).tiny)).max())
 
 
-def _words(name: str) -> set[str]:
-    return set(re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()))
+def _of_one_input(table: Table, pair: _Pair) -> Table | None:
+    """The loop of two outputs over one input, which runs once from end to end."""
+    drives = [k for k in range(len(table.names)) if k not in pair.columns and _runs_once(table, k)]
+    if not drives:
+        return None
+    heated = lambda k: (
+        column_quantity(table.names[k], table.units[k]) == "temperature"
+    )  # drifts beside a field or a force
+    drive = min(drives, key=lambda k: (heated(k), k))
+    u, outputs = table.columns[drive], [table.columns[k] for k in pair.columns]
+    if not pair.directed:
+        outputs = _numbered_branches(u, *outputs)
+        if outputs is None:
+            return None
+    order = np.argsort(u, kind="stable")
+    rows = [order[np.isfinite(u + outputs[0])[order]], order[::-1][np.isfinite(u + outputs[1])[order[::-1]]]]
+    if min(map(len, rows)) < _FEWEST:
+        return None
+    loop = np.column_stack(
+        [np.concatenate([u[rows[0]], u[rows[1]]]), np.concatenate([y[k] for y, k in zip(outputs, rows, strict=True)])]
+    )
+    joined = _table(table, [drive, pair.columns[0]], ["", pair.word], loop, rows)
+    return dataclasses.replace(joined, pair=(0, 1))
+
+
+def _numbered_branches(u: np.ndarray, one: np.ndarray, other: np.ndarray) -> list[np.ndarray] | None:
+    """The rising branch, which lies lower, and the falling one; None where the outputs do not meet at both ends, or are the same."""
+    both = np.flatnonzero(np.isfinite(u + one + other))
+    if both.size < _FEWEST:
+        return None
+    size, gap = np.ptp(np.concatenate([one[both], other[both]])), (one - other)[both]
+    if max(abs(gap[0]), abs(gap[-1])) > _NEAR * size or np.abs(gap).max() < _OPEN * size:
+        return None
+    return [one, other] if gap.mean() < 0 else [other, one]
+
+
+def _runs_once(table: Table, position: int) -> bool:
+    """Whether a column may be the input of two branches: it runs from one end to the other once, and is neither time nor number."""
+    if position in table.labels or position in table.stamps:
+        return False
+    if column_quantity(table.names[position], table.units[position]) in ("index", "time"):
+        return False
+    steps = np.diff(table.columns[position][np.isfinite(table.columns[position])])
+    return steps.size >= _FEWEST - 1 and bool((steps > 0).all() or (steps < 0).all())
+
+
+def _table(
+    table: Table, positions: Sequence[int], words: Sequence[str], loop: np.ndarray, rows: Sequence[np.ndarray]
+) -> Table:
+    """The loop as a table of two columns, named as those of the first branch without its word.
+
+    Args:
+        loop: input and output, shape (samples, 2).
+        rows: those of the two branches.
+    """
+    names = [_without(table.names[k], word) for k, word in zip(positions, words, strict=True)]
+    text = (
+        f"the two branches of a loop stand side by side: they are joined to one loop of {names[0]!r} and {names[1]!r}"
+    )
+    zeros = np.zeros(len(loop), dtype=int)
+    return dataclasses.replace(
+        table.select(positions).take(np.concatenate(rows)),
+        names=tuple(names),
+        columns=tuple(loop.T),
+        curve=zeros,
+        section=zeros,
+    ).noted(Note(Code.CURVES, text))
+
+
+def _without(name: str, word: str) -> str:
+    """A name without the word of a branch, where it has one."""
+    return (
+        name
+        if not word
+        else re.sub(rf"[ _.-]?(?<![a-z]){word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-") or name
+    )

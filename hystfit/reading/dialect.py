@@ -1,4 +1,4 @@
-"""Layout of the rows of numbers in a text: delimiter, decimal mark and kinds of the columns, from a sample of its lines."""
+"""Dialect of the rows of numbers in a text: delimiter, decimal mark and kinds of the columns, from a sample of its lines."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SAMPLE = 900
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
+class Dialect:
     """How the rows of numbers are written: delimiter (None is any white space), decimal mark, kinds of the columns."""
 
     delimiter: str | None
@@ -38,17 +38,17 @@ class Layout:
 
 @dataclasses.dataclass(frozen=True)
 class Text:
-    """A text whose layout is known.
+    """A text whose dialect is known.
 
     Attributes:
         lines: of the text.
-        layout: of the rows of numbers in it.
+        dialect: of the rows of numbers in it.
         source: path of the file, for messages.
         settled: the decimal mark is not a guess.
     """
 
     lines: Sequence[str]
-    layout: Layout
+    dialect: Dialect
     source: str
     settled: bool
 
@@ -76,7 +76,7 @@ def _quality(pattern: str) -> float:
     return numbers * (numbers / (numbers + text)) ** 2 if cells.NUMBER in pattern else 0.0
 
 
-def layout_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: str) -> Layout:
+def dialect_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: str) -> Dialect:
     """The most frequent pattern of cells among some rows; score 0 where no row holds a number."""
     counts = collections.Counter("".join([cells.kind(cell, decimal) for cell in row]) for row in rows if row)
     top = max(counts, key=lambda pattern: (counts[pattern] * _quality(pattern), pattern), default="")
@@ -95,10 +95,10 @@ def layout_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: str
         votes.pop(missing, None)
         kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
     total = sum(counts[pattern] for pattern in fits)
-    return Layout(delimiter, decimal, kinds, total * _quality(kinds), total)
+    return Dialect(delimiter, decimal, kinds, total * _quality(kinds), total)
 
 
-def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str | None) -> Layout:
+def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str | None) -> Dialect:
     """Delimiter, decimal mark and kinds of the columns.
 
     Args:
@@ -112,16 +112,16 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
         marks = [mark for mark in (",", ";", "\t", "|") if any(mark in line for line in filled)] + [None]
     if decimal not in (None, ".", ","):
         raise DataError(f"the decimal mark must be '.' or ',', got {decimal!r}")
-    best, text_of_best = Layout(None, ".", "", 0.0, 0), 0
+    best, text_of_best = Dialect(None, ".", "", 0.0, 0), 0
     for mark in marks:
         rows = [split(line, mark) for line in filled]
         for point in (".", ",") if decimal is None else (decimal,):
-            layout = layout_of(rows, mark, point)
-            text = _text_size(rows, layout)
-            tie = layout.score > best.score * (1 - 1e-9) and text < text_of_best  # words, not pieces of rows
-            if layout.score > best.score * (1 + 1e-9) or tie:
-                best, text_of_best = layout, text
-            if point == "." and mark is not None and _is_plain(layout, filled):
+            dialect = dialect_of(rows, mark, point)
+            text = _text_size(rows, dialect)
+            tie = dialect.score > best.score * (1 - 1e-9) and text < text_of_best  # words, not pieces of rows
+            if dialect.score > best.score * (1 + 1e-9) or tie:
+                best, text_of_best = dialect, text
+            if point == "." and mark is not None and _is_plain(dialect, filled):
                 break
         if mark is not None and _is_plain(best, filled) and best.delimiter == mark:
             break
@@ -137,17 +137,17 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
     return best
 
 
-def _text_size(rows: Sequence[Sequence[str]], layout: Layout) -> int:
+def _text_size(rows: Sequence[Sequence[str]], dialect: Dialect) -> int:
     """Number of characters in the columns of text."""
-    positions = [k for k, kind in enumerate(layout.kinds) if kind == cells.TEXT]
-    return sum(len(row[k].strip()) for row in rows if len(row) == layout.width for k in positions) if positions else 0
+    positions = [k for k, kind in enumerate(dialect.kinds) if kind == cells.TEXT]
+    return sum(len(row[k].strip()) for row in rows if len(row) == dialect.width for k in positions) if positions else 0
 
 
-def _is_plain(layout: Layout, filled: Sequence[str]) -> bool:
+def _is_plain(dialect: Dialect, filled: Sequence[str]) -> bool:
     """Whether nearly all lines are plain numbers between one mark, so that no other mark can find more of them."""
-    if layout.delimiter is None or set(layout.kinds) != {cells.NUMBER} or layout.rows < len(filled) - 3:
+    if dialect.delimiter is None or set(dialect.kinds) != {cells.NUMBER} or dialect.rows < len(filled) - 3:
         return False
-    others = {",", ";", "\t", "|", " "} - {layout.delimiter}
+    others = {",", ";", "\t", "|", " "} - {dialect.delimiter}
     return not any(mark in line for line in filled[3:] for mark in others)
 
 
@@ -165,18 +165,18 @@ def _sample(lines: Sequence[str]) -> list[str]:
     return filled
 
 
-def _check_comma(filled: Sequence[str], layout: Layout, source: str) -> None:
+def _check_comma(filled: Sequence[str], dialect: Dialect, source: str) -> None:
     """Refuse rows such as 0,10,1,20 under the two names "t,y": each comma could be a delimiter or a decimal mark."""
-    if layout.width % 2:
+    if dialect.width % 2:
         return
     rows = [split(line, ",") for line in filled]
-    rows = [row for row in rows if len(row) == layout.width and all(cells.kind(c, ".") == cells.NUMBER for c in row)]
+    rows = [row for row in rows if len(row) == dialect.width and all(cells.kind(c, ".") == cells.NUMBER for c in row)]
     if not rows or any(re.search(r"[.eE]", cell) for row in rows for cell in row):
         return
     tails = [cell.strip() for row in rows for cell in row[1::2]]
     digits = all(tail.isdigit() for tail in tails)
     zeros = any(len(tail) > 1 and tail[0] == "0" for tail in tails)
-    half = layout.width // 2
+    half = dialect.width // 2
     spaced = half > 1 and all(len(re.split(r",\s+", line.strip())) == half for line in filled if line[:1].isdigit())
     named = half > 1 and any(
         len(re.split(r"[,;\t]", line.strip())) == half and not re.search(r"\d", line) for line in filled[:8]

@@ -1,0 +1,95 @@
+"""Named arrays, as numpy, MATLAB, HDF5, Parquet and JSON files hold them, as the columns of a table."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from hystfit.errors import DataError, MissingExtraError
+from hystfit.outcome import Code, Note
+from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.header import split_unit
+from hystfit.reading.raw_table import Table, plain_table
+from hystfit.reading.text_file import Opening
+
+_MOST_COLUMNS = 5000
+
+
+def read_arrays(arrays_of: Callable[[bytes], Mapping[str, np.ndarray]], file: FileBytes, opening: Opening) -> Table:
+    """The columns of a file that holds named arrays.
+
+    Args:
+        arrays_of: the arrays in the bytes of a file.
+    """
+    if opening.sheet is not None:
+        raise DataError(f"{file.source} has no sheets; leave out sheet=")
+    try:
+        arrays = arrays_of(file.raw)
+    except MissingExtraError:
+        raise
+    except DataError as error:
+        raise DataError(f"{file.source}: {error}") from error
+    except Exception as error:  # each library raises its own kinds on damaged files
+        kind = file.suffix or "a file of arrays"
+        raise DataError(f"{file.source} cannot be read as {kind}: {error}; it is damaged or of another kind") from error
+    return table_of_arrays(arrays, file.source, file.sha256, file.notes)
+
+
+def table_of_arrays(
+    arrays: Mapping[str, np.ndarray], source: str, sha256: str | None, notes: Sequence[Note] = ()
+) -> Table:
+    """Columns of equal length; a matrix gives one column for each of its shorter side, called name[0], name[1], ..."""
+    columns: dict[str, np.ndarray] = {}
+    odd, stamps = [], set()
+    for name, array in arrays.items():
+        array = np.squeeze(array)
+        if array.dtype.kind in "mM" and array.ndim == 1 and array.size > 1:
+            array = _seconds(array)
+            stamps.add(name or "column 0")
+        if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
+            odd.append(name)
+        elif array.ndim == 1:
+            columns[name or "column 0"] = array
+        else:
+            tall = array if array.shape[0] >= array.shape[1] else array.T
+            columns.update({f"{name}[{k}]" if name else f"column {k}": tall[:, k] for k in range(tall.shape[1])})
+    if not columns:
+        raise DataError(
+            f"{source} holds no columns of numbers (found {', '.join(map(repr, odd)) or 'nothing'}); save arrays in it"
+        )
+    sizes: dict[int, int] = {}
+    for array in columns.values():
+        sizes[array.size] = sizes.get(array.size, 0) + (array.dtype.kind in "fiub")
+    pairs = [size for size, count in sizes.items() if count > 1]
+    rows = max(pairs or sizes, key=lambda size: size)
+    names = [name for name, array in columns.items() if array.size == rows]
+    if len(names) > _MOST_COLUMNS:
+        raise DataError(
+            f"{source}: {len(names)} columns of {rows} rows; {_MOST_COLUMNS} columns are the most: save fewer"
+        )
+    notes = [*notes, Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
+    clocks = [name for name in names if name in stamps]
+    notes += [Note(Code.FILE_FORMAT, f"{name!r}: dates converted to seconds from the first one") for name in clocks]
+    if rest := [name for name in columns if name not in names]:
+        shown = ", ".join(rest[:8])
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} columns of another length than {rows}: {shown}"))
+    if odd:
+        shown = ", ".join(odd[:8])
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(odd)} variables that are not columns: {shown}"))
+    units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
+    table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
+    positions = frozenset(k for k, name in enumerate(names) if name in stamps)
+    return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+
+
+def _seconds(stamps: np.ndarray) -> np.ndarray:
+    """Dates or durations of numpy as seconds from the first one that is there, shape (rows,), NaN where missing."""
+    there = stamps[~np.isnat(stamps)]
+    passed = stamps - (there[0] if there.size else stamps[0])
+    unit = np.timedelta64(1, np.datetime_data(passed.dtype)[0])
+    if np.datetime_data(passed.dtype)[0] in ("Y", "M", "generic"):
+        return np.full(stamps.size, np.nan)
+    factor = np.datetime_data(passed.dtype)[1] * (unit / np.timedelta64(1, "s"))
+    return np.where(np.isnat(passed), np.nan, passed.astype(np.int64) * factor)

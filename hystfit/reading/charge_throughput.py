@@ -1,0 +1,159 @@
+"""Battery cyclers: the charge that passed, with its sign, as the input that drives the voltage of a cell.
+
+Cyclers (Arbin, Neware, Maccor, BioLogic and others) write capacities that only grow: one of charge and one of discharge, or one for each
+step beside the current. Their difference, or the integral with the sign of the current, goes back and forth as the cell is cycled.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.outcome import Code, Note, Severity
+from hystfit.reading.column_names import column_quantity
+from hystfit.reading.header import split_unit
+from hystfit.reading.raw_table import Table
+
+NAME = "Charge throughput"
+_CAPACITY = r"(?:cap(?:acity)?|q|ah|amp hr)"
+_OF_CHARGE = re.compile(rf"(?:ch(?:ar)?ge?|chg|cha)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:charge|chg|cha)")
+_OF_DISCHARGE = re.compile(
+    rf"(?:dis ?ch(?:ar)?ge?|d ?chg|dis)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:discharge|dis ?chg|dchg|dis)"
+)
+_OF_STEP = re.compile(_CAPACITY)
+_UNITS = frozenset({"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr"})
+_AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name that is the unit
+_OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b")
+_DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
+_CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
+_BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
+
+
+def with_throughput(table: Table) -> Table | None:
+    """Battery cyclers: the charge that passed, with its sign, is one more column and the input of the voltage; None for other tables."""
+    if not table.named or table.part is not None or NAME in table.names:
+        return None
+    names = [re.sub(r"[\s_./-]+", " ", split_unit(name)[0]).strip(" .").lower() for name in table.names]
+    capacities = {k: name for k, name in enumerate(names) if _is_capacity(table, k)}
+    voltage = next(
+        (
+            k
+            for k, name in enumerate(names)
+            if _OF_VOLTAGE.match(name) and _is_number(table, k) and table.units[k] in ("V", "mV", "")
+        ),
+        None,
+    )
+    if voltage is None or not capacities:
+        return None
+    of = lambda pattern: next((k for k, name in capacities.items() if pattern.fullmatch(name)), None)
+    charge, discharge = of(_OF_CHARGE), of(_OF_DISCHARGE)
+    if charge is not None and discharge is not None:
+        passed, source = _grown(table.columns[charge]) - _grown(table.columns[discharge]), charge
+        how = f"{table.names[charge]!r} less {table.names[discharge]!r}"
+    else:
+        source = of(_OF_STEP)
+        signs = None if source is None else _signs(table)
+        if source is None or signs is None:
+            return None
+        steps = np.diff(_grown(table.columns[source]), prepend=0.0)
+        passed, how = np.cumsum(signs * steps), f"{table.names[source]!r} with the sign of the current"
+    if not np.ptp(passed[np.isfinite(passed)]) > 0:
+        return None
+    return dataclasses.replace(
+        table,
+        names=(*table.names, NAME),
+        units=(*table.units, table.units[source] or "Ah"),
+        columns=(*table.columns, passed),
+        pair=(len(table.names), voltage),
+    ).noted(Note(Code.PREPARED, f"the input is the charge that passed: {how}"))
+
+
+def _is_number(table: Table, position: int) -> bool:
+    return (
+        position not in table.labels
+        and position not in table.stamps
+        and bool(np.isfinite(table.columns[position]).any())
+    )
+
+
+def _is_capacity(table: Table, position: int) -> bool:
+    """Whether a column holds a charge that only grows, apart from where it starts again."""
+    unit = table.units[position].replace(" ", "").replace("·", ".")
+    named = not unit and _AMPERE_HOURS.fullmatch(table.names[position]) is not None
+    if not _is_number(table, position) or not (unit in _UNITS or named):
+        return False
+    steps = np.diff(table.columns[position])
+    return bool(np.mean(steps[np.isfinite(steps)] < 0) < _BACK)
+
+
+def _grown(capacity: np.ndarray) -> np.ndarray:
+    """A capacity that goes on where it starts again from zero, at the next cycle or step."""
+    steps = np.diff(np.nan_to_num(capacity), prepend=np.nan_to_num(capacity[:1]))
+    return np.cumsum(np.where(steps < 0, np.nan_to_num(capacity), steps))
+
+
+def _signs(table: Table) -> np.ndarray | None:
+    """Whether each row charges (1), discharges (-1) or neither (0), by the current or a column of steps; None where neither tells."""
+    for position, name in enumerate(table.names):
+        if _is_number(table, position) and column_quantity(name, table.units[position]) == "current":
+            current = np.nan_to_num(table.columns[position])
+            if (current < 0).any():
+                return np.sign(current)
+    for labels in table.labels.values():
+        signs = {
+            label: -1 if _DISCHARGING.search(label) else int(bool(_CHARGING.search(label)))
+            for label in set(labels.tolist())
+        }
+        if min(signs.values()) < 0 or max(signs.values()) > 0:
+            return np.array([signs[label] for label in labels.tolist()])
+    return None
+
+
+def _one_way(passed: np.ndarray) -> str:
+    """ "charge" or "discharge" where the charge only grows or falls; "" where it does both."""
+    steps = np.diff(passed[np.isfinite(passed)])
+    up, down = float(steps[steps > 0].sum()), float(-steps[steps < 0].sum())
+    return "" if min(up, down) > _BACK * max(up, down) else "charge" if up > down else "discharge"
+
+
+def cycled(records: Sequence[Record]) -> list[Record]:
+    """The records; a charge and a discharge in files of their own are one loop, and a half-cycle that is left alone is said to be none."""
+    if not records or any(record.u_name != NAME for record in records):
+        return [*records]
+    ways = [_one_way(record.u) for record in records]
+    if set(ways) == {"charge", "discharge"}:
+        return [_joined(records)]
+    text = "half a cycle, which is no loop; name the file of the other half too (A.csv B.csv)"
+    noted = lambda record, way: record.noted(Code.CURVES, f"the cell is only {way}d: {text}", Severity.WARNING)
+    return [noted(record, way) if way else record for record, way in zip(records, ways, strict=True)]
+
+
+def _joined(records: Sequence[Record]) -> Record:
+    """The records one after the other, each from the charge and the time at which the one before ends."""
+    first = records[0]
+    u, y, t, weight = [], [], [], []
+    passed = clock = 0.0
+    for record in (one.in_units(first.u_unit, first.y_unit) for one in records):
+        u.append(record.u - record.u[0] + passed)
+        y.append(record.y)
+        weight.append(record.weight)
+        passed = u[-1][-1]
+        if record.t is not None:
+            t.append(record.t - record.t[0] + clock)
+            clock = t[-1][-1] + float(np.median(np.diff(record.t)))
+    join = lambda parts: np.concatenate(parts) if len(parts) == len(records) else None
+    names = [record.name for record in records]
+    text = f"{' and '.join(names)} are the halves of one cycle: read as one record, each from where the one before ends"
+    return first.replace(
+        u=join(u),
+        y=join(y),
+        t=join(t),
+        weight=join(weight),
+        name="+".join(names),
+        sha256="+".join(str(one.sha256) for one in records),
+        source="+".join(one.source for one in records),
+    ).noted(Code.CURVES, text)

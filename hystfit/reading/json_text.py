@@ -1,0 +1,166 @@
+"""JSON: arrays of numbers by name, lists of records, lists of rows, tables of columns and data; also one record in a line."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+from hystfit.reading.array_table import table_of_arrays
+from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.stated_results import result_of
+from hystfit.reading.text_file import TextFile
+
+_FEWEST = 2  # numbers of an array that is a column
+_MOST_METADATA = 40
+_LONGEST = 200  # characters of a text that is kept
+_DEEPEST = 30
+_UNITS = re.compile(r"(?:^|\.)units?\.[^.]+$", re.IGNORECASE)
+
+
+def read_json(text: TextFile) -> Table | None:
+    """JSON: arrays by name (nested names joined by dots), records, rows, columns and data; scalars beside them are metadata."""
+    start = text.content.lstrip()[:1]
+    if not start or start not in "[{":
+        return None
+    try:
+        content = _parsed(text.content)
+    except (ValueError, RecursionError) as error:
+        if start == "[" and not isinstance(error, RecursionError):
+            return None  # text that begins with a section such as [Header]
+        raise DataError(f"{text.source} begins as JSON and is not: {error}; write it again") from error
+    parts = _parts(_columnar(content))
+    if not parts:
+        raise DataError(f"{text.source} holds no arrays of numbers; write each column as a list under its name")
+    tables = [_table(text, _with_units(arrays, scalars)) for arrays, _, scalars in parts]
+    table = tables[0] if len(tables) == 1 else below_each_other(tables)
+    described = [_part(name, scalars) for _, name, scalars in parts]
+    return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
+
+
+def _parsed(content: str) -> Any:
+    """The value of a JSON text; the list of the values of its lines where each is one."""
+    try:
+        return json.loads(content)
+    except ValueError:
+        lines = [line for line in content.splitlines() if line.strip()]
+        if len(lines) < 2:
+            raise
+        return [json.loads(line) for line in lines]
+
+
+def _columnar(value: Any, depth: int = 0) -> Any:
+    """The value with records and rows turned into named columns, at every level."""
+    if depth > _DEEPEST:
+        raise DataError(f"the JSON is nested more than {_DEEPEST} times; write each column as a list under its name")
+    if isinstance(value, Mapping):
+        if isinstance(value.get("columns"), list) and isinstance(value.get("data"), list):
+            return dict(zip(map(str, value["columns"]), map(list, zip(*value["data"], strict=False)), strict=False))
+        if len(value) >= _FEWEST and all(key.isdigit() for key in value):  # rows by their number, as pandas writes them
+            return _columnar(list(value.values()), depth + 1)
+        return {key: _columnar(item, depth + 1) for key, item in value.items()}
+    if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        if any(isinstance(item, list | Mapping) for row in value for item in row.values()):
+            return [_columnar(row, depth + 1) for row in value]
+        names = dict.fromkeys(name for row in value for name in row)
+        return {name: [row.get(name) for row in value] for name in names}
+    if isinstance(value, list) and value and all(isinstance(item, list) for item in value):
+        widths = {len(item) for item in value}
+        if len(widths) == 1 and not any(isinstance(cell, list | Mapping) for row in value for cell in row):
+            return _of_rows(value)
+    return value
+
+
+def _of_rows(rows: list[list[Any]]) -> dict[str, list[Any]]:
+    """Columns of a list of rows, or of a list of columns, by the first row where that holds names."""
+    named = all(isinstance(cell, str) for cell in rows[0]) and len(rows) > 1
+    names, rows = (rows[0], rows[1:]) if named else ([f"column {k}" for k in range(len(rows[0]))], rows)
+    if not named and len(rows) < len(rows[0]):  # each list is a column
+        return {f"column {k}": row for k, row in enumerate(rows)}
+    return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+
+
+def _parts(value: Any) -> list[tuple[dict[str, np.ndarray], str, dict[str, Any]]]:
+    """Arrays, name and scalars of each record; one record unless items of a list, or of a mapping, have arrays of the same names."""
+    items = [("", item) for item in value] if isinstance(value, list) else []
+    if isinstance(value, Mapping):
+        items = [(key, item) for key, item in value.items() if isinstance(item, Mapping)]
+        listed = [
+            item for item in value.values() if isinstance(item, list) and any(isinstance(one, Mapping) for one in item)
+        ]
+        items = [("", one) for item in listed for one in item] if len(listed) == 1 and not items else items
+    leaves = [(name, *_leaves(item)) for name, item in items if isinstance(item, Mapping)]
+    leaves = [one for one in leaves if len(one[1]) > 1]
+    if len(leaves) > 1 and len({tuple(sorted(arrays)) for _, arrays, _ in leaves}) == 1:
+        return [(arrays, name, scalars) for name, arrays, scalars in leaves]
+    arrays, scalars = _leaves(value if isinstance(value, Mapping) else dict(enumerate(value)) if value else {})
+    return [(arrays, "", scalars)] if arrays else []
+
+
+def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and scalars by their names, joined by dots."""
+    arrays: dict[str, np.ndarray] = {}
+    scalars: dict[str, Any] = {}
+    for key, item in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(item, Mapping) and (column := _column(name, item)) is not None:
+            arrays |= column
+        elif isinstance(item, Mapping):
+            below = _leaves(item, f"{name}.")
+            arrays |= below[0]
+            scalars |= below[1]
+        elif isinstance(item, list):
+            if (array := _array(item)) is not None:
+                arrays[name] = array
+        elif item is not None:
+            scalars[name] = item
+    return arrays, scalars
+
+
+def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
+    """The column of a mapping that describes one, {"label": "H", "unit": "A/m", "values": [...]}; None for others."""
+    lists = [value for value in item.values() if isinstance(value, list)]
+    unit = next((item[key] for key in ("unit", "units") if isinstance(item.get(key), str)), None)
+    if len(lists) != 1 or unit is None or (array := _array(lists[0])) is None:
+        return None
+    label = next((str(item[key]) for key in ("label", "name", "title") if key in item), name)
+    return {f"{label} [{unit}]" if unit else label: array}
+
+
+def _array(items: list[Any]) -> np.ndarray | None:
+    """A column of numbers, NaN where missing, or of text; None for other lists."""
+    if len(items) < _FEWEST or any(isinstance(item, list | Mapping) for item in items):
+        return None
+    try:
+        return np.array([np.nan if item is None or item == "" else float(item) for item in items])
+    except (ValueError, TypeError):
+        return np.array([str(item) for item in items])
+
+
+def _with_units(arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The arrays with the units in their names that a mapping beside them holds, {"units": {"force": "N"}}."""
+    units = {key.rpartition(".")[2]: str(value) for key, value in scalars.items() if _UNITS.search(key)}
+    last = lambda name: name.rpartition(".")[2]
+    return {f"{name} [{units[last(name)]}]" if last(name) in units else name: array for name, array in arrays.items()}
+
+
+def _table(text: TextFile, arrays: Mapping[str, np.ndarray]) -> Table:
+    notes = (*text.notes, Note(Code.FILE_FORMAT, "JSON"))
+    table = table_of_arrays(arrays, text.source, text.sha256, notes)
+    return dataclasses.replace(table, named=not all(name.startswith("column ") for name in table.names))
+
+
+def _part(name: str, scalars: Mapping[str, Any]) -> Part:
+    """Name, properties and stated results of a record, from the scalars beside its arrays."""
+    known = {key: str(value) for key, value in scalars.items() if len(str(value)) <= _LONGEST}
+    stated = [result_of(key.rpartition(".")[2], value) for key, value in known.items()]
+    title = next(
+        (str(scalars[key]) for key in ("name", "id", "label", "title") if isinstance(scalars.get(key), str)), ""
+    )
+    return Part(name or title, dict(list(known.items())[:_MOST_METADATA]), tuple(one for one in stated if one))

@@ -1,0 +1,78 @@
+"""MagIC 2 and 3 files of rock magnetism: a line with the name of a table, a row of names, and rows of every specimen.
+
+Numbers are in SI units. Source: MagIC data models 2.5 and 3.0, https://earthref.org/MagIC/data-models.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.reading.raw_table import Table
+from hystfit.reading.text import plain_text
+from hystfit.reading.text_file import TextFile
+
+_FIRST_LINE = re.compile(r"\s*(?:tab(?: delimited)?)\s*\t\s*(\w+)\s*", re.IGNORECASE)
+_END = ">>>>>>>>>>"
+_FIELDS = {"meas_field_dc": "T", "measurement_lab_field_dc": "T", "treat_dc_field": "T", "treatment_dc_field": "T"}
+_MOMENTS = {
+    "magn_moment": "Am2",
+    "measurement_magn_moment": "Am2",
+    "magn_mass": "Am2/kg",
+    "measurement_magn_mass": "Am2/kg",
+    "magn_volume": "A/m",
+    "measurement_magn_volume": "A/m",
+}
+_LOOPS = re.compile(r"\bLP-HYS\b")  # method code of hysteresis loops; others are remanence in zero field
+
+
+def read_magic(text: TextFile) -> Table | None:
+    """MagIC 2 and 3: the measurements of the file, a record for each specimen."""
+    if not text.head or not _FIRST_LINE.fullmatch(text.head[0]):
+        return None
+    tables = _tables(text)
+    name, rows = max(tables, key=lambda table: ("measurements" in table[0], len(table[1])))
+    inside = set(rows)
+    table = plain_text(text.without(k for k in range(len(text.lines)) if k not in inside))
+    table = _loops_of(table)
+    if len(tables) > 1:
+        others = ", ".join(other for other, _ in tables if other != name)
+        table = table.noted(Note(Code.FILE_FORMAT, f"the MagIC table {name!r} is read; beside it: {others}"))
+    field, moment = (_best(table, names) for names in (_FIELDS, _MOMENTS))
+    units = [(_FIELDS | _MOMENTS).get(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    pair = None if field is None or moment is None else (field, moment)
+    return dataclasses.replace(table, units=tuple(units), pair=pair)
+
+
+def _tables(text: TextFile) -> list[tuple[str, range]]:
+    """Name and lines of every table, from its row of names on."""
+    lines = text.lines
+    starts = [0, *(k + 1 for k, line in enumerate(lines) if line.startswith(_END))]
+    found = []
+    for start, stop in zip(starts, [*(k - 1 for k in starts[1:]), len(lines)], strict=True):
+        if start < len(lines) and (title := _FIRST_LINE.fullmatch(lines[start])):
+            found.append((title[1], range(start + 1, stop)))
+    return found
+
+
+def _loops_of(table: Table) -> Table:
+    """The rows of hysteresis loops, where method codes say which they are."""
+    for codes in table.labels.values():
+        loops = np.array([bool(_LOOPS.search(code)) for code in codes])
+        if loops.any():
+            if loops.all():
+                return table
+            others = ", ".join(dict.fromkeys(codes[~loops].tolist()))
+            text = f"left out: {int((~loops).sum())} rows of other experiments ({others})"
+            return table.take(loops).noted(Note(Code.LEFT_OUT, text))
+    return table
+
+
+def _best(table: Table, names: dict[str, str]) -> int | None:
+    """Position of the column with most numbers among those of these names; None without one."""
+    filled = {k: int(np.isfinite(table.columns[k]).sum()) for k, name in enumerate(table.names) if name in names}
+    best = max(filled, key=lambda k: filled[k], default=None)
+    return best if best is not None and filled[best] else None

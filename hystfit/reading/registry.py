@@ -1,0 +1,157 @@
+"""The layouts of files: kinds by their first bytes, texts by their first lines, and tables by their columns.
+
+Each layout is one module of this room and one entry here; the documentation lists what stands here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+import zipfile
+from collections.abc import Callable
+
+from hystfit.errors import DataError
+from hystfit.reading.adjusted import with_adjusted
+from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays, parquet_arrays
+from hystfit.reading.array_table import read_arrays
+from hystfit.reading.charge_throughput import with_throughput
+from hystfit.reading.easyexpert import read_easyexpert
+from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.json_text import read_json
+from hystfit.reading.magic_tables import read_magic
+from hystfit.reading.micromag import read_micromag
+from hystfit.reading.raw_table import Table
+from hystfit.reading.side_by_side import stacked
+from hystfit.reading.specimens import divided
+from hystfit.reading.successive_tables import read_tables
+from hystfit.reading.text import plain_text
+from hystfit.reading.text_file import Opening, TextFile, text_of
+from hystfit.reading.two_branches import unfolded
+from hystfit.reading.workbook import read_workbook
+
+_HDF = b"\x89HDF"
+
+
+@dataclasses.dataclass(frozen=True)
+class Format:
+    """A kind of file that is not text.
+
+    Attributes:
+        suffixes: usual endings of its name.
+        about: what is read of it.
+        recognizes: whether a file is of this kind, by its bytes.
+        read: its columns.
+    """
+
+    suffixes: tuple[str, ...]
+    about: str
+    recognizes: Callable[[FileBytes], bool]
+    read: Callable[[FileBytes, Opening], Table]
+
+
+def _is_numpy(file: FileBytes) -> bool:
+    return file.raw.startswith(b"\x93NUMPY") or _holds(file, ".npy", ".npz")
+
+
+def _is_matlab(file: FileBytes) -> bool:
+    """MATLAB writes its name, except in version 4, whose first number has NUL bytes."""
+    hdf = file.raw[:4] == _HDF or file.raw[512:516] == _HDF
+    return file.raw.startswith(b"MATLAB") or (file.suffix == ".mat" and (hdf or b"\0" in file.raw[:20]))
+
+
+def _is_workbook(file: FileBytes) -> bool:
+    return _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm")
+
+
+def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
+    """Whether a file is a zip archive with such a member; of a damaged one, the ending tells."""
+    if not file.raw.startswith(b"PK\x03\x04"):
+        return False
+    try:
+        with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
+            return any(name.endswith(member) for name in archive.namelist())
+    except zipfile.BadZipFile:
+        return file.suffix in suffixes
+
+
+FORMATS = (
+    Format(
+        (".npz", ".npy"),
+        "NumPy arrays: each array of a .npz is a column, a matrix gives several, a structured array its fields",
+        _is_numpy,
+        functools.partial(read_arrays, numpy_arrays),
+    ),
+    Format(
+        (".mat",),
+        'MATLAB variables, also within structures; version 7.3 files need the extra "files"',
+        _is_matlab,
+        functools.partial(read_arrays, matlab_arrays),
+    ),
+    Format(
+        (".h5", ".hdf5", ".nc"),
+        'HDF5 and netCDF-4 data sets in all groups, and the fields of compound ones; needs the extra "files"',
+        lambda file: file.raw.startswith(_HDF),
+        functools.partial(read_arrays, hdf5_arrays),
+    ),
+    Format(
+        (".parquet",),
+        'the columns of a Parquet file; needs the extra "frames"',
+        lambda file: file.raw.startswith(b"PAR1"),
+        functools.partial(read_arrays, parquet_arrays),
+    ),
+    Format(
+        (".xlsx", ".xlsm"),
+        'Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"',
+        _is_workbook,
+        read_workbook,
+    ),
+)
+
+# Each gives None for text of another layout; the last one reads any.
+TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
+    read_json,
+    read_micromag,
+    read_magic,
+    read_easyexpert,
+    read_tables,
+    plain_text,
+)
+
+# What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
+ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_throughput, divided)
+# The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
+REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked)
+
+
+def table_of_file(file: FileBytes, opening: Opening, *, text_only: bool = False) -> Table:
+    """The columns of a file, by its content.
+
+    Args:
+        text_only: refuse a file that is not text.
+
+    Raises:
+        DataError: the file cannot be read.
+    """
+    found = None if text_only else next((one for one in FORMATS if one.recognizes(file)), None)
+    if found is not None:
+        table = found.read(file, opening)
+    elif opening.sheet is not None:
+        raise DataError(f"{file.source} is text and has no sheets; leave out sheet=")
+    else:
+        text = text_of(file, opening)
+        table = next(table for read in TEXTS if (table := read(text)) is not None)
+    return with_adjusted(table, adjusted=opening.adjusted)
+
+
+def arranged(table: Table, *, chosen: bool) -> Table:
+    """The table as its columns show it to be arranged.
+
+    Args:
+        chosen: the user names columns, which are not replaced.
+    """
+    for arrange in ARRANGEMENTS:
+        table = arrange(table) or table
+    for arrange in () if chosen or table.pair is not None or table.part is not None else REPLACING:
+        table = arrange(table) or table
+    return table

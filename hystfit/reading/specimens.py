@@ -1,0 +1,91 @@
+"""Tables of several specimens or tests below each other: a column of text that is constant over long runs divides and names the records."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.reading.branch_words import BRANCHES, words_of
+from hystfit.reading.column_names import column_quantity
+from hystfit.reading.raw_table import Part, Table
+
+_FEWEST = 8  # rows of a record, on average
+# Words in the names of columns that tell records apart, the best one first.
+_OBJECTS = "specimen sample coupon material test experiment table file probe versuch échantillon essai".split()
+# Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
+_PASSES = "run curve loop cycle series batch group label condition name id".split()
+_STEPS = re.compile(r"step|state|status|mode|phase|type|event|comment|note|flag|branch|direction|range", re.IGNORECASE)
+_JUMP = 5.0  # step to the next record over the largest step of the three rows before and after
+_SHARE = 0.5  # of the changes, at which a column of numbers jumps where records are told apart
+_PAUSE = 10.0  # step of a clock to the next record over its median step, up to which it goes on
+
+
+def divided(table: Table) -> Table | None:
+    """Specimens or tests below each other, told apart by a column of text, are a record each; None for other tables."""
+    if table.part is not None or not table.labels:
+        return None
+    best: tuple[tuple[int, int], int, np.ndarray] | None = None
+    for position, labels in table.labels.items():
+        changes = np.flatnonzero(labels[1:] != labels[:-1])
+        if not changes.size or len(set(labels.tolist())) != changes.size + 1 or "" in labels:
+            continue
+        if table.rows < _FEWEST * (changes.size + 1) or not _tells_records_apart(table, position, changes):
+            continue
+        key = (changes.size, -_rank(table.names[position]))
+        if best is None or key > best[0]:
+            best = key, position, changes
+    if best is None:
+        return None
+    _, position, changes = best
+    labels = table.labels[position]
+    names = [str(labels[k]) for k in (0, *(changes + 1))]
+    base = table.parts[0] if table.parts else Part()
+    text = f"{len(names)} records, told apart by column {table.names[position]!r}: {', '.join(names[:6])}{', ...' * (len(names) > 6)}"
+    return dataclasses.replace(
+        table,
+        part=np.searchsorted(changes, np.arange(table.rows)),
+        parts=tuple(dataclasses.replace(base, name=name, stated=()) for name in names),
+    ).noted(Note(Code.CURVES, text))
+
+
+def _rank(name: str) -> int:
+    """Position among the words of columns that tell records apart; past the last for other names."""
+    words, titles = words_of(name), [*_OBJECTS, *_PASSES]
+    return next((k for k, title in enumerate(titles) if title in words), len(titles))
+
+
+def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bool:
+    """Whether the values of a column of text stand for records, and not for the branches or steps of one."""
+    name, values = table.names[position], dict.fromkeys(table.labels[position].tolist())
+    rank = _rank(name)
+    if rank < len(_OBJECTS):
+        return True
+    if any(words_of(value) & BRANCHES for value in values) or _clock_goes_on(table, changes):
+        return False
+    return rank < len(_OBJECTS) + len(_PASSES) or (not _STEPS.search(name) and _jumps(table, changes))
+
+
+def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:
+    """Whether a column of times increases through all records, without pauses between them."""
+    for position, name in enumerate(table.names):
+        if position in table.stamps or column_quantity(name, table.units[position]) == "time":
+            steps = np.diff(table.columns[position])
+            if steps.size and (steps > 0).all() and steps[changes].max() <= _PAUSE * np.median(steps):
+                return True
+    return False
+
+
+def _jumps(table: Table, changes: np.ndarray) -> bool:
+    """Whether the numbers of a column make a large step at most of the changes."""
+    around = np.array([k for k in range(-3, 4) if k])
+    for position, name in enumerate(table.names):
+        if position in table.labels or position in table.stamps or column_quantity(name) in ("index", "time"):
+            continue
+        steps = np.abs(np.diff(table.columns[position]))
+        near = steps[np.clip(changes[:, None] + around, 0, steps.size - 1)].max(axis=1)
+        if np.mean(steps[changes] > _JUMP * near) > _SHARE:
+            return True
+    return False

@@ -1,0 +1,171 @@
+"""Texts of several tables after each other, each with its own header: as aixACCT writes a summary first and then every measurement.
+
+Tables of the same columns are records, named by their titles, with the settings and stated results above each. The tables of which there
+is most are read; a table with one row for each of these records and columns of results, such as a summary, states results too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note, Severity
+from hystfit.reading.dialect import split
+from hystfit.reading.header import read_header, setting_of
+from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.stated_results import result_of
+from hystfit.reading.text import plain_text
+from hystfit.reading.text_file import TextFile
+
+_BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
+_FEWEST = 4  # rows of a table
+_MOST = 5000  # pieces of numbers between lines of words
+_ABOVE = 8  # lines above the numbers that may hold the header
+_TITLE = 60  # characters of a title
+_NAMED = 6  # tables named in a note
+
+
+@dataclasses.dataclass(frozen=True)
+class _Piece:
+    """Lines of one table: where those above it, its numbers, and the next table begin; its rows; and lines of its header."""
+
+    above: int
+    first: int
+    stop: int
+    rows: int
+    header: tuple[str, ...]
+
+
+def read_tables(text: TextFile) -> Table | None:
+    """Tables after each other: each of the same columns a record, with the settings and results above it."""
+    pieces = _pieces(text)
+    if not _are_tables(text, pieces):
+        return None
+    tables = {k: table for k, piece in enumerate(pieces) if (table := _table(text, piece)) is not None}
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k, table in tables.items():
+        groups.setdefault(tuple(sorted(table.names)), []).append(k)
+    if not groups:
+        return None
+    chosen = max(groups.values(), key=lambda group: sum(tables[k].rows for k in group))
+    rest = [table for k, table in tables.items() if k not in chosen]
+    parts = [_part(text, pieces[k], tables[k]) for k in chosen]
+    parts = _with_summary(_with_names(parts), rest)
+    notes = [*tables[chosen[0]].notes]
+    notes += [
+        note for k in chosen[1:] for note in tables[k].notes if note.severity is not Severity.INFO and note not in notes
+    ]
+    if len(chosen) > 1:
+        notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
+    if left := [piece for k, piece in enumerate(pieces) if k not in chosen]:
+        lines = ", ".join(f"line {piece.first + 1}" for piece in left[:_NAMED]) + (
+            ", ..." if len(left) > _NAMED else ""
+        )
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(left)} tables of other columns ({lines})"))
+    table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
+    return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes))
+
+
+def _line_kinds(text: TextFile) -> np.ndarray:
+    """What each line begins with after blanks and quotes: nothing, a number, or words; shape (lines,)."""
+    raw = np.frombuffer(text.content.encode("utf-8", "surrogatepass") + b"\n\n", np.uint8)
+    starts = np.append(0, np.flatnonzero(raw == ord("\n")) + 1)[: len(text.lines)]
+    skipped = np.isin(np.arange(256), [ord(c) for c in " \t\"'"])
+    while (blank := skipped[raw[starts]]).any():
+        starts = starts + blank
+    kinds = np.full(256, _WORDS)
+    kinds[[ord(c) for c in "0123456789+-.,;|"]] = _NUMBERS
+    kinds[0xE2] = _NUMBERS  # first byte of the minus sign U+2212
+    kinds[ord("\n")] = _BLANK
+    return kinds[raw[starts]]
+
+
+def _pieces(text: TextFile) -> list[_Piece]:
+    """The tables of a text: numbers below a header of as many names; numbers below other words go on with the table before."""
+    kinds = _line_kinds(text)
+    numbers, words = np.flatnonzero(kinds == _NUMBERS), np.flatnonzero(kinds == _WORDS)
+    runs = np.searchsorted(words, numbers)  # lines of words before each line of numbers
+    firsts = np.flatnonzero(np.diff(runs, prepend=-1))
+    if not 1 < firsts.size <= _MOST:
+        return []
+    counts = np.diff(np.append(firsts, numbers.size))
+    found: list[_Piece] = []
+    for k, count in zip(firsts.tolist(), counts.tolist(), strict=True):
+        first, stop = int(numbers[k]), int(numbers[k + count - 1]) + 1
+        above = found[-1].stop if found else 0
+        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first])
+        if header or not found:
+            found.append(_Piece(above, first, stop, count, header))
+        else:
+            found[-1] = dataclasses.replace(found[-1], stop=stop, rows=found[-1].rows + count)
+    return [piece for piece in found if piece.header]
+
+
+def _header(above: Sequence[str], row: str) -> tuple[str, ...]:
+    """The lines of names and units directly above a row of numbers; () without one."""
+    for mark in ("\t", ";", ",", None):
+        cells = split(row.strip(), mark)
+        if len(cells) > 1:
+            for decimal in (".", ","):
+                used = read_header([line.rstrip("\t ;,") for line in above], len(cells), mark, decimal, {})[2]
+                if used:
+                    return tuple(line.strip() for line in [line for line in above if line.strip()][-used:])
+            return ()
+    return ()
+
+
+def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:
+    """Whether the pieces are tables of their own, and not one whose header is repeated on every page while its first column goes on."""
+    pieces = [piece for piece in pieces if piece.rows >= _FEWEST]
+    if len(pieces) < 2 or len({piece.header for piece in pieces}) > 1:
+        return len(pieces) > 1
+    between = [line for piece in pieces[1:] for line in text.lines[piece.above : piece.first] if line.strip()]
+    if len(between) == sum(len(piece.header) for piece in pieces[1:]):
+        return False
+    first = lambda k: re.match(r"[\s\"]*([+-]?[\d.]+(?:[eE][+-]?\d+)?)", text.lines[k])
+    ends = [(first(one.stop - 1), first(other.first)) for one, other in itertools.pairwise(pieces)]
+    return not all(a and b and float(a[1]) < float(b[1]) for a, b in ends)
+
+
+def _table(text: TextFile, piece: _Piece) -> Table | None:
+    """One table with the lines above it; None where these lines are no table."""
+    lines = text.lines[piece.above : piece.stop]
+    try:
+        table = plain_text(dataclasses.replace(text, content="\n".join(lines) + "\n"))
+    except DataError:
+        return None
+    return dataclasses.replace(table, line=table.line + piece.above)
+
+
+def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
+    """Title, properties and stated results above a table."""
+    above = [line.strip() for line in text.lines[piece.above : piece.first] if line.strip()]
+    titles = [
+        line for line in above[: len(above) - len(piece.header)] if setting_of(line) is None and len(line) <= _TITLE
+    ]
+    title = titles[-1].strip("#%*[]<>=- \t") if titles else ""
+    return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
+
+
+def _with_names(parts: Sequence[Part]) -> list[Part]:
+    """The parts with a name each: their titles where these differ, else their numbers."""
+    titles = [part.name for part in parts]
+    if len({*titles, ""}) == len(parts) + 1:
+        return [*parts]
+    return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
+
+
+def _with_summary(parts: Sequence[Part], others: Sequence[Table]) -> list[Part]:
+    """The parts with the results of a table that has a row for each of them, where none stand above their own tables."""
+    summaries = [table for table in others if table.rows == len(parts)]
+    stated = [[*part.stated] for part in parts]
+    for table in summaries:
+        for row, known in enumerate(stated):
+            found = (result_of(name, f"{table.columns[k][row]:.12g}") for k, name in enumerate(table.names))
+            known += [one for one in found if one is not None and one.label not in {s.label for s in known}]
+    return [dataclasses.replace(part, stated=tuple(results)) for part, results in zip(parts, stated, strict=True)]

@@ -1,0 +1,116 @@
+"""Sheets of an Excel workbook: the first with rows of numbers, or the one that the user names; needs the extra "files"."""
+
+from __future__ import annotations
+
+import datetime
+import io
+import warnings
+import zipfile
+from typing import Any
+
+from hystfit.errors import DataError, optional
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.reading import cells
+from hystfit.reading.array_files import check_members
+from hystfit.reading.dialect import Text, dialect_of
+from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.number_block import careful_block
+from hystfit.reading.raw_table import Table
+from hystfit.reading.text import table_of_block
+from hystfit.reading.text_file import Opening
+
+_MOST_CELLS = 4_000_000
+_SAMPLE = 2000  # rows of a sheet that show its dialect
+_NAMED = 6  # other sheets named in a note
+
+
+def read_workbook(file: FileBytes, opening: Opening) -> Table:
+    """Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"."""
+    source, sheet = file.source, opening.sheet
+    openpyxl = optional("openpyxl", "files", "reading Excel files")
+    try:
+        with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
+            check_members(archive, file.raw)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on styles and extensions of the sheets
+            book = openpyxl.load_workbook(io.BytesIO(file.raw), read_only=True, data_only=True)
+        pages = {page.title: page for page in book.worksheets}
+    except DataError as error:
+        raise DataError(f"{source}: {error}") from error
+    except Exception as error:  # openpyxl raises zipfile, KeyError and its own errors on damaged files
+        raise _unreadable(source, error) from error
+    titles = list(pages)
+    if isinstance(sheet, str) and sheet not in pages and sheet.isdigit():
+        sheet = int(sheet)
+    if isinstance(sheet, int):
+        if not 0 <= sheet < len(titles):
+            raise DataError(
+                f"{source}: there is no sheet {sheet}; there are {len(titles)} (from 0): {', '.join(titles)}"
+            )
+        sheet = titles[sheet]
+    if sheet is not None and sheet not in pages:
+        raise DataError(f"{source}: there is no sheet {sheet!r}; there are {', '.join(titles)}")
+    for title in titles if sheet is None else [sheet]:
+        rows = _cells_of(pages[title], source)
+        dialect = dialect_of(rows[:_SAMPLE], "\t", ".")
+        if dialect.rows > 1 and dialect.score > 0:
+            notes = [*file.notes, _sheet_note(title, pages, source, chosen=sheet is not None)]
+            text = Text(["\t".join(row) for row in rows], dialect, source, settled=True)
+            return table_of_block(text, careful_block(text, rows), file.sha256, notes)
+    searched = ", ".join(map(repr, titles if sheet is None else [sheet]))
+    raise DataError(f"{source}: no rows of numbers in {searched}; name another sheet=")
+
+
+def _sheet_note(title: str, pages: dict[str, Any], source: str, *, chosen: bool) -> Note:
+    """The sheet that is read; unless the user chose it, a warning where others after it hold rows of numbers too."""
+    titles = list(pages)
+    others = []
+    for number, other in enumerate(titles):
+        if not chosen and number > titles.index(title):
+            dialect = dialect_of(_cells_of(pages[other], source, _SAMPLE), "\t", ".")
+            others += [number] if dialect.rows > 1 and dialect.score > 0 else []
+    listed = ", ".join(map(repr, titles))
+    if not others:
+        return Note(Code.FILE_FORMAT, f"sheet {title!r} of {listed}")
+    named = ", ".join(f"{titles[number]!r} (sheet='{number}')" for number in others[:_NAMED])
+    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+    text = f"sheet {title!r} of {listed} is read; other sheets with numbers: {named}{more}"
+    return warn(Code.FILE_FORMAT, text)
+
+
+def _unreadable(source: str, error: Exception) -> DataError:
+    return DataError(f"{source} cannot be read as an Excel file: {error}; save it again as .xlsx or as CSV")
+
+
+def _cells_of(page: Any, source: str, most: int | None = None) -> list[list[str]]:
+    """Cells of a sheet, row by row.
+
+    Args:
+        most: number of rows; None for all.
+    """
+    rows: list[list[str]] = []
+    count = 0
+    try:
+        for row in page.iter_rows(values_only=True, max_row=most):
+            count += len(row) + 1
+            if count > _MOST_CELLS:
+                raise DataError(
+                    f"{source}, sheet {page.title!r} has more than {_MOST_CELLS} cells, in use or not; save it as CSV"
+                )
+            rows.append([_cell(value) for value in row])
+    except DataError:
+        raise
+    except Exception as error:  # as above
+        raise _unreadable(source, error) from error
+    return rows
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, datetime.datetime | datetime.date | datetime.time):
+        return value.isoformat(" ") if isinstance(value, datetime.datetime) else value.isoformat()
+    return cells.clean(str(value).replace("\t", " ").replace("\n", " "))

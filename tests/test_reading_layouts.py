@@ -1,0 +1,464 @@
+"""Files of single instruments and layouts, found by their content: each file is made here, and its numbers are known."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit.data import Dataset, Record
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Severity
+from hystfit.reading import read
+
+ANGLE = np.linspace(np.pi / 2, np.pi / 2 + 2 * np.pi, 81)
+FIELD = np.sin(ANGLE)  # from positive saturation down and up again
+MOMENT = np.tanh(3 * FIELD - 0.9 * np.sign(np.append(-1, np.diff(FIELD))) * (1 - FIELD**2))
+
+
+def written(folder: Path, content: str | bytes, name: str = "loop.dat") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode("cp1252"))
+    return path
+
+
+def one(path: Path, **options: object) -> Record:
+    data = read(path, **options)  # type: ignore[arg-type]
+    assert isinstance(data, Record), [record.name for record in data]
+    return data
+
+
+def is_loop(record: Record, u: np.ndarray = FIELD, y: np.ndarray = MOMENT) -> None:
+    np.testing.assert_allclose(record.u, u, rtol=2e-6, atol=1e-9)
+    np.testing.assert_allclose(record.y, y, rtol=2e-6, atol=1e-9)
+
+
+# Magnetometers of MicroMag and Lake Shore ---------------------------------------------------------------------------------------
+
+SECTIONS = """INSTRUMENT
+Configuration                   VSM
+Units of measure                {system}
+Temperature in                  Kelvin
+
+SAMPLE
+Mass                           +12.50000E-03
+Volume                          N/A
+
+PROCESSING
+Slope correction               -225.0917E-06
+
+CHARACTERIZATION
+Initial slope                   N/A
+Saturation                     +443.9182E-06
+Remanence                      +75.31752E-06
+Coercivity                     +16.31905E-03
+
+SCRIPT
+Number of segments              {count}
+
+"""
+SEGMENTS = {
+    15: "Segment   Averaging       Field                      Initial        Final      Final\n"
+    " Number      Time       Increment       Pause         Field         Field      Index\n",
+    16: "Segment   Averaging      Initial        Field         Final                    Final \n"
+    " Number      Time         Field       Increment       Field         Pause      Index \n"
+    "             (s)           (T)           (T)           (T)           (s)     \n",
+}
+
+
+def segment(series: int, number: int, initial: float, final: float, index: int) -> str:
+    order = (0.1, 0.05, 1.0, initial, final) if series == 15 else (0.1, initial, 0.05, final, 1.0)
+    return f"{number:07d}," + ",".join(f"{value:+.6E}" for value in order) + f",{index:07d}\n"
+
+
+def magnetometer(
+    series: int, *, adjusted: bool, units: bool, extra: bool, system: str = "Hybrid SI", first: bool = True
+) -> str:
+    """A loop of three segments, of which the first has no data."""
+    names = ["Field", "Moment", *["Temperature"] * extra, *["Field", "Moment"] * adjusted]
+    columns = [FIELD, MOMENT + 0.4 * FIELD, *[np.full(81, 295.0)] * extra, *[FIELD, MOMENT] * adjusted]
+    upper = ["Raw", "Raw"] * (series == 15) + ["Adjusted", "Adjusted"]
+    symbols = {"Field": "(T)", "Moment": "(Am\u00b2)", "Temperature": "(K)"}
+    text = "MicroMag 2900/3900 Data File (Series 0016.002)\nDirect moment vs. field; Hysteresis loop\n\n" * first
+    text += SECTIONS.format(system=system, count=3) + SEGMENTS[series]
+    text += segment(series, 1, 0, 1, 0) + segment(series, 2, 1, -1, 41) + segment(series, 3, -1, 1, 81) + "\n"
+    if adjusted:
+        text += " " * 14 * (len(names) - len(upper)) + "".join(f"{word:>14}" for word in upper) + "\n"
+    text += "".join(f"{name:>14}" for name in names) + "\n"
+    text += ("".join(f"{symbols[name]:>14}" for name in names) + "\n") * units
+    rows = [",".join(f"{value:+.6E}" for value in row) + "\n" for row in zip(*columns, strict=True)]
+    return text + "".join([*rows[:41], "\n" * (series == 16), *rows[41:]]) + "\nMicroMag 2900/3900 Data File ends\n"
+
+
+@pytest.mark.parametrize("name", ["a.hys", "a.loop", "a.000", "a.agm", "a"])
+@pytest.mark.parametrize(
+    ("series", "units", "extra", "first"), [(15, False, False, True), (16, True, True, True), (16, True, False, False)]
+)
+def test_a_magnetometer_writes_one_loop_raw_and_adjusted(
+    name: str, series: int, units: bool, extra: bool, first: bool, tmp_path: Path
+) -> None:
+    path = written(tmp_path, magnetometer(series, adjusted=True, units=units, extra=extra, first=first), name)
+    record = one(path)
+    is_loop(record, FIELD, MOMENT + 0.4 * FIELD)
+    assert (record.u_name, record.y_name, record.u_unit, record.y_unit) == ("Field", "Moment", "T", "Am2")
+    assert any("--adjusted" in note.text for note in record.notes)
+    stated = {one.quantity: (one.value, one.unit) for one in record.stated if one.quantity}
+    assert stated["saturation"] == (443.9182e-6, "Am2")
+    assert stated["remanence"] == (75.31752e-6, "Am2")
+    assert stated["coercive_input"] == (16.31905e-3, "T")
+    assert record.metadata == {"Mass": "+12.50000E-03"}
+    record = one(path, adjusted=True)
+    is_loop(record)
+    assert (record.u_name, record.y_name, record.reading["adjusted"]) == ("Adjusted Field", "Adjusted Moment", "true")
+
+
+def test_a_magnetometer_without_adjusted_columns(tmp_path: Path) -> None:
+    path = written(tmp_path, magnetometer(16, adjusted=False, units=False, extra=False, system="cgs"), "a.hys")
+    record = one(path)
+    is_loop(record, FIELD, MOMENT + 0.4 * FIELD)
+    assert (record.u_unit, record.y_unit) == ("Oe", "emu")
+    with pytest.raises(DataError, match=r"no adjusted columns.*--adjusted"):
+        read(path, adjusted=True)
+
+
+def test_an_old_magnetometer_has_its_settings_in_one_line(tmp_path: Path) -> None:
+    rows = "".join(f"{1e4 * u:+.6E},{3e4 * y:+.6E}\n" for u, y in zip(FIELD, MOMENT, strict=True))
+    record = one(
+        written(
+            tmp_path, f'"Model 2900 ASCII Data File",7,-1,+5.0E-01,0,142\n{rows}"Model 2900 Data File ends"\n', "a.agm"
+        )
+    )
+    is_loop(record, 1e4 * FIELD, 3e4 * MOMENT)
+    assert (record.u_name, record.u_unit, record.y_unit) == ("Field", "Oe", "")
+
+
+def test_ramps_that_a_magnetometer_does_not_measure_part_reversal_curves(tmp_path: Path) -> None:
+    rows, table, truth, number = [], [], [], itertools.count(1)
+    for reversal in (0.5, 0.1, -0.4):
+        rising = np.linspace(reversal, 1.0, 4 + int(10 * (1 - reversal)))
+        truth.append(np.concatenate([[1.0], rising]))
+        rows.append([1.0])
+        table.append(segment(16, next(number), 1.0, 1.0, sum(map(len, rows))))
+        table.append(segment(16, next(number), 1.0, reversal, sum(map(len, rows))))
+        rows.append(rising.tolist())
+        table.append(segment(16, next(number), reversal, 1.0, sum(map(len, rows))))
+    text = "MicroMag 2900/3900 Data File (Series 0016.002)\nDirect moment vs. field; Multiple segments\n\n"
+    text += (
+        SECTIONS.format(system="Hybrid SI", count=9)
+        + SEGMENTS[16]
+        + "".join(table)
+        + "\n    Field         Moment   \n     (T)          (Am\u00b2)    \n"
+    )
+    text += "\n".join("".join(f"{u:+.6E},{np.tanh(u):+.6E}\n" for u in block) for block in rows)
+    data = read(written(tmp_path, text, "a.irforc"))
+    assert isinstance(data, Dataset)
+    assert len(data) == 3
+    for record, u in zip(data, truth, strict=True):
+        is_loop(record, u, np.tanh(u))
+        assert record.weight.tolist() == [0.0] + [1.0] * (
+            u.size - 1
+        )  # the point at saturation, from which the ramp starts
+
+
+# Tables after each other ---------------------------------------------------------------------------------------------------------
+
+
+def aixacct(*, above: bool) -> str:
+    """Three measurements, the results in a summary alone or also above each table."""
+    lines = ["DynamicHysteresisResult", "", "Table 1", "Table No [#]\tVc+ [V]\tVc- [V]\tPr+ [uC/cm2]\tWloss [uJ/cm2]\t"]
+    lines += [f"{k}.0e+000\t{0.1 * k:e}\t{-0.1 * k:e}\t{k:e}\t{7 * k:e}\t" for k in (1, 2, 3)]
+    lines += ["", "DynamicHysteresis", "Program: aixPlorer", "TfaVersion: 4.11.0", ""]
+    for k in (1, 2, 3):
+        lines += [f"Table {k}", "Timestamp: 08/23/2019 14:17:12", f"SampleName: S{k}", "Area [mm2]: 60"]
+        lines += [f"Vc+ [V]: {0.1 * k}", f"Vc- [V]: {-0.1 * k}"] * above
+        lines.append("Time [s]\tV+ [V]\tI1 [A]\tP1 [uC/cm2]\t")
+        lines += [f"{j / 80:e}\t{k * u:e}\t0\t{k * y:e}\t" for j, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True))]
+        lines.append("")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("above", [True, False])
+def test_tables_after_a_summary_are_records_with_their_results(above: bool, tmp_path: Path) -> None:
+    data = read(written(tmp_path, aixacct(above=above)))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["Table 1", "Table 2", "Table 3"]
+    for k, record in enumerate(data, 1):
+        is_loop(record, k * FIELD, k * MOMENT)
+        assert record.t is not None
+        assert (record.u_unit, record.y_unit) == ("V", "uC/cm2")
+        stated = {one.label: one for one in record.stated}
+        assert stated["Vc+"].value == pytest.approx(0.1 * k)
+        assert (stated["Vc-"].quantity, stated["Vc-"].unit) == ("coercive_input", "V")
+        assert (stated["Wloss"].quantity, stated["Wloss"].value) == ("loop_area", pytest.approx(7 * k))
+        assert record.metadata["SampleName"] == f"S{k}"
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_the_table_with_most_rows_is_read_of_those_with_other_columns(mark: str, tmp_path: Path) -> None:
+    text = f"Calibration\nload_N{mark}signal_V\n" + "".join(f"{k}{mark}{2 * k + 0.5}\n" for k in range(6))
+    text += f"\nMeasurement\nH (A/m){mark}B (T)\n" + "".join(
+        f"{u}{mark}{y}\n" for u, y in zip(FIELD, MOMENT, strict=True)
+    )
+    record = one(written(tmp_path, text))
+    is_loop(record)
+    assert (record.u_unit, record.y_unit) == ("A/m", "T")
+    assert any(note.code is Code.LEFT_OUT and "line 3" in note.text for note in record.notes)
+
+
+# MagIC, and specimens below each other -------------------------------------------------------------------------------------------
+
+
+def magic(version: int) -> str:
+    fields = "er_specimen_name magic_method_codes measurement_flag measurement_lab_field_dc measurement_magn_moment treatment_dc_field"
+    names = (fields if version == 2 else "specimen method_codes quality meas_field_dc magn_mass treat_dc_field").split()
+    lines = ["tab \tmagic_measurements" if version == 2 else "tab delimited\tmeasurements", "\t".join(names)]
+    for k, name in enumerate(("IS06a-1", "IS06a-2", "IS06a-3"), 1):
+        lines += [f"{name}\tLP-HYS\tg\t{u:e}\t{k * y:e}\t" for u, y in zip(FIELD, MOMENT, strict=True)]
+        lines += [f"{name}\tLP-IRM-DCD\tg\t\t{y:e}\t{-y:e}" for y in np.linspace(0.1, 1, 20)]
+    if version == 3:
+        lines = [
+            "tab delimited\tspecimens",
+            "specimen\tsample",
+            "IS06a-1\tIS06a",
+            "IS06a-2\tIS06a",
+            ">>>>>>>>>>",
+            *lines,
+        ]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_every_specimen_of_a_magic_file_is_a_record(version: int, tmp_path: Path) -> None:
+    data = read(written(tmp_path, magic(version), "a.magic"))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["IS06a-1", "IS06a-2", "IS06a-3"]
+    for k, record in enumerate(data, 1):
+        is_loop(record, FIELD, k * MOMENT)
+        assert (record.u_unit, record.y_unit) == ("T", "Am2" if version == 2 else "Am2/kg")
+
+
+def stacked(title: str, values: list[str], *, clock: bool = False) -> str:
+    names = [title, *["time_s"] * clock, "H_A_per_m", "B_T"]
+    rows = [
+        [value, *[f"{0.1 * (81 * k + j)}"] * clock, str((k + 1) * u), str((k + 1) * y)]
+        for k, value in enumerate(values)
+        for j, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True))
+    ]
+    return "\n".join(",".join(row) for row in [names, *rows]) + "\n"
+
+
+@pytest.mark.parametrize("title", ["specimen", "Sample name", "Test", "Probe", "heat treatment"])
+def test_text_that_is_constant_over_long_runs_divides_and_names_records(title: str, tmp_path: Path) -> None:
+    data = read(written(tmp_path, stacked(title, ["S-1", "S-2", "S-3"])))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["S-1", "S-2", "S-3"]
+    for k, record in enumerate(data, 1):
+        is_loop(record, k * FIELD, k * MOMENT)
+    assert len(one_of(read(tmp_path / "loop.dat", only="S-2"))) == 81
+
+
+def one_of(data: Record | Dataset) -> Record:
+    (record,) = Dataset.of(data)
+    return record
+
+
+@pytest.mark.parametrize(
+    ("title", "values"), [("state", ["ramp", "hold"]), ("direction", ["up", "down"]), ("cycle", ["first", "second"])]
+)
+def test_text_that_names_the_steps_of_one_experiment_does_not_divide_it(
+    title: str, values: list[str], tmp_path: Path
+) -> None:
+    assert len(one(written(tmp_path, stacked(title, values, clock=True)))) == 162
+
+
+# Data loggers and columns that nobody uses ---------------------------------------------------------------------------------------
+
+
+def test_a_logger_writes_a_preamble_a_counter_dates_and_events(tmp_path: Path) -> None:
+    text = "Header Size:  7\nVersion:  2\nSampling Rate:  1000\nSample Count:  81\n"
+    text += "Sample Number, Date/Time, Force (N), Position (mm), Events\n"
+    text += "".join(
+        f"   {k},  06/29/2022 04:08:{40 + k / 100:06.3f} PM, {y:.6f}, {u:.6f}{', DAQ Start' * (k == 1)}\n"
+        for k, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True), 1)
+    )
+    record = one(written(tmp_path, text))
+    np.testing.assert_allclose(record.u, FIELD, atol=1e-6)
+    assert (record.u_name, record.y_unit) == ("Position (mm)", "N")
+    assert record.t is not None
+    np.testing.assert_allclose(record.t, np.arange(81) / 100, atol=1e-9)
+
+
+def logged(dates: list[str], *, clock: bool = True) -> str:
+    rows = zip(itertools.count(), itertools.cycle(dates), FIELD, MOMENT, strict=False)
+    text = "".join([f"{0.1 * k}," * clock + f"{date},{u},{y}\n" for k, date, u, y in rows])
+    return "Test_Time(s)," * clock + "Date,Displacement (mm),Force (N)\n" + text
+
+
+def test_an_ambiguous_date_that_nobody_uses_does_not_block_a_file(tmp_path: Path) -> None:
+    path = written(tmp_path, logged(["11/1/2013", "11/2/2013"]))
+    record = one(path)
+    is_loop(record)
+    assert record.t is not None
+    assert record.t[-1] == pytest.approx(8.0)
+    with pytest.raises(DataError, match=r"11/1 are ambiguous.*--time none"):
+        read(path, time="Date")
+    record = one(written(tmp_path, logged(["11/1/2013", "11/2/2013"], clock=False)))
+    is_loop(record)
+    assert record.t is None
+    assert any(note.severity is Severity.WARNING and "ambiguous" in note.text for note in record.notes)
+
+
+def test_dates_go_on_as_the_clock_does(tmp_path: Path) -> None:
+    stamps = [
+        f"11/{1 + k // 41}/2013 {'23:59' if k < 41 else '00:00'}:{(19 + k) if k < 41 else k - 41:02d}"
+        for k in range(81)
+    ]
+    record = one(written(tmp_path, logged(stamps, clock=False)))
+    assert record.t is not None
+    np.testing.assert_array_equal(record.t, np.arange(81.0))
+
+
+def test_marks_that_may_separate_thousands_block_only_their_own_column(tmp_path: Path) -> None:
+    text = "x_mm;F_N;count\n" + "".join(
+        f"{u:.6f};{y:.6f};1,{100 + k}\n" for k, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True))
+    )
+    path = written(tmp_path, text)
+    np.testing.assert_allclose(one(path).u, FIELD, atol=1e-6)
+    with pytest.raises(DataError, match=r"ambiguous.*decimal="):
+        read(path, output="count")
+
+
+# Battery cyclers -----------------------------------------------------------------------------------------------------------------
+
+CHARGE = np.concatenate([np.linspace(0, 2, 60), np.full(4, 2.0)]), np.concatenate([np.zeros(62), [0.01, 0.02]])
+VOLTS = 3.2 + 0.1 * CHARGE[0]
+
+
+def cycler(kind: str, *, charging: bool) -> str:
+    """Half a cycle as a cycler writes it."""
+    grown = CHARGE[0]
+    voltage = VOLTS if charging else VOLTS[::-1] - 0.05
+    up, down = (grown, 0 * grown) if charging else (0 * grown, grown)
+    sign = "" if charging else "-"
+    step = "CC_Chg" if charging else "CC_DChg"
+    names, columns = {
+        "arbin": ("Data_Point,Test_Time(s),Step_Index,Current(A),Voltage(V),Charge_Capacity(Ah),Discharge_Capacity(Ah),Charge_Energy(Wh)",
+                  [voltage, up, down, up * 3.3]),
+        "biologic": ("N,time/s,Ns,control/mA,Ewe/V,Q charge/mA.h,Q discharge/mA.h,Energy/W.h", [voltage, up, down, up]),
+        "neware": ("Record,Time(s),Step,Current(A),Voltage(V),Capacity(Ah),Energy(Wh),Chg", [voltage, grown, grown * 3.3, 0 * grown]),
+        "maccor": ("Rec#,Test (Sec),Step,Amps,Volts,Amp-hr,Watt-hr,Temp 1", [voltage, grown, grown * 3.3, 0 * grown + 25]),
+    }[kind]  # fmt: skip
+    names = names.replace("Chg", "Aux") + ",Status"
+    current = "0.1" if kind == "maccor" else f"{sign}0.1"
+    rows = [
+        f"{k + 1},{60.0 * k},3,{current}," + ",".join(f"{v:.6f}" for v in row) + f",{step}\n"
+        for k, row in enumerate(zip(*columns, strict=True))
+    ]
+    return names + "\n" + "".join(rows)
+
+
+@pytest.mark.parametrize("kind", ["arbin", "biologic", "neware", "maccor"])
+def test_the_charge_that_passed_drives_the_voltage_of_a_cell(kind: str, tmp_path: Path) -> None:
+    files = [
+        written(tmp_path, cycler(kind, charging=charging), f"{name}.csv")
+        for name, charging in (("discharge", False), ("charge", True))
+    ]
+    loop = read(files)
+    assert isinstance(loop, Record)
+    np.testing.assert_allclose(loop.u, np.concatenate([-CHARGE[0], CHARGE[0] - 2]), atol=2e-6)
+    np.testing.assert_allclose(loop.y, np.concatenate([VOLTS[::-1] - 0.05, VOLTS]), atol=1e-6)
+    half = one(files[0])
+    np.testing.assert_allclose(half.u, -CHARGE[0], atol=2e-6)
+    warned = [note.text for note in half.notes if note.code is Code.CURVES and note.severity is Severity.WARNING]
+    assert any("half a cycle" in text and "A.csv B.csv" in text for text in warned)
+
+
+# Branches side by side -----------------------------------------------------------------------------------------------------------
+
+DOWN, UP = slice(0, 41), slice(40, 81)
+LOOP = np.concatenate([FIELD[UP], FIELD[DOWN]]), np.concatenate([MOMENT[UP], MOMENT[DOWN]])
+
+
+@pytest.mark.parametrize(
+    "words", [("up", "down"), ("asc", "desc"), ("loading", "unloading"), ("inc", "dec"), ("1", "2")]
+)
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("ascending", [True, False])
+def test_branches_side_by_side_are_one_loop(words: tuple[str, str], own: bool, ascending: bool, tmp_path: Path) -> None:
+    u, up, down = FIELD[UP], MOMENT[UP], MOMENT[DOWN][::-1]
+    order = 1 if ascending or words[0] == "1" else -1
+    columns = {
+        f"B_{words[0]} (T)": up,
+        f"B_{words[1]} (T)": down,
+        "comment": np.full(41, 3.0),
+        "temperature": np.linspace(20, 21, 41),
+    }
+    inputs = {f"H_{word} (A/m)": u for word in words} if own else {"H (A/m)": u}
+    for names in (list({**inputs, **columns}), list({**columns, **inputs})):
+        table = {name: {**inputs, **columns}[name][::order] for name in names}
+        lines = [",".join(names), *(",".join(f"{v:.9g}" for v in row) for row in zip(*table.values(), strict=True))]
+        record = one(written(tmp_path, "\n".join(lines) + "\n"))
+        is_loop(record, *LOOP)
+        assert (record.u_name, record.y_name, record.u_unit) == ("H (A/m)", "B (T)", "A/m")
+
+
+def test_branches_of_their_own_lengths_and_directions(tmp_path: Path) -> None:
+    forward, reverse = (FIELD[DOWN], MOMENT[DOWN]), (FIELD[UP][:38], MOMENT[UP][:38])
+    lines = ["H_forward,B_forward,H_reverse,B_reverse"]
+    for k in range(41):
+        cells = [f"{forward[0][k]},{forward[1][k]}", f"{reverse[0][k]},{reverse[1][k]}" if k < 38 else ","]
+        lines.append(",".join(cells))
+    record = one(written(tmp_path, "\n".join(lines) + "\n"))
+    is_loop(record, np.concatenate([forward[0], reverse[0]]), np.concatenate([forward[1], reverse[1]]))
+
+
+def test_numbered_loops_and_sensors_are_no_branches(tmp_path: Path) -> None:
+    lines = ["H1,B1,H2,B2", *(f"{u},{y},{2 * u},{2 * y}" for u, y in zip(FIELD, MOMENT, strict=True))]
+    assert len(read(written(tmp_path, "\n".join(lines) + "\n"))) == 2  # two loops
+    lines = ["H,B1,B2", *(f"{u},{y},{0.7 * y}" for u, y in zip(FIELD[UP], MOMENT[UP], strict=True))]
+    assert len(one(written(tmp_path, "\n".join(lines) + "\n"))) == 41  # two sensors
+
+
+# JSON ----------------------------------------------------------------------------------------------------------------------------
+
+U, Y = FIELD.tolist(), MOMENT.tolist()
+ROWS = [{"displacement": u, "force": y} for u, y in zip(U, Y, strict=True)]
+JSON = {
+    "arrays": {"displacement": U, "force": Y},
+    "nested": {"source": {"year": 2014, "units": ["inches", "lbf"]}, "test": {"force": Y, "displacement": U, "name": "c33"}},
+    "records": ROWS,
+    "records within": {"meta": {"operator": "Kim"}, "data": ROWS},
+    "rows": {"columns": ["force", "displacement"], "index": list(range(81)), "data": [list(row) for row in zip(Y, U, strict=True)]},
+    "table with names": [["displacement", "force"], *([u, y] for u, y in zip(U, Y, strict=True))],
+    "columns by row number": {"displacement": {str(k): u for k, u in enumerate(U)}, "force": {str(k): y for k, y in enumerate(Y)}},
+    "rows by row number": {str(k): row for k, row in enumerate(ROWS)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [*JSON, "lines"])
+@pytest.mark.parametrize("indent", [None, 2])
+def test_json_of_every_orientation(kind: str, indent: int | None, tmp_path: Path) -> None:
+    text = "\n".join(map(json.dumps, ROWS)) if kind == "lines" else json.dumps(JSON[kind], indent=indent)
+    record = one(written(tmp_path, text, "a.txt"))
+    is_loop(record)
+    assert record.u_name.endswith("displacement")
+    if kind == "nested":
+        assert record.metadata == {"source.year": "2014", "test.name": "c33"}
+
+
+def test_json_lists_of_rows_and_of_records(tmp_path: Path) -> None:
+    for rows in ([[u, y] for u, y in zip(U, Y, strict=True)], [U, Y]):
+        is_loop(one(written(tmp_path, json.dumps(rows), "a.json")))
+    loops = [{"name": f"loop {k}", "Hc": 0.3 * k, "x_mm": (k * FIELD).tolist(), "F_N": Y} for k in (1, 2)]
+    for content in (loops, {one["name"]: one for one in loops}):
+        data = read(written(tmp_path, json.dumps(content), "a.json"))
+        assert [record.name for record in Dataset.of(data)] == ["loop 1", "loop 2"]
+        is_loop(list(Dataset.of(data))[1], 2 * FIELD)
+        assert [one.value for one in list(Dataset.of(data))[1].stated] == [0.6]
+    with pytest.raises(DataError, match="no arrays of numbers"):
+        read(written(tmp_path, '{"a": 1}', "a.json"))
+    with pytest.raises(DataError, match="begins as JSON"):
+        read(written(tmp_path, '{"a": [1, 2', "a.json"))
