@@ -39,22 +39,22 @@ def compare(
 ) -> Comparison:
     """Fit several models and rank them by their cross-validation error.
 
-    With three or more records, whole ones are held out, in at most ten groups, and their offsets are fitted to them; otherwise five
-    contiguous blocks of each record. The input drives the model through a held-out block, but its output is not fitted. Single samples
-    are never held out, because they are correlated with their neighbors. Test data are not used. Among models within 2 % of the smallest
-    error, those whose fit converged and those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
+    What is held out follows the records (`hystfit.quality.held_out`): whole records, amplitude levels, cycles, or scattered samples of a
+    single loop. The input drives the model through what is held out, but its output is not fitted; the offset of a whole record is.
+    Test data are not used. Among models within 2 % of the smallest error, those whose fit converged, with fewer parameters, and with an
+    inverse rank first; one that has not converged, or has no inverse, must err clearly less. A model that cannot be fitted is listed
+    with the reason.
 
     Args:
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their fit errs more
-            than the best model does in cross-validation, or their first fit has more than twice that error. A first fit starts from
-            two points and is judged on the fitted samples; that of a model with elements has its default size, is judged by
-            cross-validation, and may have three times the error. On records with a resonance, models without one follow only where
-            the search, which has none, has at most twice the error of the best.
-        left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
-            tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
+            None (or "auto") tries every family that the records can drive, "quick" those of them whose weights follow from a linear
+            solve. Both stop models that cannot win: their fit errs more than the best model does in cross-validation, or their first
+            fit errs one and a half times as much. A first fit starts from two points and is judged on the fitted samples; that of a
+            model with elements has its default size and is judged by cross-validation.
+        left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
+            description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
         seed: of the starting points.
         starts: number of starting points of each fit, see `fit`.

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import secondary
+from hystfit.reading.column_names import is_channel, secondary
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -84,10 +84,11 @@ def readings(
 
 
 def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str]) -> dict[int, int]:
-    """Place of each column among those of its quantity."""
+    """Place of each column among those of its quantity; channels that have a number instead of a name are all at the first one."""
     count: dict[str, int] = {}
-    ranks = {}
-    for k in sorted(free, key=lambda k: (secondary(table.names[k]), k)):
+    numbered = [k for k in free if kinds[k] == "" and is_channel(table.names[k])]
+    ranks = dict.fromkeys(numbered if len(numbered) > 2 else (), 0)
+    for k in sorted(set(free) - ranks.keys(), key=lambda k: (secondary(table.names[k]), k)):
         ranks[k] = count.get(kinds[k], 0)
         count[kinds[k]] = ranks[k] + 1
     return ranks
@@ -99,7 +100,7 @@ def _scored(table: Table, i: int, o: int, kinds: Mapping[int, str], ranks: Mappi
         (_DRIVE.get(kinds[i], _SELDOM), kinds[i] or ""),
         (_RESPONSE.get(kinds[o], _SELDOM), kinds[o] or ""),
         (_PAIRS.get((kinds[i], kinds[o]), 0.0), f"{kinds[o]} over {kinds[i]}"),
-        (_LATER * (ranks.get(i, 0) + ranks.get(o, 0) + (i > o)), "its place"),
+        (_LATER * (ranks.get(i, 0) + ranks.get(o, 0) + (i > o and not _alike(table, kinds, i, o))), "its place"),
     ]
     for k in (i, o):
         terms.append((_SECONDARY * secondary(table.names[k]), ""))
@@ -113,6 +114,12 @@ def _scored(table: Table, i: int, o: int, kinds: Mapping[int, str], ranks: Mappi
         terms.append((_OVERTONES * way, "its smaller harmonics"))
     reasons = tuple(text for points, text in terms if points > 0 and text)
     return Reading(i, o, float(sum(points for points, _ in terms)), reasons)
+
+
+def _alike(table: Table, kinds: Mapping[int, str], i: int, o: int) -> bool:
+    """Whether two columns are channels that have a number instead of a name, of more than two: their order means nothing."""
+    channels = [k for k, name in enumerate(table.names) if kinds.get(k) == "" and is_channel(name)]
+    return len(channels) > 2 and i in channels and o in channels
 
 
 def _either_drives(one: str, other: str) -> bool:
