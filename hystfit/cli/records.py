@@ -35,7 +35,7 @@ def open_fit(folder: Path, output: Output, trust: bool, own: str = "") -> FitRes
     return result
 
 
-_LAYOUT = ("sheet", "delimiter", "decimal", "encoding", "adjusted")
+_LAYOUT = ("sheet", "delimiter", "decimal", "encoding")
 _TREATMENT = ("rate", "dt", "units", "integrate", "smooth")
 
 

@@ -39,21 +39,22 @@ def assemble(
     only: str | Sequence[object] | None = None,
     where: str | Mapping[str, object] | None = None,
     gaps: str = "error",
+    adjusted: bool = False,
     name: str | None = None,
     treatment: Treatment = UNTREATED,
 ) -> Record | Dataset:
     """Record or data set from a table.
 
     Args:
-        time, input, output, sigma, by, only, where, gaps, name: as for `read`.
+        time, input, output, sigma, by, only, where, gaps, adjusted, name: as for `read`.
     """
     if gaps not in ("error", "split", "drop"):
         raise DataError(f"gaps must be 'error', 'split' or 'drop', got {gaps!r}")
     _check_unread(table, gaps)
     stem = name or Path(table.source).stem or "record"
-    table = arranged(
-        table, chosen=any(key is not None and key is not False for key in (time, input, output, sigma, by, where))
-    )
+    named = input is not None or output is not None
+    free = not named and all(key is None or key is False for key in (time, sigma, by, where))
+    table = arranged(table, named=named, free=free, adjusted=adjusted)
     notes = list(table.notes)
     table, replaced = without_infinite(table)
     table, taken = _filter(table, where, notes)

@@ -131,7 +131,7 @@ def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str,
 
 def _by_part(table: Table, choice: Choice, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
     """Name and rows of the records into which the layout of the file divides it, those without an input left out."""
-    groups = [(part.name, np.flatnonzero(table.part == k)) for k, part in enumerate(table.parts)]
+    groups = [(part.name, rows) for k, part in enumerate(table.parts) if (rows := np.flatnonzero(table.part == k)).size]
     filled = [group for group in groups if np.isfinite(table.columns[choice.input][group[1]]).any()]
     filled = [group for group in filled if np.isfinite(table.columns[choice.output][group[1]]).any()]
     if len(filled) < len(groups):

@@ -72,12 +72,12 @@ def read(
         DataError: the file cannot be read as requested; the message names the remedy.
         MissingExtraError: a package for this kind of file is not installed.
     """
-    layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding, "adjusted": adjusted}
+    layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding}
     columns = {"time": time, "input": input, "output": output}
-    options = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    options = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps, "adjusted": adjusted}
     options["treatment"] = Treatment(rate, dt, units, integrate, smooth)
     if is_frame(path):
-        if file_options := [key for key, value in layout.items() if value]:
+        if file_options := [key for key, value in layout.items() if value is not None]:
             raise DataError(f"a data frame is not a file: leave out {file_options[0]}=")
         return assemble(frame_table(path), **columns, **options, name=name or "data")
     return _read_all(path, lambda file: table_of(file, **layout), columns, options, name, layout)
@@ -90,10 +90,9 @@ def table_of(
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
-    adjusted: bool = False,
 ) -> Table:
     """The columns of a file of any kind that hystfit reads; arguments and errors as for `read`."""
-    return table_of_file(load(path), Opening(sheet, delimiter, decimal, encoding, adjusted))
+    return table_of_file(load(path), Opening(sheet, delimiter, decimal, encoding))
 
 
 def read_csv(
@@ -129,9 +128,9 @@ def read_csv(
     Raises:
         DataError: the file cannot be read as requested; the message names the remedy.
     """
-    layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding, "adjusted": adjusted}
+    layout = {"delimiter": delimiter, "decimal": decimal, "encoding": encoding}
     columns = {"time": time, "input": input, "output": output}
-    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps}
+    rows = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps, "adjusted": adjusted}
     treatment = Treatment(rate, dt, units, integrate, smooth)
     open_one = lambda file: table_of_file(load(file), Opening(**layout), text_only=True)
     return _read_all(path, open_one, columns, rows | {"treatment": treatment}, name, layout)

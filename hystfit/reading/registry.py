@@ -135,23 +135,25 @@ def table_of_file(file: FileBytes, opening: Opening, *, text_only: bool = False)
     """
     found = None if text_only else next((one for one in FORMATS if one.recognizes(file)), None)
     if found is not None:
-        table = found.read(file, opening)
-    elif opening.sheet is not None:
+        return found.read(file, opening)
+    if opening.sheet is not None:
         raise DataError(f"{file.source} is text and has no sheets; leave out sheet=")
-    else:
-        text = text_of(file, opening)
-        table = next(table for read in TEXTS if (table := read(text)) is not None)
-    return with_adjusted(table, adjusted=opening.adjusted)
+    text = text_of(file, opening)
+    return next(table for read in TEXTS if (table := read(text)) is not None)
 
 
-def arranged(table: Table, *, chosen: bool) -> Table:
+def arranged(table: Table, *, named: bool, free: bool, adjusted: bool) -> Table:
     """The table as its columns show it to be arranged.
 
     Args:
-        chosen: the user names columns, which are not replaced.
+        named: the user names input or output.
+        free: the user names no column at all, so that columns may be replaced.
+        adjusted: see `read`.
     """
+    if adjusted or not named:
+        table = with_adjusted(table, adjusted=adjusted)
     for arrange in ARRANGEMENTS:
         table = arrange(table) or table
-    for arrange in () if chosen or table.pair is not None or table.part is not None else REPLACING:
+    for arrange in REPLACING if free and table.pair is None and table.part is None else ():
         table = arrange(table) or table
     return table

@@ -21,14 +21,12 @@ class Opening:
     Attributes:
         sheet: of a workbook, by name or number from 0; the first with rows of numbers where None.
         delimiter, decimal, encoding: of a text, detected where None.
-        adjusted: take the columns that the instrument adjusted (for a slope, an offset) in place of the raw ones.
     """
 
     sheet: str | int | None = None
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
-    adjusted: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
