@@ -175,8 +175,7 @@ def _guess_pair(
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
             kinds[k] = "time"
-    several = len(free) + len(given) > 2
-    ordered = readings(table, free, kinds, given, named=table.named or not several)
+    ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
     if len(ordered) > 1 and best.points - ordered[1].points < TIE:
         raise _undecided(table, ordered)

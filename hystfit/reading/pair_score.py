@@ -31,11 +31,11 @@ _MAGNETIC, _ELECTRIC = ("moment", "magnetization", "induction"), ("polarization"
 _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
     | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge")], 4.0)
-    | {("state of charge", "voltage"): 4.0}
+    | {("state of charge", "voltage"): 4.0, ("displacement", "force"): 4.0, ("strain", "stress"): 4.0}
     | dict.fromkeys(
         [
-            ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"), ("strain", "stress"),
-            ("displacement", "force"), ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
+            ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
+            ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
             ("induction", "magnetization"), ("pressure", "displacement"), ("voltage", "force"), ("current", "force"),
             ("displacement", "moment"),
         ],
@@ -49,7 +49,11 @@ _HEATED, _COLD = (
     10.0,
     -5.0,
 )  # degrees over which a temperature must vary to be an input, and its points where it does not
-_OVERTONES, _PLAINER = 1.0, 2.0  # points of a wave with that many times smaller harmonics than the other
+# Distinct values up to which a column of many rows is one that is set, and its points.
+_FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
+# Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) beside one with that many times more harmonics.
+# Fewer samples show no harmonics.
+_CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Difference of points below which neither of two readings is better: that of one place among columns of the same quantity (0.25)
 # decides, as people write the main channel first; nothing smaller is evidence.
@@ -75,51 +79,54 @@ def readings(
         free: columns that may be chosen.
         kinds: the physical quantity of every column.
         given: the input or output that is chosen already.
-        named: whether names and order of the columns mean something.
+        named: whether the columns have names.
     """
     inputs, outputs = ([given[role]] if role in given else list(free) for role in ("input", "output"))
-    ranks = _ranks(table, free, kinds) if named else dict.fromkeys(free, 0)
-    found = [_scored(table, i, o, kinds, ranks) for i, o in itertools.product(inputs, outputs) if i != o]
+    # Of more than two channels that have a number instead of a name, the order means nothing.
+    equal = [k for k in free if kinds[k] == "" and (not named or is_channel(table.names[k]))]
+    equal = equal if len(equal) > 2 else []
+    ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds)
+    found = [
+        _scored(table, i, o, kinds, ranks, ordered=not {i, o} <= set(equal))
+        for i, o in itertools.product(inputs, outputs)
+        if i != o
+    ]
     return sorted(found, key=lambda reading: (-reading.points, reading.input, reading.output))
 
 
 def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str]) -> dict[int, int]:
-    """Place of each column among those of its quantity; channels that have a number instead of a name are all at the first one."""
+    """Place of each column among those of its quantity."""
     count: dict[str, int] = {}
-    numbered = [k for k in free if kinds[k] == "" and is_channel(table.names[k])]
-    ranks = dict.fromkeys(numbered if len(numbered) > 2 else (), 0)
-    for k in sorted(set(free) - ranks.keys(), key=lambda k: (secondary(table.names[k]), k)):
+    ranks = {}
+    for k in sorted(free, key=lambda k: (secondary(table.names[k]), k)):
         ranks[k] = count.get(kinds[k], 0)
         count[kinds[k]] = ranks[k] + 1
     return ranks
 
 
-def _scored(table: Table, i: int, o: int, kinds: Mapping[int, str], ranks: Mapping[int, int]) -> Reading:
+def _scored(
+    table: Table, i: int, o: int, kinds: Mapping[int, str], ranks: Mapping[int, int], *, ordered: bool
+) -> Reading:
     """The points of column i as the input and column o as the output."""
     terms = [
         (_DRIVE.get(kinds[i], _SELDOM), kinds[i] or ""),
         (_RESPONSE.get(kinds[o], _SELDOM), kinds[o] or ""),
         (_PAIRS.get((kinds[i], kinds[o]), 0.0), f"{kinds[o]} over {kinds[i]}"),
-        (_LATER * (ranks.get(i, 0) + ranks.get(o, 0) + (i > o and not _alike(table, kinds, i, o))), "its place"),
+        (_LATER * (ranks.get(i, 0) + ranks.get(o, 0) + (ordered and i > o)), "its place"),
     ]
     for k in (i, o):
         terms.append((_SECONDARY * secondary(table.names[k]), ""))
         if _is_raw_signal(table, k):
             terms.append((_RAW_VOLTS, ""))
+        if table.rows >= _MANY_ROWS and np.unique(table.columns[k]).size <= _FEW:
+            terms.append((_IS_SET, ""))
     if kinds[i] == "temperature" and _extent(table.columns[i]) < _HEATED:
         terms.append((_COLD, ""))
-    if _either_drives(kinds[i], kinds[o]):
-        ratio = _overtones(table.columns[o]) / max(_overtones(table.columns[i]), 1e-12)
-        way = (ratio > _PLAINER) - (ratio < 1 / _PLAINER)
-        terms.append((_OVERTONES * way, "its smaller harmonics"))
+    if table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]):
+        plain, bent = _overtones(table.columns[i]), _overtones(table.columns[o])
+        terms.append((_CLEAN * (plain <= _PURE and bent > _PLAINER * plain), "its clean wave"))
     reasons = tuple(text for points, text in terms if points > 0 and text)
     return Reading(i, o, float(sum(points for points, _ in terms)), reasons)
-
-
-def _alike(table: Table, kinds: Mapping[int, str], i: int, o: int) -> bool:
-    """Whether two columns are channels that have a number instead of a name, of more than two: their order means nothing."""
-    channels = [k for k, name in enumerate(table.names) if kinds.get(k) == "" and is_channel(name)]
-    return len(channels) > 2 and i in channels and o in channels
 
 
 def _either_drives(one: str, other: str) -> bool:
