@@ -14,6 +14,7 @@ from .errors import HystfitError as HystfitError
 from .explorer.widget import Explorer as Explorer
 from .explorer.widget import explore as explore
 from .fitting.compare import compare as compare
+from .fitting.data_check import check as check
 from .fitting.fit import fit as fit
 from .inference import priors as priors
 from .inference.problem import Problem as Problem
@@ -25,6 +26,7 @@ from .models import Delay as Delay
 from .models import Duhem as Duhem
 from .models import JilesAtherton as JilesAtherton
 from .models import Lag as Lag
+from .models import Linear as Linear
 from .models import LinearCreep as LinearCreep
 from .models import LogCreep as LogCreep
 from .models import Negate as Negate
@@ -41,7 +43,6 @@ from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach
 from .models import Viscous as Viscous
 from .models import simulate as simulate
-from .models.data_check import check as check
 from .params.param import param as param
 from .params.space import ParameterSpace as ParameterSpace
 from .reading import datasets as datasets

@@ -129,7 +129,7 @@ def test_numbers_as_names(tmp_path: Path) -> None:
 def test_a_first_row_that_may_be_a_header_is_noted(tmp_path: Path) -> None:
     decimals = [[f"{v:.3f}" for v in column] for column in (T, U, Y)]
     for first in ("-1,10,20", "1,2,3"):
-        record = _read(tmp_path, first + "\n" + _rows(",", *decimals), time=False)
+        record = _read(tmp_path, first + "\n" + _rows(",", *decimals), time=False, input=1, output=2)
         assert _warned(record, Code.FILE_FORMAT)
     assert not _warned(_read(tmp_path, _rows(",", *decimals)), Code.FILE_FORMAT)
 

@@ -13,7 +13,7 @@ import hystfit as hf
 
 # Pages, each with the rooms whose public names it holds, by the first part of their modules.
 PAGES = {
-    "data": ("Data", ("data", "reading", "quality", "signals", "models.data_check")),
+    "data": ("Data", ("data", "reading", "quality", "signals", "fitting.data_check")),
     "models": ("Models and parameters", ("models", "params")),
     "fitting": ("Fits", ("fitting", "results", "inference", "config", "errors")),
     "uncertainty": ("Uncertainty", ("sampling", "uncertainty")),

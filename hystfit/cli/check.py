@@ -24,7 +24,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         preisach: also test the assumptions of a Preisach model: wiping-out, congruency, higher-order reversals, and whether
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
-    from hystfit.models.data_check import check as judge
+    from hystfit.fitting.data_check import check as judge
     from hystfit.results.provenance import provenance
 
     output.check()

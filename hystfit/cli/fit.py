@@ -154,7 +154,7 @@ def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, 
 def compare(
     *loops: Loop,
     models: list[str] | None = None,
-    left_out: Literal["blocks", "future"] = "blocks",
+    left_out: Literal["auto", "future"] = "auto",
     purpose: Purpose = "prediction",
     seed: int = 0,
     reading: Reading = DEFAULT_READING,

@@ -12,16 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.config import require_x64
+from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.explorer.decimation import chunks, visible
 from hystfit.explorer.view import View
+from hystfit.fitting.candidates import candidates
 from hystfit.fitting.fit import fit
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.data_check import data_kinds
-from hystfit.models.registry import MODELS, compared, make_model
+from hystfit.models.registry import MODELS, make_model
 from hystfit.params.param import leaves_of
-from hystfit.quality.summary import summarize
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
@@ -248,13 +248,10 @@ def _described(result: FitResult, translate: Callable[[str], str]) -> dict[str, 
 
 
 def _suited(record: Record) -> list[str]:
-    """Models that the page offers: those that suit the loop by their number of parameters, then the others."""
-    kinds = data_kinds([summarize(record)])
-    dynamic = ("dynamic",) if "dynamic" in kinds else kinds
+    """Models that the page offers: those that a comparison iterates, by their number of parameters, then the others."""
+    chosen = candidates(Dataset((record,)))
     count = lambda name: sum(leaf.size for leaf in leaves_of(make_model(name)) if not leaf.info.fixed)
-    first = sorted(compared(*dynamic), key=count)
-    cores = [
-        name for name, entry in MODELS.items() if entry.place == "core" and entry.compared_on != ("reversal-curves",)
-    ]
-    names = dict.fromkeys([*first, *compared(*kinds), *cores])
+    first = sorted(chosen.iterated, key=count)
+    cores = [n for n, entry in MODELS.items() if entry.place == "core" and not make_model(n).from_saturation]
+    names = dict.fromkeys([*first, *chosen.resonant, *cores])
     return [name for name in names if record.t is not None or make_model(name).rate_independent]

@@ -1,58 +1,72 @@
-"""Which models are worth trying on records, by what `check` finds about them."""
+"""Which models a comparison tries: every family that the records can drive, in an order that gives an answer early."""
 
 from __future__ import annotations
 
 import dataclasses
 
 from hystfit.data.dataset import Dataset
-from hystfit.models.data_check import data_kinds
-from hystfit.models.registry import SEARCH, DataKind, compared, make_model
-from hystfit.quality.determination import delayed, falling
-from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.summary import summarize
-
-_WORDS: dict[DataKind, str] = {
-    "leading": "clockwise loops (a force that leads)",
-    "leading-with-rate": "an output that depends on the rate of the input",
-    "lagging-timed": "counter-clockwise loops (an output that lags) with time",
-    "lagging-late": "a lag of many samples",
-    "lagging-untimed": "counter-clockwise loops (an output that lags) without time",
-    "point-symmetric": "loops symmetric about their center",
-    "dynamic": "a resonance",
-}
+from hystfit.errors import HystfitError
+from hystfit.fitting.structure import Structure
+from hystfit.fitting.verdict import turns_back
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 
 
 @dataclasses.dataclass(frozen=True)
 class Candidates:
-    """Models that a comparison tries.
+    """Models that a comparison tries, in order.
 
     Attributes:
-        names: expressions; those whose weights follow from a linear solve come first, because they take seconds.
-        reason: what was found about the data.
-        without_resonance: of records with a resonance, models that do not have one, which are tried only where it is in doubt.
+        closed: models whose weights follow from a linear solve: they take a tenth of a second each.
+        iterated: models whose parameters are searched for.
+        resonant: those of them with a resonance, which take longest.
     """
 
-    names: tuple[str, ...]
-    reason: str
-    without_resonance: tuple[str, ...] = ()
+    closed: tuple[str, ...]
+    iterated: tuple[str, ...] = ()
+    resonant: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them."""
+        return (*self.closed, *self.iterated, *self.resonant)
+
+    def beside(self, found: Structure, delay: bool) -> Candidates:
+        """The same after the search, with what it found before and beside its plays before and beside the iterated models too.
+
+        Args:
+            found: the terms that the search took.
+            delay: whether it took a pure delay.
+        """
+        before = "delay+" * delay + "negate+" * found.falls
+        around = lambda name: f"{before}{name}" + "+linear" * found.line
+        lagged = (f"{before}lag+preisach",) if found.lag else ()
+        return Candidates(lagged, tuple(map(around, self.iterated)), tuple(map(around, self.resonant)))
 
 
 def candidates(data: Dataset) -> Candidates:
-    """Models worth comparing on records, and why."""
-    if recognize_family(data) is not None:
-        return Candidates(compared("reversal-curves"), "the records are first-order reversal curves")
-    records = [summarize(record) for record in data]
-    kinds, falls, late = data_kinds(records), falling(records), delayed(records)
-    before = "delay+" * late + "negate+" * falls
-    found = (
-        [_WORDS[kind] for kind in kinds] + ["a pure delay"] * late + ["an output that falls as the input rises"] * falls
-    )
-    resonant = [before + name for name in compared(*(kind for kind in kinds if kind == "dynamic"))]
-    others = [before + name for name in compared(*(kind for kind in kinds if kind != "dynamic"))]
-    names, without = (resonant, others) if resonant else (others, [])
-    reason = "the data have " + ", ".join(found)
-    return Candidates((SEARCH, *_linear_first(names)), reason, tuple(_linear_first(without)))
+    """Models that the records can drive."""
+    models = {name: make_model(name) for name in tried()}
+    if not turns_back(data):  # without a turn of the input there is no loop but that of reversal curves
+        curves = tuple(name for name, model in models.items() if model.from_saturation and _drives(model, data))
+        return Candidates(curves or (SEARCH,))
+    timed = all(record.t is not None for record in data)
+    able = {n: m for n, m in models.items() if not m.from_saturation and (timed or m.rate_independent)}
+    closed = (SEARCH, *(name for name, model in able.items() if model.estimator == "preisach"))
+    resonant = tuple(name for name, model in able.items() if _resonates(name, model))
+    return Candidates(closed, tuple(name for name in able if name not in (*closed, *resonant)), resonant)
 
 
-def _linear_first(names: list[str]) -> list[str]:
-    return sorted(names, key=lambda name: make_model(name).estimator is not None, reverse=True)
+def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
+    """Whether the records are such that the model can be started on them."""
+    try:
+        model.start(list(data))
+    except HystfitError:
+        return False
+    return True
+
+
+def _resonates(name: str, model: AbstractHysteresis) -> bool:
+    """Whether the output may ring after the input has stopped."""
+    needs = (MODELS[part].make().needs for part in name.split("+"))
+    return model.output_resonance() is not None or any(need is not None and need.dynamics for need in needs)

@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 from hystfit.config import require_x64
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
-from hystfit.fitting.comparison import Comparison, Purpose, Row
+from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
 from hystfit.fitting.comparison_run import EQUAL, ComparisonRun, ShownProgress
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.left_out import SCHEMES, Scheme
+from hystfit.fitting.left_out import CHOICES, LeftOut
+from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.baselines import rounding_error
-from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading.in_memory import records_of
 from hystfit.runs.threads import Workers
 
 
 def compare(
     data: Any,
-    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto"] | None = None,
+    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto", "quick"] | None = None,
     *,
-    left_out: Scheme = "blocks",
+    left_out: LeftOut = "auto",
     purpose: Purpose = "prediction",
     seed: int = 0,
     starts: int = 8,
@@ -38,22 +39,22 @@ def compare(
 ) -> Comparison:
     """Fit several models and rank them by their cross-validation error.
 
-    With three or more records, whole ones are held out, in at most ten groups, and their offsets are fitted to them; otherwise five
-    contiguous blocks of each record. The input drives the model through a held-out block, but its output is not fitted. Single samples
-    are never held out, because they are correlated with their neighbors. Test data are not used. Among models within 2 % of the smallest
-    error, those whose fit converged and those with fewer parameters rank first. A model that cannot be fitted is listed with the reason.
+    What is held out follows the records (`hystfit.quality.held_out`): whole records, amplitude levels, cycles, or scattered samples of a
+    single loop. The input drives the model through what is held out, but its output is not fitted; the offset of a whole record is.
+    Test data are not used. Among models within 2 % of the smallest error, those whose fit converged, with fewer parameters, and with an
+    inverse rank first; one that has not converged, or has no inverse, must err clearly less. A model that cannot be fitted is listed
+    with the reason.
 
     Args:
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") compares the models that suit what `check` finds, and stops those that cannot win: their fit errs more
-            than the best model does in cross-validation, or their first fit has more than twice that error. A first fit starts from
-            two points and is judged on the fitted samples; that of a model with elements has its default size, is judged by
-            cross-validation, and may have three times the error. On records with a resonance, models without one follow only where
-            the search, which has none, has at most twice the error of the best.
-        left_out: "blocks" as above; "future" predicts the later parts of every record from fits to what came before, which
-            tests the description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen on blocks.
+            None (or "auto") tries every family that the records can drive, "quick" those of them whose weights follow from a linear
+            solve. Both stop models that cannot win: their fit errs more than the best model does in cross-validation, or their first
+            fit errs one and a half times as much. A first fit starts from two points and is judged on the fitted samples; that of a
+            model with elements has its default size and is judged by cross-validation.
+        left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
+            description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
         seed: of the starting points.
         starts: number of starting points of each fit, see `fit`.
@@ -67,18 +68,20 @@ def compare(
     require_x64()
     options = FitOptions(seed=seed, starts=starts)
     options.check()
-    for what, value, known in (("left_out", left_out, SCHEMES), ("purpose", purpose, get_args(Purpose))):
+    for what, value, known in (("left_out", left_out, CHOICES), ("purpose", purpose, get_args(Purpose))):
         if value not in known:
             raise ParameterError(f"{what} must be one of {', '.join(known)}, got {value!r}")
     data = records_of(data)
-    if left_out == "future" and recognize_family(data) is not None:
-        raise ModelError("reversal curves have no order in time: use left_out='blocks'")
-    named = _named(models) if models and models != "auto" else {}
-    chosen = Candidates(tuple(named), "") if named else candidates(data)
+    if left_out == "future" and not turns_back(data):
+        raise ModelError("reversal curves have no order in time: use left_out='auto'")
+    named = _named(models) if models and models not in ("auto", "quick") else {}
+    chosen = Candidates(tuple(named)) if named else candidates(data)
+    if models == "quick":
+        chosen = dataclasses.replace(chosen, iterated=(), resonant=())
     data = without_faults(data)
     run = ComparisonRun(data, left_out, purpose, options, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
-        run.search(chosen, ShownProgress(update, (*chosen.names, *chosen.without_resonance)), Workers(workers))
+        run.search(chosen, ShownProgress(update, chosen.names), Workers(workers))
     rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
     if not run.fits:
         raise run.refusal(rows)
@@ -88,7 +91,8 @@ def compare(
             f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles and purpose in row.obstacles
         )
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
-    return Comparison(tuple(rows), run.fits[best.asked], run.fits, left_out, purpose, chosen.reason)
+    fits = Fits(run.fits, run.judged)
+    return Comparison(tuple(rows), fits[best.asked], fits, run.scheme, purpose)
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
@@ -111,19 +115,35 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 
 def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0) -> list[Row]:
-    """From best to worst. Of models whose errors are within 2 % of the smallest, converged fits and fewer parameters come first.
+    """From best to worst. Where errors are within 2 % of the smallest, converged fits, fewer parameters and an inverse come first.
 
     `floor`: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
     """
     ranked = sorted(rows, key=lambda row: _rank(row, purpose))
-    least = ranked[0].score_percent if ranked else None
-    if least is None:
+    if not ranked or ranked[0].score_percent is None:
         return ranked
+    least = ranked[0].score_percent * _handicap(ranked[0])
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(EQUAL * least, floor)
-    equal = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) <= most]
-    simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, row.parameters or 0, row.score_percent))
+    equal = [
+        row
+        for row in ranked
+        if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) * _handicap(row) <= most
+    ]
+    plain = lambda row: (row.parameters or 0, len(row.obstacles or ()), row.score_percent)
+    simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
     return simple + ranked[len(equal) :]
+
+
+# How many times the error of the others may be that of a fit which has not converged, so that it has no standard errors to rely on, and
+# of a model without an inverse: a flexible one that describes a lag or a drift of this loop by weights that no other loop would have.
+_UNSURE, _NO_INVERSE = 1.5, 1.2
+
+
+def _handicap(row: Row) -> float:
+    """Factor by which a model must err less than the others."""
+    unsure = _UNSURE if row.status is Status.NOT_CONVERGED else 1.0
+    return unsure * (_NO_INVERSE if row.serves("inverse") is False else 1.0)
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
@@ -134,5 +154,5 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
         row.status is Status.NO_LOOP,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
-        row.score_percent or row.in_sample_percent or 0.0,
+        (row.score_percent or row.in_sample_percent or 0.0) * _handicap(row),
     )

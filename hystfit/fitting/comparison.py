@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal
 
-from hystfit.fitting.left_out import Scheme
 from hystfit.outcome import Column, Status, Table, fragment
+from hystfit.quality.held_out import Scheme
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
 Purpose = Literal["prediction", "inverse", "export"]
-_WORDS = {
-    "blocks": "on contiguous blocks (or records) held out of the fit in turn",
-    "future": "on the last three fifths of each record, each fifth predicted from a fit to what came before it",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +54,29 @@ class Row:
         return None if self.obstacles is None else purpose not in self.obstacles
 
 
+class Fits(Mapping[str, FitResult]):
+    """The completed fits by name. The standard errors of each are computed when it is first looked at.
+
+    Args:
+        names: of the fits.
+        judged: a fit by its name.
+    """
+
+    def __init__(self, names: Iterable[str], judged: Callable[[str], FitResult]):
+        self._names, self._judged = tuple(names), functools.cache(judged)
+
+    def __getitem__(self, name: str) -> FitResult:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._judged(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
 @dataclasses.dataclass(frozen=True)
 class Comparison:
     """A ranking: rows from best to worst, and the fit of the best.
@@ -64,17 +85,15 @@ class Comparison:
         rows: one for each model.
         winner: the fitted result of the first row.
         fits: every completed fit, by the requested name.
-        left_out: what was left out, "blocks" or "future".
+        scheme: what was held out.
         purpose: models that cannot be used for it rank below the others.
-        reason: why these models were tried.
     """
 
     rows: tuple[Row, ...]
     winner: FitResult
-    fits: dict[str, FitResult]
-    left_out: Scheme = "blocks"
+    fits: Mapping[str, FitResult]
+    scheme: Scheme
     purpose: Purpose = "prediction"
-    reason: str = ""
 
     def table(self) -> Table:
         """The ranking."""
@@ -110,12 +129,12 @@ class Comparison:
 
     def explanations(self) -> list[str]:
         """What the columns of the ranking mean, and why these models were compared."""
-        lines = [
-            f"Error in percent of the output's range; 'cross-val.': {_WORDS[self.left_out]}.",
+        return [
+            f"Error in percent of the output's range; 'cross-val.': on {self.scheme.held}, held out of the fit in turn. The winner "
+            f"{self.scheme.tested}.",
             "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
             "'invert', 'export': whether the model has an inverse and C code.",
         ]
-        return [*lines, f"Compared because {self.reason}."] if self.reason else lines
 
     def remarks(self) -> list[str]:
         """Why models were left out, or not validated."""
@@ -144,9 +163,8 @@ class Comparison:
             "schema": SCHEMA,
             "status": self.winner.status,
             "winner": self.rows[0].name,
-            "left_out": self.left_out,
+            "left_out": self.scheme,
             "purpose": self.purpose,
-            "reason": self.reason,
             "rows": [dataclasses.asdict(row) for row in self.rows],
             "provenance": self.winner.provenance,
         }

@@ -15,26 +15,32 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.fitting.candidates import Candidates
 from hystfit.fitting.comparison import Purpose, Row
-from hystfit.fitting.fit_model import fit_model
+from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
-from hystfit.fitting.left_out import Scheme, bic, left_out_error
+from hystfit.fitting.left_out import LeftOut, bic, left_out_error
 from hystfit.fitting.registry import ESTIMATORS
-from hystfit.fitting.sizes import choose_size, first_error
+from hystfit.fitting.sizes import SizeSearch
+from hystfit.fitting.structure import Structure, structure_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.starting import output_range
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Note, Status
+from hystfit.quality.baselines import Baselines
+from hystfit.quality.held_out import Scheme, correlation_length, held_out
+from hystfit.quality.summary import dynamics_of
+from hystfit.results.accuracy import is_noise
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 EQUAL = 1.02  # errors on left-out data up to this times the smallest do not tell models apart
-_HOPELESS = 2.0  # a model whose first fit errs this much more than the best on left-out data is not validated
-_HOPELESS_SIZE = 3.0  # the same of models with elements, whose other sizes may err less than the default one
+_HOPELESS = 1.5  # a model whose first fit errs this much more than the best on held-out data is not validated
+_WAVE = 2  # models that are validated side by side before their errors may stop others
+
 _FIRST_STARTS = 2  # starting points of that fit
 
 
@@ -63,10 +69,10 @@ class ShownProgress:
 
 
 class _First(NamedTuple):
-    """The first fit of a model: its rms error [y], how many times the best error it may be, and its number of parameters."""
+    """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters."""
 
     error: float
-    limit: float
+    sized: bool
     parameters: int | None = None
 
 
@@ -77,8 +83,10 @@ class Candidate:
     Attributes:
         name: of its row.
         row: once it is validated, stopped, or has failed.
-        fitted: the fit, before its validation.
-        result: the fit, where it is validated.
+        solved: the fit, without standard errors.
+        sizes: the search for its size.
+        choices: notes on its choices.
+        result: its verdict.
         first: the first fit, where there was one.
         failure: why there is no result.
         seconds: time of its fits and validation.
@@ -86,7 +94,9 @@ class Candidate:
 
     name: str
     row: Row | None = None
-    fitted: FitResult | None = None
+    solved: Solved | None = None
+    sizes: SizeSearch | None = None
+    choices: tuple[Note, ...] = ()
     result: FitResult | None = None
     first: _First | None = None
     failure: Exception | None = None
@@ -94,14 +104,10 @@ class Candidate:
 
 
 def _contenders(waiting: Sequence[Candidate]) -> list[Candidate]:
-    """The models to validate next: those whose first fit is near the best, because they may stop the others.
-
-    Of models with elements, which take longest, first.
-    """
+    """The models to validate next, because they may stop the others: those with the best first fits, of models with elements first."""
     firsts = [(one, one.first) for one in waiting if one.first is not None]
-    sized = [(one, first) for one, first in firsts if first.limit == _HOPELESS_SIZE]
-    least = min((first.error for _, first in sized or firsts), default=0.0)
-    return [one for one, first in sized or firsts if first.error <= first.limit * least]
+    ordered = sorted(firsts, key=lambda pair: (not pair[1].sized, pair[1].error))
+    return [one for one, _ in ordered[:_WAVE]]
 
 
 class ComparisonRun:
@@ -114,41 +120,86 @@ class ComparisonRun:
         named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
     """
 
-    def __init__(self, data: Dataset, left_out: Scheme, purpose: Purpose, options: FitOptions, named: dict[str, Any]):
+    def __init__(self, data: Dataset, left_out: LeftOut, purpose: Purpose, options: FitOptions, named: dict[str, Any]):
         self.data, self.left_out, self.purpose, self.options, self.named = data, left_out, purpose, options, named
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
+        self.solved: dict[str, Solved] = {}
         self.errors: list[Exception] = []
 
     def search(self, chosen: Candidates, shown: ShownProgress, workers: Workers) -> None:
-        """Run the candidates; models without a resonance only where the search, which has none, errs about as little as the best."""
-        names = (*chosen.names, *chosen.without_resonance)
-        self.run(chosen.names, shown, workers)
-        if chosen.without_resonance:
-            rows = self._rows_without_resonance(chosen.without_resonance)
-            if rows is None:
-                self.run(chosen.without_resonance, shown, workers)
-            else:
-                self.rows += rows
-        self.rows.sort(key=lambda row: names.index(row.asked) if row.asked in names else -1)
+        """Run the candidates in order: closed forms, then those that iterate, those with a resonance first where the records show one."""
+        if self.named:
+            self.run(chosen.names, shown, workers)
+            return
+        self.run(chosen.closed, shown, workers)
+        if (spacing := self._spacing()) > 1:
+            self._rescore(spacing, shown, workers)
+        search = self.fits.get(SEARCH)
+        chosen = chosen.beside(*(structure_of(search.model) if search else (Structure(), False)))
+        rings = not self._is_noise() and self._rings()
+        first, last = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
+        self.run((*chosen.closed, *first), shown, workers)
+        if rings and self._resonance_needed():
+            self._skip(last, "a resonance is needed")
+        elif self._is_noise():
+            self._skip(last, "the residuals of the best model are noise")
+        else:
+            self.run(last, shown, workers)
 
-    def _rows_without_resonance(self, names: Sequence[str]) -> list[Row] | None:
-        """Rows of models that are not tried, because a resonance is needed; None where that is in doubt."""
+    def _rescore(self, spacing: int, shown: ShownProgress, workers: Workers) -> None:
+        """Fit and validate the models so far again, with runs of samples held out: the errors of all must be those on the same samples."""
+        self.options = dataclasses.replace(self.options, spacing=spacing)
+        seconds = {row.asked: row.seconds for row in self.rows if row.score_percent is not None}
+        before, self.rows = dict(self.fits), [row for row in self.rows if row.asked not in seconds]
+
+        def again(one: Candidate, progress: Callable[[str], object]) -> None:
+            fit = before[one.name]
+            one.choices = tuple(note for note in fit.notes if note.code is Code.CHOICE)
+            one.solved = solve_model(fit.name, self.data, self.options)
+            self._validate(one, progress)
+
+        candidates = [Candidate(name, seconds=spent) for name, spent in seconds.items()]
+        self._each(again, candidates, shown, workers)
+        self._keep_finished(candidates, shown)
+
+    def _spacing(self) -> int:
+        """Samples over which the residuals of the best model are correlated, where scattered samples are held out; else 1."""
+        scored = {row.asked: row.score_percent for row in self.rows if row.score_percent is not None}
+        if not scored:
+            return 1
+        best = self.fits[min(scored, key=lambda name: scored[name])]
+        if best.problem.held_out.scheme is not Scheme.SCATTERED:
+            return 1
+        residuals = best.problem.residuals(best.x)
+        return max(correlation_length(row[used]) for row, used in zip(residuals, best.problem.used, strict=True))
+
+    def _rings(self) -> bool:
+        """Whether the response of the longest record changes with frequency as that of an oscillator."""
+        found = dynamics_of(max(self.data, key=len))
+        return found is not None and found.resonant
+
+    def _resonance_needed(self) -> bool:
+        """Whether the search, which has no resonance, errs far more than the best model."""
+        best, search = self._best(), next((row.score_percent for row in self.rows if row.asked == SEARCH), None)
+        return best is not None and search is not None and search > _HOPELESS * best
+
+    def _is_noise(self) -> bool:
+        """Whether noise explains the error of the best model: a resonance cannot improve it."""
         best = self._best()
-        search = next((row.score_percent for row in self.rows if row.asked == SEARCH), None)
-        if best is None or search is None or search <= _HOPELESS * best:
-            return None
-        note = (
-            f"not tried: without a resonance the cross-validation error is {search:.2g} %, with one {best:.2g} % "
-            "(hystfit compare --models NAME tries a model)"
-        )
-        return [Row(name, name, None, None, None, None, 0.0, Status.UNTESTED, note) for name in names]
+        return best is not None and is_noise(best * self._span / 100, Baselines.of(self.data))
+
+    def _skip(self, names: Sequence[str], reason: str) -> None:
+        note = "not tried: {} (hystfit compare --models {} tries it)"
+        self.rows += [
+            Row(name, name, None, None, None, None, 0.0, Status.UNTESTED, note.format(reason, name)) for name in names
+        ]
 
     def run(self, names: Sequence[str], shown: ShownProgress, workers: Workers) -> None:
         """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
 
         def each(work: Callable[[Candidate, Callable[[str], object]], None], chosen: Sequence[Candidate]) -> None:
-            workers.run([functools.partial(self._timed, work, one, shown, workers) for one in chosen])
+            self._each(work, chosen, shown, workers)
 
         candidates = [Candidate(name) for name in names]
         each(self._first_fit, candidates)
@@ -162,6 +213,15 @@ class ComparisonRun:
                 one.row = one.row or self._beaten_row(one)
             each(self._validate, [one for one in contenders if one.row is None])
             waiting = self._keep_finished(waiting, shown)
+
+    def _each(
+        self,
+        work: Callable[[Candidate, Callable[[str], object]], None],
+        chosen: Sequence[Candidate],
+        shown: ShownProgress,
+        workers: Workers,
+    ) -> None:
+        workers.run([functools.partial(self._timed, work, one, shown, workers) for one in chosen])
 
     def _timed(
         self,
@@ -192,8 +252,8 @@ class ComparisonRun:
             self.rows.append(dataclasses.replace(one.row, seconds=one.seconds))
             if one.failure is not None:
                 self.errors.append(one.failure)
-            if one.result is not None:
-                self.fits[one.name] = one.result
+            if one.result is not None and one.solved is not None:
+                self.fits[one.name], self.solved[one.name] = one.result, one.solved
             shown.done(one.name)
         return [one for one in candidates if one.row is None]
 
@@ -209,28 +269,27 @@ class ComparisonRun:
         name = one.name
         progress("fit")
         if name == SEARCH:
-            one.fitted = fit_model(SEARCH, self.data, self.options)
+            one.solved = solve_model(SEARCH, self.data, self.options)
             return
         given = self.named.get(name, name)
         model = make_model(given)
         # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
         sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
-        first = one.first.error if one.first else None
-        if not sized and (choice := choose_size(model, self.data, progress, first)).notes:
-            one.fitted = fit_model(choice.model, self.data, self.options).with_notes(*choice.notes)
-        else:
-            one.fitted = fit_model(given, self.data, self.options)
+        if not sized:
+            chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
+            given = chosen if one.choices else given
+        one.solved = solve_model(given, self.data, self.options)
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
-        name, result = one.name, one.fitted
-        assert result is not None
+        assert one.solved is not None
+        name, result = one.name, one.solved.unjudged()
         progress("cross-validation")
         score, criterion = left_out_error(result, self.left_out), bic(result)
-        if self.left_out == "blocks" and np.isfinite(score):
+        if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
         obstacles = {use: text for use in ("inverse", "export") if (text := result.obstacle(use))}
-        one.result = result
+        one.result = result.with_notes(*one.choices)
         one.row = Row(
             name=name if ".py:" in name else result.name,
             asked=name,
@@ -252,8 +311,9 @@ class ComparisonRun:
             return
         model = make_model(one.name)
         progress("first fit")
-        if (error := first_error(model, self.data)) is not None:
-            one.first = _First(error, _HOPELESS_SIZE)
+        one.sizes = SizeSearch(self.data, self.options.spacing, progress)
+        if (found := one.sizes.first(model)) is not None:
+            one.first = _First(found[1], sized=True)
         else:
             problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
             method = ESTIMATORS.make(choose_method(problem)).quick()
@@ -262,7 +322,7 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = _First(rms if np.isfinite(rms) else np.inf, _HOPELESS, estimate.x.size)
+            one.first = _First(rms if np.isfinite(rms) else np.inf, sized=False, parameters=estimate.x.size)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""
@@ -275,7 +335,7 @@ class ComparisonRun:
         if best is None or first is None:
             return None
         error = 100 * first.error / self._span
-        if not np.isfinite(error) or error <= first.limit * best:
+        if not np.isfinite(error) or error <= _HOPELESS * best:
             return None
         note = (
             f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
@@ -285,9 +345,10 @@ class ComparisonRun:
 
     def _beaten_row(self, one: Candidate) -> Row | None:
         """The row of a model that errs more on the samples it was fitted to than another on left-out data; None for the others."""
-        best, result = self._best(), one.fitted
-        if best is None or result is None:
+        best, solved = self._best(), one.solved
+        if best is None or solved is None:
             return None
+        result = solved.unjudged()
         weight = np.asarray(result.problem.objective.batch.weight)
         squares = float(np.sum(weight * result.problem.residuals(result.x) ** 2))
         error = 100 * np.sqrt(squares / weight.sum()) / self._span
@@ -308,6 +369,20 @@ class ComparisonRun:
             Status.UNTESTED,
             note,
         )
+
+    def judged(self, name: str) -> FitResult:
+        """A fit with its standard errors."""
+        known, result = self.fits[name], self.solved[name].judged()
+        if known.left_out is not None:
+            result = with_left_out(result, known.left_out)
+        return result.with_notes(
+            *(note for note in known.notes if note.code is Code.CHOICE and note not in result.notes)
+        )
+
+    @property
+    def scheme(self) -> Scheme:
+        """What was held out."""
+        return Scheme.FUTURE if self.left_out == "future" else held_out(list(self.data)).scheme
 
     @property
     def _span(self) -> float:

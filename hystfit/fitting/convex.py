@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -14,9 +13,9 @@ import scipy  # loads its subpackages when they are first used, which optimize i
 
 from hystfit.errors import ModelError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.blocks import chosen, parts, spread
-from hystfit.inference.objective import linearized
+from hystfit.inference.blocks import parts, spread
 from hystfit.inference.problem import Problem
+from hystfit.inference.weights import weighted_columns
 from hystfit.models.design import FAR, left_out_squares
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.outcome import Code, Note, Severity
@@ -26,8 +25,7 @@ STRENGTHS = tuple(10.0**k for k in (-10, -8, -6, -5, -4.5, -4, -3.5, -3, -2.5, -
 _WITHOUT = 1e12  # strength at which the weights are zero
 _HARDLY = 0.9  # of the left-out error without weights, above which the weights hardly help
 _WEAK = 1e-6  # strength at which a ridge moves no lag
-_BLOCKS = 5
-_FOLDS = 10  # groups of whole records at most: more refits hardly change the error (Breiman and Spector 1992)
+_BRACKET = 0.2  # of a nonlinear parameter's natural scale: first step of its search
 _QUICK = 15  # evaluations of the outer search of a first look
 
 
@@ -40,7 +38,7 @@ class LinearSystem:
         target: measured output less the response with all weights zero, weighted, shape (n,).
         free: parameters without a lower bound, shape (p,), bool; the others are >= 0.
         ridged: parameters that the ridge penalizes (all but the offsets of records), shape (p,), bool.
-        block: of each sample, which left-out block it belongs to, shape (n,).
+        fold: of each sample, the group with which it is held out, shape (n,); -1 for samples that stay in every fit.
         weight: of each sample, shape (n,).
     """
 
@@ -48,7 +46,7 @@ class LinearSystem:
     target: np.ndarray
     free: np.ndarray
     ridged: np.ndarray
-    block: np.ndarray
+    fold: np.ndarray
     weight: np.ndarray
 
     @classmethod
@@ -68,19 +66,13 @@ class LinearSystem:
         if np.isfinite(upper).any() or (np.isfinite(lower) & (lower != 0)).any():
             names = [problem.space.names[k] for k in at]
             raise ModelError(f"linear parameters must be free or >= 0 for a convex fit: {names}; use method='trf'")
-        without = np.array(x, dtype=float)
-        without[at] = 0.0
-        misfit, columns = linearized(problem.objective, without, at)
-        batch = problem.objective.batch
-        weight = np.asarray(batch.weight).reshape(-1)
-        used = weight > 0
-        root = np.sqrt(weight[used])
-        columns = chosen(columns.reshape(used.size, -1), used)
-        if (root != 1).any():
-            columns = columns * root[:, None]
+        columns, target = weighted_columns(problem.space, list(problem.data), x, at)
         ridged = np.array([not problem.space.infos[k].per_record for k in at])
-        block = block_of((weight.reshape(batch.u.shape) > 0).sum(axis=1))
-        return cls(columns, -misfit.reshape(-1)[used] * root, ~np.isfinite(lower), ridged, block, weight[used])
+        pairs = list(zip(problem.held_out.folds, problem.data, strict=True))
+        fold, weight = (
+            np.concatenate(parts) for parts in zip(*((f[r.used], r.weight[r.used]) for f, r in pairs), strict=True)
+        )
+        return cls(columns, target, ~np.isfinite(lower), ridged, fold, weight)
 
     @functools.cached_property
     def origin(self) -> np.ndarray:
@@ -98,61 +90,36 @@ class LinearSystem:
         return origin
 
     def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Normal matrices of the blocks, (blocks, p + 1, p + 1), on columns divided by `scale`; the target, less the
-        response to `origin`, comes last.
+        """Normal matrices of the held-out groups, and a last one of the samples that stay in every fit, on columns divided by `scale`.
+
+        The target, less the response to `origin`, comes last.
 
         Returns:
-            The matrices, the scale of each column, and the number of samples of each block.
+            The matrices, shape (groups + 1, p + 1, p + 1), the scale of each column, and the number of samples of each group.
         """
         scale = spread(self.columns)
         scale = np.where(scale > 1e-9 * max(scale.max(initial=0.0), 1e-300), scale, np.inf)
         constant = ~self.ridged  # an offset has no spread, and needs no common scale
         scale[constant] = 1.0
-        n, p = self.columns.shape
-        grams = np.zeros((int(self.block.max()) + 1, p + 1, p + 1))
-        ends = [*(np.flatnonzero(np.diff(self.block)) + 1).tolist(), n]
-        for start, end in itertools.pairwise([0, *ends]):
-            gram = grams[self.block[start]]
-            for part in parts(end - start, p + 1):
-                some = self.columns[start:end][part]
-                target = self.target[start:end][part] - some @ self.origin
+        p, count = self.columns.shape[1], int(self.fold.max()) + 2
+        grams = np.zeros((count, p + 1, p + 1))
+        for gram, number in zip(grams, (*range(count - 1), -1), strict=True):
+            rows = np.flatnonzero(self.fold == number)
+            for part in parts(rows.size, p + 1):
+                some, target = self.columns[rows[part]], self.target[rows[part]]
+                target = target - some @ self.origin
                 gram[:p, :p] += some.T @ some
                 gram[:p, p] += some.T @ target
                 gram[p, p] += target @ target
         grams[:, p, :p] = grams[:, :p, p]
         by = np.append(1 / scale, 1.0)
         grams *= by * by[:, None]
-        return grams, scale, np.bincount(self.block)
+        return grams, scale, np.bincount(np.where(self.fold < 0, count - 1, self.fold), minlength=count)
 
 
 def linear_positions(problem: Problem) -> np.ndarray:
     """Positions in x of the parameters in which the output is linear."""
     return np.flatnonzero(problem.space.linear)
-
-
-def left_out_blocks(problem: Problem) -> list[np.ndarray]:
-    """For each record the block of every sample, shape (T_r,): -1 where it does not count."""
-    used = problem.used
-    number = np.full(used.shape, -1)
-    number[used] = block_of(used.sum(axis=1))
-    return [row[: len(record)] for row, record in zip(number, problem.data, strict=True)]
-
-
-def block_of(counts: np.ndarray) -> np.ndarray:
-    """Blocks of samples that are left out together: whole records where there are at least three of them, else five parts of each.
-
-    More than ten records are dealt out to ten blocks.
-
-    Args:
-        counts: samples of each record that count, shape (R,).
-
-    Returns:
-        Number of the block of each sample that counts, shape (sum of counts,).
-    """
-    if counts.size >= 3:
-        return np.repeat(np.arange(counts.size) % _FOLDS, counts)
-    split = [np.array_split(np.zeros(count), _BLOCKS) for count in counts]
-    return np.concatenate([np.full(part.size, number) for parts in split for number, part in enumerate(parts)])
 
 
 def solve_normal(
@@ -182,7 +149,7 @@ class RidgeFit:
         weights: shape (p,).
         strength: of the ridge, relative to the samples' number, on columns of unit spread.
         ridge: what it adds to the normal matrix of the weights, diagonal, shape (p,).
-        left_out: weighted root mean square error on blocks left out, output units, for each strength tried.
+        left_out: weighted root mean square error on held-out groups, output units, for each strength tried.
         rss: sum of squared residuals.
     """
 
@@ -194,12 +161,12 @@ class RidgeFit:
 
     @property
     def score(self) -> float:
-        """The smallest error on blocks left out."""
+        """The smallest error on held-out groups."""
         return float(np.min(self.left_out))
 
 
 def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) -> RidgeFit:
-    """Solve, with the strength whose error on contiguous blocks left out in turn is smallest.
+    """Solve, with the strength whose error on the groups held out in turn is smallest.
 
     The offset of a record that is left out as a whole is fitted to it.
     """
@@ -208,13 +175,13 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
     dead = ~np.isfinite(scale)
     held = system.ridged | dead
     error = np.zeros(len(strengths))
-    for gram, count in zip(grams, counts, strict=True):
+    for gram, count in zip(grams[:-1], counts[:-1], strict=True):
         others, positive = total - gram, None
         absent = ~held & (np.diag(others)[:-1] == 0)
         for k, strength in enumerate(strengths):
             w, positive = solve_normal(others, system.free, held * strength * (n - count) + dead, positive)
             error[k] += left_out_squares(gram, w, absent)
-    left_out = np.sqrt(error / system.weight.sum())
+    left_out = np.sqrt(error / system.weight[system.fold >= 0].sum())
     best = int(np.argmin(left_out))
     ridge = held * strengths[best] * n + dead
     w, _ = solve_normal(total, system.free, ridge)
@@ -248,7 +215,7 @@ class Convex(AbstractEstimator):
     search is therefore repeated with a weak one.
 
     Attributes:
-        strengths: of the ridge, among which blocks left out choose.
+        strengths: of the ridge, among which held-out groups choose.
         max_evaluations: of an outer search.
     """
 
@@ -281,7 +248,7 @@ class Convex(AbstractEstimator):
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
         note = (
-            f"ridge {fit.strength:.0e} chosen by cross-validation on {system.block.max() + 1} blocks "
+            f"ridge {fit.strength:.0e} chosen by cross-validation on {system.fold.max() + 1} groups "
             f"(error {100 * fit.score / (2 * size):.2f} % of the range)"
         )
         severity = Severity.INFO
@@ -333,7 +300,15 @@ def search_nonlinear(
         trial[others] = inner
         return np.array(problem.space.physical(trial))
 
-    solution = scipy.optimize.minimize(lambda v: cost(at(v)), z[others], method="Nelder-Mead", options=options)
+    if others.size == 1:  # by parabolas: a sixth of the evaluations of a simplex
+        bracket, limits = (
+            (z[others[0]], z[others[0]] + _BRACKET),
+            {"maxiter": options["maxfev"], "xtol": options["xatol"]},
+        )
+        of_number = lambda v: cost(at(np.atleast_1d(v)))
+        solution = scipy.optimize.minimize_scalar(of_number, bracket, method="brent", options=limits)
+    else:
+        solution = scipy.optimize.minimize(lambda v: cost(at(v)), z[others], method="Nelder-Mead", options=options)
     stopped = f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
     message = "converged" if solution.success else stopped
-    return at(solution.x), int(solution.nfev), bool(solution.success), message
+    return at(np.atleast_1d(solution.x)), int(solution.nfev), bool(solution.success), message

@@ -59,6 +59,16 @@ class Uncertainty:
     sigma: float
     residuals: ResidualAnalysis
 
+    @classmethod
+    def unknown(cls, problem: Problem, estimate: Estimate) -> Uncertainty:
+        """That of a fit whose standard errors nobody has asked for: a candidate in a comparison."""
+        p, residual = estimate.x.size, problem.misfit(estimate.x)
+        nothing, never = np.full((p, p), np.nan), np.zeros(p, dtype=bool)
+        plain = float(np.sum(residual**2)) / max(int(np.count_nonzero(problem.used)) - p, 1)
+        analysis = ResidualAnalysis.of_misfit(problem, residual, None)
+        sigma = float(np.sqrt(plain)) * problem.scales.y
+        return cls(nothing, nothing, never, never, (), (), 0, None, analysis.correlation_time, 1.0, sigma, analysis)
+
 
 def uncertainty(
     problem: Problem, estimate: Estimate, *, correlated: bool = True, root: np.ndarray | None = None

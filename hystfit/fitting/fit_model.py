@@ -58,25 +58,60 @@ def fit_model(
     """
     require_x64()
     require_seed(options.seed)
-    method, named, notes = options.method, not isinstance(model, AbstractHysteresis), []
-    if isinstance(model, str) and model == SEARCH and not is_sequential(method):
+    if is_sequential(options.method):
+        watch = Stopwatch()
+        if changed := dataclasses.replace(options, method="auto").changed():
+            raise ParameterError(f"{changed[0]}= has no effect with method={options.method!r}: leave it out")
+        return as_fit(identify(data, options.method, make_model(model), **settings), options.seed, watch)
+    if settings:
+        raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={options.method!r}")
+    return solve_model(model, data, options).judged()
+
+
+def solve_model(
+    model: AbstractHysteresis | type[AbstractHysteresis] | str, data: Dataset, options: FitOptions
+) -> Solved:
+    """Fit one model to records without its standard errors; arguments and errors as for `fit_model`, apart from identifiers."""
+    named, notes = not isinstance(model, AbstractHysteresis), list[Note]()
+    watch = Stopwatch()
+    if isinstance(model, str) and model == SEARCH:
         if isinstance(options.start, Mapping):
             raise ParameterError(f"{SEARCH} chooses its terms on the data: leave out starting values by name")
-        found = search_structure(without_faults(data))
+        found = search_structure(without_faults(data), spacing=options.spacing)
         model, notes = found.model, list(found.notes())
         options = dataclasses.replace(options, start="model")
-    model = make_model(model)
-    watch = Stopwatch()
-    if is_sequential(method):
-        if changed := dataclasses.replace(options, method="auto").changed():
-            raise ParameterError(f"{changed[0]}= has no effect with method={method!r}: leave it out")
-        return as_fit(identify(data, method, model, **settings), options.seed, watch)
-    if settings:
-        raise ParameterError(f"fit has no setting {next(iter(settings))!r} for method={method!r}")
     options.check()
-    fit_setup = set_up_fit(model, data, options, held=not named, notes=tuple(notes))
-    estimate = solve(fit_setup.problem, fit_setup.method, options.starts, options.seed, fit_setup.points)
-    return judge(fit_setup, estimate, options, watch)
+    setup = set_up_fit(make_model(model), data, options, held=not named, notes=tuple(notes))
+    return Solved(setup, solve(setup.problem, setup.method, options.starts, options.seed, setup.points), options, watch)
+
+
+@dataclasses.dataclass(frozen=True)
+class Solved:
+    """A solved fit: in a comparison, only those that are looked at need standard errors, which take longer than many a solve."""
+
+    setup: FitSetup
+    estimate: Estimate
+    options: FitOptions
+    watch: Stopwatch
+
+    def judged(self) -> FitResult:
+        """The result with standard errors."""
+        return judge(self.setup, self.estimate, self.options, self.watch)
+
+    def unjudged(self) -> FitResult:
+        """The result with its verdict, without standard errors."""
+        noise = NoiseEstimate(str(self.options.noise), {})
+        errors = Uncertainty.unknown(self.setup.problem, self.estimate)
+        return _make_result(
+            self.setup,
+            self.estimate,
+            errors,
+            self.options.seed,
+            self.watch,
+            noise=noise,
+            notes=self.setup.notes,
+            thorough=False,
+        )
 
 
 def judge(fit_setup: FitSetup, estimate: Estimate, options: FitOptions, watch: Stopwatch) -> FitResult:
@@ -90,8 +125,7 @@ def judge(fit_setup: FitSetup, estimate: Estimate, options: FitOptions, watch: S
         estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
         notes.append(description)
     notes += _mismatches(errors, noise, problem.scales.y)
-    label = ESTIMATORS.label(fit_setup.method)
-    return _make_result(problem, estimate, errors, label, options.seed, watch, noise=noise_estimate, notes=notes)
+    return _make_result(fit_setup, estimate, errors, options.seed, watch, noise=noise_estimate, notes=notes)
 
 
 def _with_noise(
@@ -132,29 +166,30 @@ def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: flo
 
 
 def _make_result(
-    problem: Problem,
+    setup: FitSetup,
     estimate: Estimate,
     errors: Uncertainty,
-    method: str,
     seed: int,
     watch: Stopwatch,
     *,
     noise: NoiseEstimate,
     notes: Sequence[Note] = (),
+    thorough: bool = True,
 ) -> FitResult:
     """The `FitResult` of an estimate, with its verdict."""
+    problem, method = setup.problem, ESTIMATORS.label(setup.method)
     data, x = problem.data, estimate.x
     train, rows = _errors(problem, x)
     model = problem.space.assembled(x)
     baselines = Baselines.of(data)
-    fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem))
+    fitted = Fitted(problem, model, estimate, train, rows, baselines, method, choose_method(problem), thorough)
     status, reasons = verdict_of(fitted)
     compile_s, run_s = watch.read()
     result = FitResult(
         problem=problem,
         x=np.asarray(x),
         status=status,
-        notes=(*reasons, *notes, *notes_of(problem, model, estimate, errors)),
+        notes=(*reasons, *notes, *(notes_of(problem, model, estimate, errors) if thorough else estimate.notes)),
         parameters=_parameters_of(problem, x, errors),
         covariance=errors.covariance,
         joint=errors.joint,

@@ -32,6 +32,7 @@ class FitOptions:
     seed: int = 0
     loss: Loss = "linear"
     noise: str | type[AbstractNoise] = "auto"
+    spacing: int = 1  # set by a comparison: samples over which the errors of its models are correlated
 
     @property
     def plain_noise(self) -> bool:
@@ -40,7 +41,7 @@ class FitOptions:
 
     def changed(self) -> list[str]:
         """Names of the options that have another value than their default; the seed, which every fit takes, is none of them."""
-        names = [field.name for field in dataclasses.fields(self) if field.name != "seed"]
+        names = [field.name for field in dataclasses.fields(self) if field.name not in ("seed", "spacing")]
         return [name for name in names if (getattr(self, name) or None) != (getattr(type(self), name) or None)]
 
     def check_search(self, others: Iterable[str] = ()) -> None:

@@ -16,7 +16,6 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.multistart import starting_vectors, with_record_parameters
 from hystfit.fitting.registry import ESTIMATORS
-from hystfit.inference.objective import Loss
 from hystfit.inference.problem import Problem, check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
@@ -59,19 +58,20 @@ def set_up_fit(
     check_fittable(model, data)
     data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")
     points: tuple[AbstractHysteresis, ...] = (model,)
-    fix, free, loss, start = options.fix, options.free, options.loss, options.start
+    fix, free, start = options.fix, options.free, options.start
+    common: dict[str, Any] = {"free": free, "loss": options.loss, "spacing": options.spacing}
     if start != "model":
         fix = _fixed_values(model, fix) if held else fix
-        problem, points = started_problem(model, data, fix=fix, free=free, loss=loss)
+        problem, points = started_problem(model, data, fix=fix, **common)
         if isinstance(start, Mapping):
             points = (points[0].replace(**start),)
-            problem = Problem(points[0], data, fix=fix, free=free, loss=loss)
+            problem = Problem(points[0], data, fix=fix, **common)
         model = points[0]
     else:
-        problem = Problem(model, data, fix=fix, free=free, loss=loss)
+        problem = Problem(model, data, fix=fix, **common)
     name = choose_method(problem) if options.method == "auto" else options.method
     if name == "convex" and start != "model" and model.has_rest:
-        problem, of_rest = _choose_rest(problem, fix, free, loss)
+        problem, of_rest = _choose_rest(problem, fix, common)
         notes = (*notes, *of_rest)
     return FitSetup(problem, name, points, notes)
 
@@ -136,7 +136,7 @@ def solve(
 
 
 def _choose_rest(
-    problem: Problem, fix: Sequence[str] | Mapping[str, Any], free: Sequence[str], loss: Loss
+    problem: Problem, fix: Sequence[str] | Mapping[str, Any], common: Mapping[str, Any]
 ) -> tuple[Problem, list[Note]]:
     """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
     span = 2 * problem.scales.u
@@ -145,7 +145,7 @@ def _choose_rest(
     first = problem.model.with_rest("first")
     if eqx.tree_equal(first, problem.model):  # chosen by the user
         return problem, []
-    other = Problem(first, problem.data, fix=fix, free=free, loss=loss)
+    other = Problem(first, problem.data, fix=fix, **common)
     scores = []
     for candidate in (problem, other):
         x = with_record_parameters(candidate, candidate.space.vector(candidate.model))

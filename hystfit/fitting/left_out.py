@@ -1,4 +1,4 @@
-"""Cross-validation error of a fit, with blocks or the future left out in turn; and BIC."""
+"""Cross-validation error of a fit, with groups of samples or the future held out in turn; and BIC."""
 
 from __future__ import annotations
 
@@ -8,37 +8,39 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.errors import ParameterError
-from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, left_out_blocks, linear_positions
+from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, linear_positions
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis
+from hystfit.quality.held_out import FOLDS, future
 from hystfit.results.result import FitResult
 
-Scheme = Literal["blocks", "future"]
-SCHEMES: tuple[str, ...] = get_args(Scheme)
-_PARTS = 5  # of each record; the future begins after the second
+LeftOut = Literal["auto", "future"]
+CHOICES: tuple[str, ...] = get_args(LeftOut)
 
 
-def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
-    """Weighted root mean square error on data left out of refits, output units.
+def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
+    """Weighted root mean square error on samples held out of refits, output units.
 
     Args:
-        result: the fit of all data; refits start there. Samples are not left out one by one, because residuals are autocorrelated.
-        scheme: "blocks" leaves out in turn whole records, in at most ten groups, where there are three or more, else contiguous
-            fifths of each; "future" predicts the third, fourth and fifth part of every record from a fit to what came before
-            (Buerkner et al. 2020), which tests whether creep and drift are understood. The offset of a record that is left out as a
-            whole is fitted to it; its other own parameters, such as an initial state, keep the values of the fit of all data.
+        result: the fit of all data; refits start there.
+        left_out: "auto" holds out what suits the records (`hystfit.quality.held_out`); "future" predicts the third, fourth and fifth
+            part of every record from a fit to what came before, which tests whether creep and drift are understood. The offset of a
+            record that is held out as a whole is fitted to it; its other own parameters, such as an initial state, keep the values of
+            the fit of all data.
 
     Raises:
-        ParameterError: an unknown scheme.
+        ParameterError: an unknown choice.
     """
-    if scheme not in SCHEMES:
-        raise ParameterError(f"left_out must be one of {', '.join(SCHEMES)}, got {scheme!r}")
+    if left_out not in CHOICES:
+        raise ParameterError(f"left_out must be one of {', '.join(CHOICES)}, got {left_out!r}")
     problem, x = result.problem, result.x
-    if scheme == "future":
-        return _refitted(result.method, problem, x, _futures(problem))
+    if left_out == "future":
+        parts = future(list(problem.data)).folds
+        splits = [([f < k for f in parts], [f == k for f in parts]) for k in range(2, FOLDS)]
+        return _refitted(result.method, problem, x, splits)
     if result.left_out is not None and len(linear_positions(problem)):
         return result.left_out  # by which the fit chose its regularization
     if result.method == "preisach":
@@ -46,18 +48,7 @@ def left_out_error(result: FitResult, scheme: Scheme = "blocks") -> float:
     if result.method == "convex" and len(linear_positions(problem)):
         system = LinearSystem.of(problem, x)
         return fit_ridge(system, Convex().strengths).score
-    blocks = left_out_blocks(problem)
-    splits = [
-        ([b != k for b in blocks], [b == k for b in blocks]) for k in range(max(int(b.max()) for b in blocks) + 1)
-    ]
-    return _refitted(result.method, problem, x, splits)
-
-
-def _futures(problem: Problem) -> list[tuple[list[np.ndarray], list[np.ndarray]]]:
-    """(samples to fit, samples to predict), one mask per record, for each part of the future."""
-    parts = [record.blocks(_PARTS) for record in problem.data]
-    before = lambda k: [np.any(blocks[:k], axis=0) for blocks in parts]
-    return [(before(k), [blocks[k] for blocks in parts]) for k in range(2, _PARTS)]
+    return _refitted(result.method, problem, x, problem.held_out.splits())
 
 
 def _refitted(
@@ -73,7 +64,8 @@ def _refitted(
         predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))
         for mask, record, y in zip(asked, problem.data, predicted, strict=True):
             held = mask & record.used
-            squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
+            with np.errstate(over="ignore"):  # of a refit that diverges
+                squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
             total += float(record.weight[held].sum())
     return float(np.sqrt(squares / total)) if total else float("nan")
 

@@ -1,8 +1,7 @@
-"""The number and positions of a model's elements, and its state before the records, chosen by the error on left-out data."""
+"""The number and positions of a model's elements, and its state before the records, chosen by the error on held-out data."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -18,71 +17,58 @@ from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
 
 _COARSE = SMOOTHNESS[::2]
-_GAIN = 0.98  # another size is taken only if it lowers the error on left-out data by at least 2 %
+_GAIN = 0.98  # another size is taken only if it lowers the error on held-out data by at least 2 %
 
 
-@dataclasses.dataclass(frozen=True)
-class Sized:
-    """A model of a chosen size.
+class SizeSearch:
+    """Search over the choices of one model, one after another; the weights are solved for at the starting values of all others.
 
-    Attributes:
-        model: with the size that predicts left-out data best, or as it was where there is nothing to choose.
-        notes: the choice, if there was one.
+    Args:
+        data: records.
+        spacing: samples over which errors are correlated, see `held_out`.
+        progress: called with the name of each model that is tried.
     """
 
-    model: AbstractHysteresis
-    notes: tuple[Note, ...] = ()
+    def __init__(self, data: Dataset, spacing: int = 1, progress: Callable[[str], object] = lambda _: None):
+        self._data, self._spacing, self._progress = data, spacing, progress
+        self._scores: dict[str, float] = {}
 
+    def first(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, float] | None:
+        """The best of its first choice, that of its levels, and its rms error on held-out data [y]; None without choices.
 
-def choose_size(
-    model: AbstractHysteresis,
-    data: Dataset,
-    progress: Callable[[str], object] = lambda _: None,
-    first: float | None = None,
-) -> Sized:
-    """Greedy search: repeat the single change of size that lowers the cross-validation error most.
+        The error is infinite for a model that cannot be solved for.
+        """
+        groups = model.choices(list(self._data))
+        if not groups:
+            return None
+        best = min(groups[0], key=self._score)
+        return best, self._score(best)
 
-    The weights are solved for at the starting values of the other parameters. `first` is the `first_error` where it is known.
-    """
-    found = model.sizes(list(data))
-    if not found:
-        return Sized(model)
-    scores: dict[str, float] = {}
+    def chosen(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, tuple[Note, ...]]:
+        """The model with the choices that predict held-out data best, and a note on them; without choices the model itself."""
+        records = list(self._data)
+        first = self.first(model)
+        if first is None:
+            return model, ()
+        best = first[0]
+        for number in range(1, len(best.choices(records))):
+            while True:
+                other = min(best.choices(records)[number], key=self._score, default=best)
+                if not self._score(other) < _GAIN * self._score(best):
+                    break
+                best = other
+        error = 100 * self._score(best) / output_range(self._data).width
+        text = f"{model_name(best)}: the smallest cross-validation error ({error:.2g} % of the range) of {len(self._scores)} choices"
+        return best, (Note(Code.CHOICE, text),)
 
-    def score(candidate: AbstractHysteresis) -> float:
-        name = model_name(candidate)
-        if name not in scores:
-            progress(name)
-            scores[name] = _left_out(candidate, data)
-        return scores[name]
-
-    best = next(iter(found.values()))
-    if first is not None:
-        scores[model_name(best)] = first
-    while True:
-        words, other = min(best.sizes(list(data)).items(), key=lambda item: score(item[1]))
-        if not score(other) < _GAIN * score(best):
-            break
-        best = other
-    words = next(iter(best.sizes(list(data))))
-    error = 100 * score(best) / output_range(data).width
-    text = f"{words}: the smallest cross-validation error ({error:.2g} % of the range) of {len(scores)} choices"
-    return Sized(best, (Note(Code.CHOICE, text),))
-
-
-def first_error(model: AbstractHysteresis, data: Dataset) -> float | None:
-    """Root mean square error on left-out data of the size where `choose_size` starts, output units; None without a choice of size.
-
-    Infinite for a model that cannot be solved for.
-    """
-    found = model.sizes(list(data))
-    return _left_out(next(iter(found.values())), data) if found else None
-
-
-def _left_out(model: AbstractHysteresis, data: Dataset) -> float:
-    """Root mean square error on left-out data, output units; infinite for a model that cannot be solved for."""
-    try:
-        problem = Problem(model.start(list(data)), data)
-        return left_out_score(problem, problem.space.vector(problem.model), _COARSE)
-    except (HystfitError, np.linalg.LinAlgError):
-        return float("inf")
+    def _score(self, model: AbstractHysteresis) -> float:
+        """Root mean square error on held-out data, output units; infinite for a model that cannot be solved for."""
+        name = model_name(model)
+        if name not in self._scores:
+            self._progress(name)
+            try:
+                problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
+                self._scores[name] = left_out_score(problem, problem.space.vector(problem.model), _COARSE)
+            except (HystfitError, np.linalg.LinAlgError):
+                self._scores[name] = float("inf")
+        return self._scores[name]

@@ -13,7 +13,7 @@ from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
-from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOut, fit_smooth
+from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
 from hystfit.outcome import Code, Note
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -27,14 +27,12 @@ class SmoothWeights(AbstractEstimator):
     resonance, whose parameters move to lower the cost at the smoothness found at the start; it is chosen again at the end.
 
     Attributes:
-        smoothness: strengths of the penalty among which blocks left out choose.
-        left_out: what chooses it, see `SmoothSystem.of`.
+        smoothness: strengths of the penalty among which held-out groups choose.
         max_evaluations: of the search.
     """
 
     needs_starts: ClassVar[bool] = False
     smoothness: tuple[float, ...] = eqx.field(static=True, default=SMOOTHNESS)
-    left_out: LeftOut = eqx.field(static=True, default="auto")
     max_evaluations: int = eqx.field(static=True, default=120)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
@@ -49,7 +47,7 @@ class SmoothWeights(AbstractEstimator):
             )
         # Reversal curves start from saturation, and are checked to be such.
         family = reversal_curves(list(problem.data)) if problem.model.from_saturation else None
-        split = lambda x: Split.of(problem.space, list(problem.data), x, left_out=self.left_out)
+        split = lambda x: Split.of(problem.space, list(problem.data), x, held=problem.held_out)
         x = np.array(problem.space.physical(starts[0]))
         now = split(x)
         others = np.flatnonzero(now.place < 0)
@@ -57,7 +55,7 @@ class SmoothWeights(AbstractEstimator):
         if others.size:
             x, evaluations, converged, message = self._search(problem, split, now, starts[0], others)
             now = split(x)
-        fit = fit_smooth(now.system, self.smoothness, held=now.held)
+        fit = fit_smooth(now.system, self.smoothness, fixed=now.fixed)
         weights = now.place >= 0
         size = problem.scales.y
         penalty = np.zeros(x.size)
@@ -66,7 +64,7 @@ class SmoothWeights(AbstractEstimator):
         texts += now.system.notes()
         if fit.error is not None:
             texts.append(
-                f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {int(now.system.judged.sum())} blocks "
+                f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {problem.held_out.count} groups "
                 f"(error {100 * fit.error:.2g} % of the range)"
             )
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
@@ -84,22 +82,22 @@ class SmoothWeights(AbstractEstimator):
                 f"smooth weights are fitted together with at most {_FEW} other parameters, and {others.size} are free ({names}, ...): "
                 "fix some, or use method='trf'"
             )
-        strength = fit_smooth(first.system, self.smoothness, held=first.held).smoothness
+        strength = fit_smooth(first.system, self.smoothness, fixed=first.fixed).smoothness
 
         def cost(x: np.ndarray) -> float:
             now = split(x)
-            return float(np.log(fit_smooth(now.system, (strength,), held=now.held).cost + 1e-300))
+            return float(np.log(fit_smooth(now.system, (strength,), fixed=now.fixed).cost + 1e-300))
 
         # The tolerances are small compared with the standard errors: the cost of n samples rises by 1 / n over one of them.
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
 def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
-    """Root mean square error on the blocks left out that choose the smoothness, output units.
+    """Root mean square error on the held-out groups that choose the smoothness, output units.
 
     The weights in x are solved for; `smoothness` has two or more strengths.
     """
-    now = Split.of(problem.space, list(problem.data), x)
-    error = fit_smooth(now.system, smoothness, held=now.held).error
+    now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
+    error = fit_smooth(now.system, smoothness, fixed=now.fixed).error
     assert error is not None
     return error * now.system.size

@@ -57,6 +57,7 @@ class Fitted:
         rows: residuals of each record, samples that count only [y].
         baselines: of the records.
         method: name of the estimator; `usual` is that which the model takes by default.
+        thorough: whether the records are searched for damage and drift, which takes longer than many a fit.
     """
 
     problem: Problem
@@ -67,6 +68,7 @@ class Fitted:
     baselines: Baselines
     method: str
     usual: str
+    thorough: bool = True
 
     @property
     def data(self) -> Dataset:
@@ -86,7 +88,7 @@ class Fitted:
     @functools.cached_property
     def may_change(self) -> bool:
         """Whether some output may drift or some device degrade, so that `qualities` are worth their time."""
-        return any(may_change(record) for record in self.parts)
+        return self.thorough and any(may_change(record) for record in self.parts)
 
     @functools.cached_property
     def parts(self) -> tuple[Record, ...]:
@@ -127,6 +129,8 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: in
 def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     """Status of a fit, and notes with the reason and the numbers."""
     status, reasons = _status_of(fitted)
+    if not fitted.thorough:
+        return status, reasons
     notes = [*reasons, accuracy_note(fitted.train, fitted.rows, fitted.baselines, "error")]
     found = (
         better_family_warning(fitted.train, fitted.baselines),
@@ -283,7 +287,7 @@ def _damage(fitted: Fitted) -> str:
 
 
 def _degrading(fitted: Fitted) -> bool:
-    return any(quality.degrading for quality in fitted.qualities)
+    return fitted.thorough and any(quality.degrading for quality in fitted.qualities)
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:

@@ -29,13 +29,17 @@ from hystfit.inference.stretches import in_stretches, linearization_by_stretches
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.design import COLUMNS
 from hystfit.models.simulation import check_one_device
 from hystfit.models.starting import scales_of
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.held_out import HeldOut, held_out
 
 LOSSES: tuple[str, ...] = get_args(Loss)
 Side = Literal["lower", "upper"]
+# Weights for each other free parameter from which closed-form columns, with differences for the others, replace a forward pass.
+_WEIGHTS = 4
 
 
 class Problem:
@@ -62,6 +66,7 @@ class Problem:
         fix: Sequence[str] | Mapping[str, Any] = (),
         free: Sequence[str] = (),
         loss: Loss = "linear",
+        spacing: int = 1,
     ):
         """Check that data and model fit each other, and collect the parameters.
 
@@ -71,6 +76,7 @@ class Problem:
             fix: names of parameters to hold, or names with values.
             free: names of parameters to fit that the model fixes by default.
             loss: how large residuals count.
+            spacing: samples over which errors are correlated, see `held_out`.
 
         Raises:
             PrecisionError: double precision is off.
@@ -90,6 +96,8 @@ class Problem:
         self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
         pairs = zip(given, self.data, strict=True)
         self.data = Dataset(tuple(self._begun(record, ready) for record, ready in pairs), given.name)
+        self._spacing = spacing
+        self._lengths = tuple(map(len, given))
         batch = Batch.of(self.data)
         # Smooth weights are many, and their number is not a measure of what the data must determine.
         if batch.count < len(self.space) and model.estimator != "preisach":
@@ -118,7 +126,7 @@ class Problem:
 
     def _changed(self, **changes: Any) -> Problem:
         other = copy.copy(self)
-        for cached in ("host_setting", "setting", "density"):
+        for cached in ("host_setting", "setting", "density", *(["held_out"] if "data" in changes else [])):
             other.__dict__.pop(cached, None)
         for name, value in changes.items():
             setattr(other, name, value)
@@ -129,6 +137,18 @@ class Problem:
         records = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
         data = Dataset(tuple(records))
         return self._changed(data=data, objective=dataclasses.replace(self.objective, batch=Batch.of(data)))
+
+    @functools.cached_property
+    def held_out(self) -> HeldOut:
+        """Groups of samples that are held out in turn to judge or to regularize a fit: those that suit the measured records."""
+        measured = [
+            record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)
+        ]
+        groups = held_out(measured, self._spacing)
+        folds = (
+            np.concatenate([np.full(len(r) - f.size, -1), f]) for r, f in zip(self.data, groups.folds, strict=True)
+        )
+        return HeldOut(groups.scheme, tuple(folds))
 
     def with_loss(self, loss: Loss) -> Problem:
         """The same problem with another loss."""
@@ -243,8 +263,11 @@ class Problem:
 
     @property
     def _has_design(self) -> bool:
-        """Whether derivatives come from design matrices."""
-        return self.model.has_fast_run and self.model.estimator is not None
+        """Whether derivatives come from design matrices: those of many weights, beside few other parameters."""
+        linear = int(np.count_nonzero(self.space.linear))
+        if not self.model.has_fast_run or linear < _WEIGHTS * (len(self.space) - linear):
+            return False
+        return self.model.estimator is not None or self.objective.batch.count * linear <= COLUMNS
 
     def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
         """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""

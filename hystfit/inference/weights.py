@@ -13,8 +13,9 @@ from jaxtyping import Float
 from hystfit.data.record import Record
 from hystfit.inference.blocks import parts
 from hystfit.models.design import DesignMatrix
-from hystfit.models.preisach.smooth import Layout, LeftOut, Offsets, SmoothSystem
+from hystfit.models.preisach.smooth import Layout, Offsets, SmoothSystem
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.held_out import HeldOut
 
 _STEP = 1e-6  # of a central difference, relative to a parameter's size
 
@@ -27,13 +28,13 @@ class Split:
         system: equations of all weights, the held ones included.
         place: position of each free parameter among the weights, shape (p,); -1 for parameters that are not weights.
         record: number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,).
-        held: values of the weights that are not free, NaN for the free ones.
+        fixed: values of the weights that are not free, NaN for the free ones.
     """
 
     system: SmoothSystem
     place: np.ndarray
     record: np.ndarray
-    held: np.ndarray
+    fixed: np.ndarray
 
     @classmethod
     def of(
@@ -42,21 +43,18 @@ class Split:
         records: Sequence[Record],
         x: np.ndarray,
         *,
-        left_out: LeftOut = "auto",
+        held: HeldOut | None = None,
         offsets: Offsets = "each",
     ) -> Split:
         """Split at given values of the other parameters.
 
-        Values of x that are weights do not matter. `left_out` and `offsets` are those of `SmoothSystem.of`.
+        Values of x that are weights do not matter. `held` and `offsets` are those of `SmoothSystem.of`.
         """
-        system = SmoothSystem.of(_designs(space, records, x), records, left_out=left_out, offsets=offsets)
-        layout, values = system.layout, jax.tree_util.tree_leaves(space.template)
-        place, record = _placed(space, layout, len(records))
-        held = np.zeros(layout.starts[-1])
-        for block, start, end in zip(layout.blocks, layout.starts, layout.starts[1:], strict=False):
-            held[start:end] = np.resize(np.asarray(values[block.leaf], dtype=float), end - start)
-        held[place[place >= 0]] = np.nan
-        return cls(system, place, record, held)
+        system = SmoothSystem.of(_designs(space, records, x), records, held=held, offsets=offsets)
+        place, record = _placed(space, system.layout, len(records))
+        fixed = _fixed(space, system.layout)
+        fixed[place[place >= 0]] = np.nan
+        return cls(system, place, record, fixed)
 
 
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
@@ -75,6 +73,46 @@ def _placed(space: ParameterSpace, layout: Layout, records: int) -> tuple[np.nda
             first = layout.first(number_of[leaf], record) if leaf in number_of else None
             place += [-1 if first is None else first + k for k in positions]
     return np.array(place, dtype=int), np.array(owner, dtype=int)
+
+
+def weighted_columns(
+    space: ParameterSpace, records: Sequence[Record], x: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of some weights and what they have to explain, on the samples that count, both times the roots of the samples' weights.
+
+    Args:
+        space: the free parameters.
+        records: measured.
+        x: values of all other parameters, shape (p,).
+        at: positions in x of the weights that are solved for, shape (k,).
+
+    Returns:
+        Shapes (n, k) and (n,): the measured output less the response with these weights zero.
+    """
+    designs = _designs(space, records, x)
+    layout = Layout.of(first := next(designs), len(records))
+    place, _ = _placed(space, layout, len(records))
+    values = _fixed(space, layout)
+    values[place[place >= 0]] = x[place >= 0]
+    values[place[at]] = 0.0
+    columns, target = [], []
+    for number, (record, design) in enumerate(zip(records, itertools.chain([first], designs), strict=True)):
+        joint, used = layout.columns(design, number), record.used
+        rest = (design.rest + joint @ values)[design.index[used]]
+        root = np.sqrt(record.weight[used])
+        columns.append(joint[:, place[at]][design.index[used]])
+        if (root != 1).any():
+            columns[-1] *= root[:, None]
+        target.append((record.y[used] - rest) * root)
+    return np.concatenate(columns), np.concatenate(target)
+
+
+def _fixed(space: ParameterSpace, layout: Layout) -> np.ndarray:
+    """The template's values of all weights."""
+    values, leaves = np.zeros(layout.starts[-1]), jax.tree_util.tree_leaves(space.template)
+    for block, start, end in zip(layout.blocks, layout.starts, layout.starts[1:], strict=False):
+        values[start:end] = np.resize(np.asarray(leaves[block.leaf], dtype=float), end - start)
+    return values
 
 
 def responses(

@@ -11,6 +11,7 @@ from .dynamics import Delay as Delay
 from .dynamics import Lag as Lag
 from .dynamics import SecondOrder as SecondOrder
 from .jiles_atherton import JilesAtherton as JilesAtherton
+from .linear import Linear as Linear
 from .negate import Negate as Negate
 from .offset import Offset as Offset
 from .oscillator import BoucWenOscillator as BoucWenOscillator

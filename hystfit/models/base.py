@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.data.batch import bucket
 from hystfit.data.record import Record
 from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
@@ -152,13 +153,15 @@ class AbstractHysteresis(AbstractDynamics):
             dt: as in `simulate`.
         """
         leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _solvable(leaf.info.bounds)]
-        u, dt = drive(self, u, dt)
-        rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), u, dt)
+        u, dt = (np.asarray(values) for values in drive(self, u, dt))
+        extra = bucket(u.size) - u.size if self.causal else 0  # records of similar length share one program
+        padded = np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))
+        rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), *padded)
         blocks = (
-            Block(leaf.index, leaf.info, np.asarray(part).reshape(u.size, -1))
+            Block(leaf.index, leaf.info, np.asarray(part).reshape(len(padded[0]), -1)[: u.size])
             for leaf, part in zip(leaves, columns, strict=True)
         )
-        return DesignMatrix(tuple(blocks), np.asarray(rest), np.arange(u.size))
+        return DesignMatrix(tuple(blocks), np.asarray(rest)[: u.size], np.arange(u.size))
 
     @property
     def has_rest(self) -> bool:
@@ -174,13 +177,14 @@ class AbstractHysteresis(AbstractDynamics):
         """Whether every record starts from saturation, so that its input need not turn back (reversal curves)."""
         return False
 
-    def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
-        """Models of its kind that a comparison should try on these records, by their size in words; empty without a choice.
+    def choices(self, records: Sequence[Record]) -> tuple[tuple[AbstractHysteresis, ...], ...]:
+        """Models of its kind that a comparison should try on these records, one group for each choice; empty without a choice.
 
-        First the model itself, with fewer elements where the records cannot determine as many; then models that differ from it in
-        one choice: the number of elements, their positions, or the state before the records.
+        The first group holds the model itself, with fewer elements where the records cannot determine as many, and others with its
+        elements in other places. Each further group differs from the model in one choice: the state before the records, a term, and
+        last the number of elements.
         """
-        return {}
+        return ()
 
     def without_creep(self) -> AbstractHysteresis | None:
         """The same model with its creep set to zero; None for a model that has no creep."""

@@ -104,14 +104,13 @@ class AbstractComposition(AbstractHysteresis):
             return None
         return type(self)(*(part if other is None else other for part, other in zip(self.parts, still, strict=True)))
 
-    def sizes(self, records: Sequence[Record]) -> dict[str, AbstractHysteresis]:
+    def choices(self, records: Sequence[Record]) -> tuple[tuple[AbstractHysteresis, ...], ...]:
         """Those of the first part that has a choice, on the records as they are: no part changes the number of samples or levels."""
         for k, part in enumerate(self.parts):
-            if found := part.sizes(records):
-                return {
-                    words: type(self)(*self.parts[:k], other, *self.parts[k + 1 :]) for words, other in found.items()
-                }
-        return {}
+            if groups := part.choices(records):
+                around = lambda other, k=k: type(self)(*self.parts[:k], other, *self.parts[k + 1 :])
+                return tuple(tuple(map(around, group)) for group in groups)
+        return ()
 
     def _blocks(self, number: int, blocks: Sequence[Block]) -> list[Block]:
         """Blocks of one part, numbered among the leaves of the composition."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from hystfit.params.param import ParamInfo
 
+COLUMNS = 2**24  # numbers in a design matrix (128 MiB) above which programs that scan the samples are used instead
 FAR = 100.0  # level of an output, over its range, from which normal equations need it subtracted
 
 

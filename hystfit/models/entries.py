@@ -6,27 +6,12 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from hystfit.registry import attribute
 
 if TYPE_CHECKING:
     from hystfit.models.base import AbstractHysteresis
-
-# What `check` finds about records decides which models are compared on them: output that lags (counter-clockwise loops) with time
-# (piezo actuators) or without, loops that are symmetric about zero input (magnetic materials), force that leads, force that depends
-# on the rate, resonances, and first-order reversal curves.
-DataKind = Literal[
-    "lagging-timed",
-    "lagging-late",
-    "lagging-untimed",
-    "point-symmetric",
-    "leading",
-    "leading-with-rate",
-    "dynamic",
-    "reversal-curves",
-]
-_LAGGING: tuple[DataKind, ...] = ("lagging-timed", "lagging-untimed")
 
 
 def _word(value: int | bool | str) -> int | str:
@@ -42,8 +27,7 @@ class Entry:
         place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
         doc: what it is for, one line.
         variant: whether a model of this class is this variant; the last entry that fits gives its name.
-        compared_on: kinds of data on which `compare` tries it by default.
-        compared_as: the expressions that are tried on a kind of data; the name by default.
+        tried: the expressions with it that a comparison tries by default on every record that can drive them.
         preset: settings of this name.
     """
 
@@ -51,8 +35,7 @@ class Entry:
     place: str
     doc: str
     variant: Callable[[Any], bool] = lambda model: True
-    compared_on: tuple[DataKind, ...] = ()
-    compared_as: Mapping[DataKind, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    tried: tuple[str, ...] = ()
     preset: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -80,25 +63,25 @@ MODELS: dict[str, Entry] = {
         "duhem:Duhem.of_order",
         "core",
         "polynomial Duhem (Coleman-Hodgdon); local memory, 9 parameters",
-        compared_on=(*_LAGGING, "leading"),
+        tried=("duhem",),
     ),
     "bouc-wen": Entry(
         "bouc_wen:BoucWen",
         "core",
         "normalized Bouc-Wen y = c v - h; symmetric loops, 5 parameters",
-        compared_on=_LAGGING,
+        tried=("bouc-wen",),
     ),
     "bouc-wen-asymmetric": Entry(
         "bouc_wen_asymmetric:AsymmetricBoucWen",
         "core",
         "generalized Bouc-Wen: exponent, skew, bent backbone; 9 parameters",
-        compared_on=("lagging-timed",),
+        tried=("bouc-wen-asymmetric",),
     ),
     "bouc-wen-force": Entry(
         "bouc_wen_force:BoucWenForce",
         "core",
         "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
-        compared_on=("leading",),
+        tried=("bouc-wen-force",),
     ),
     "jiles-atherton": Entry(
         "jiles_atherton:JilesAtherton",
@@ -109,23 +92,22 @@ MODELS: dict[str, Entry] = {
         "oscillator:BoucWenOscillator",
         "core",
         "mass, damper and Bouc-Wen spring that softens or hardens; force in, displacement out; needs time",
-        compared_on=("dynamic",),
+        tried=("oscillator",),
     ),
     "preisach": Entry(
         "preisach.model:Preisach.of",
         "core",
         "Preisach with cells; weights >= 0 and smooth by a convex solve",
-        compared_on=(*_LAGGING, "lagging-late"),
-        compared_as={"lagging-late": ("lag+preisach",)},
         preset={"n": 30, "spacing": "quantile"},
+        tried=("preisach", "negate+preisach"),
     ),
     "preisach-magnetic": Entry(
         "preisach.model:Preisach.of",
         "core",
         "Preisach, symmetric about zero input (magnetic materials): mirror cells share a weight",
         lambda model: model.symmetric,
-        compared_on=("point-symmetric",),
         preset={"n": 40, "symmetric": True, "spacing": "square"},
+        tried=("preisach-magnetic",),
     ),
     "preisach-relays": Entry(
         "preisach.model:Preisach.of",
@@ -139,15 +121,23 @@ MODELS: dict[str, Entry] = {
         "core",
         "Preisach with cells from first-order reversal curves, each a record that starts from saturation",
         lambda model: model.spacing == "reversal-curves",
-        compared_on=("reversal-curves",),
         preset={"n": 40, "spacing": "reversal-curves"},
+        tried=("preisach-forc",),
+    ),
+    "preisach-signed": Entry(
+        "preisach.signed:SignedPreisach.of",
+        "core",
+        "Preisach with weights of either sign: loops that lead, cross or fall; no inverse",
+        preset={"n": 30, "spacing": "quantile"},
+        tried=("preisach-signed",),
     ),
     "preisach-forc-signed": Entry(
         "preisach.signed:SignedPreisach.of",
         "core",
         "like preisach-forc, with weights of either sign: closer to the curves, no inverse",
-        compared_on=("reversal-curves",),
+        lambda model: model.spacing == "reversal-curves",
         preset={"n": 40, "spacing": "reversal-curves"},
+        tried=("preisach-forc-signed",),
     ),
     "everett-table": Entry(
         "preisach.tabulated:TabulatedPreisach.of",
@@ -190,30 +180,29 @@ MODELS: dict[str, Entry] = {
         "creep:LogCreep",
         "after",
         "logarithmic creep of the displacement, L(t) = L0 (1 + gamma log10 t); needs time",
-        compared_on=("lagging-timed",),
-        compared_as={"lagging-timed": ("bouc-wen+log-creep",)},
+        tried=("bouc-wen+log-creep",),
     ),
     "viscous": Entry(
         "rate:Viscous",
         "beside",
         "force proportional to the rate of the input; needs time",
-        compared_on=("leading-with-rate",),
-        compared_as={"leading-with-rate": ("bouc-wen-force+viscous",)},
+        tried=("bouc-wen-force+viscous",),
     ),
     "saturating-rate": Entry("rate:SaturatingRate", "beside", "force that saturates in the input's rate; needs time"),
     "offset": Entry("offset:Offset", "beside", "a constant for each record"),
+    "linear": Entry(
+        "linear:Linear", "beside", "a straight line of either sign: sample holder, paramagnet, gas spring, leakage"
+    ),
     "relaxation": Entry(
         "relaxation:Relaxation",
         "after",
         "a part of the output follows slowly (curved actuators); needs time",
-        compared_on=("lagging-timed", "leading-with-rate"),
-        compared_as={"lagging-timed": ("bouc-wen+relaxation",), "leading-with-rate": ("bouc-wen-force+relaxation",)},
+        tried=("bouc-wen+relaxation", "bouc-wen-force+relaxation"),
     ),
     "second-order": Entry(
         "dynamics:SecondOrder",
         "after",
         "a resonance; needs time",
-        compared_on=("dynamic",),
-        compared_as={"dynamic": ("bouc-wen+second-order", "prandtl-ishlinskii+second-order")},
+        tried=("bouc-wen+second-order", "prandtl-ishlinskii+second-order"),
     ),
 }

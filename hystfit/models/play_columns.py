@@ -25,6 +25,19 @@ def play_columns(
     return out
 
 
+def element_columns(
+    e: Float[np.ndarray, " T"], r: Float[np.ndarray, " plays"], rest: float, operator: str
+) -> Float[np.ndarray, "T plays"]:
+    """Plays, or where `operator` is "stop" what they lag behind, see `play_columns`."""
+    plays = play_columns(e, r, rest)
+    return np.subtract(e[:, None], plays, out=plays) if operator == "stop" else plays
+
+
+def fading(x: Float[np.ndarray, " T"], before: float, path: float) -> Float[np.ndarray, " T"]:
+    """What is left of the hardening weights after the way run by x since it rested at `before`, which fade over `path`."""
+    return np.exp(-np.cumsum(np.abs(np.diff(x, prepend=before))) / path)
+
+
 def rising_columns(n: int, x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
     """`rising_series` of degree n for an increment of 1 in each coefficient alone."""
     within = np.clip(x, 0.0, 1.0)

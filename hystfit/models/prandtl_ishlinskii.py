@@ -11,20 +11,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.polynomial.legendre import legder, legval
+from numpy.polynomial.legendre import legder, legval, legvander
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
+from hystfit.models.design import COLUMNS, Block, DesignMatrix
 from hystfit.models.parallel.associative import StateMap
+from hystfit.models.play_columns import element_columns, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.param import param
+from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 
 Envelope = Literal["identity", "square", "mirror"]
@@ -108,6 +111,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
     rate_independent: ClassVar[bool] = True
     state_map: ClassVar[StateMap] = StateMap.CLAMP
     has_rest: ClassVar[bool] = True
+    has_fast_run: ClassVar[bool] = True
 
     def __check_init__(self) -> None:
         unknown = [kind for kind in self.envelopes if kind not in get_args(Envelope)]
@@ -248,6 +252,35 @@ class PrandtlIshlinskii(AbstractHysteresis):
         elements = self._envelopes(u) - plays if self.operator == "stop" else plays
         fading = jnp.dot(self.hardening, elements[0]) if self.hardening.size else jnp.zeros_like(u)
         return plays, jnp.sum(self.w * elements), fading
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """By columns, without a program to compile, where these are not too large."""
+        if np.size(u) * self.w.size > COLUMNS:
+            return super().free_run(u, dt)
+        design = self.design_matrix(*drive(self, u, dt))
+        values = jax.tree_util.tree_leaves(self)
+        return np.sum([block.columns @ np.ravel(values[block.leaf]) for block in design.blocks], axis=0)
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """Columns run by run of monotonic input, without a pass for each of the weights."""
+        u = np.asarray(u, dtype=float)
+        low, span = float(self.low), float(self.high - self.low)
+        x, before = (u - low) / span, (float(u[0] if self.rest == "first" else self.level) - low) / span
+        elements = [
+            element_columns(envelope(k, x), np.asarray(self.r), envelope(k, before), self.operator)
+            for k in self.envelopes
+        ]
+        columns = {"w": np.column_stack(elements), "offset": np.ones((u.size, 1))}
+        if self.b.size:
+            columns["b"] = legvander(2.0 * x - 1.0, self.b.size)[:, 1:]
+        if self.rise.size:
+            columns["rise"] = rising_columns(self.rise.size, x)
+        if self.hardening.size:
+            columns["hardening"] = fading(x, before, float(self.s0))[:, None] * elements[0]
+        blocks = [
+            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
+        ]
+        return DesignMatrix(tuple(blocks), np.zeros(u.size), np.arange(u.size))
 
     def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
         """Ranges from the samples that count; the weights follow from a linear solve."""

@@ -8,7 +8,7 @@ import functools
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.composition import AbstractComposition
-from hystfit.models.entries import MODELS, DataKind
+from hystfit.models.entries import MODELS
 from hystfit.models.series import Series
 from hystfit.models.sum import Sum
 from hystfit.params.param import leaves_of
@@ -121,11 +121,9 @@ def _kinds() -> dict[str, type[AbstractHysteresis]]:
     return {name: type(entry.make()) for name, entry in MODELS.items()}
 
 
-def compared(*kinds: DataKind) -> tuple[str, ...]:
-    """Models that a comparison tries on data of these kinds unless others are named."""
-    pairs = ((name, entry, kind) for name, entry in MODELS.items() for kind in kinds if kind in entry.compared_on)
-    tried = (expression for name, entry, kind in pairs for expression in entry.compared_as.get(kind, (name,)))
-    return tuple(dict.fromkeys(tried))
+def tried() -> tuple[str, ...]:
+    """Expressions that a comparison tries unless others are named."""
+    return tuple(dict.fromkeys(expression for entry in MODELS.values() for expression in entry.tried))
 
 
 def judged() -> dict[str, Needs]:

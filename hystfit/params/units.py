@@ -132,8 +132,15 @@ _SPELLINGS = {
     "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "newton": "N", "newtons": "N",
     "meter": "m", "meters": "m", "kelvin": "K", "Kelvin": "K", "tesla": "T", "gauss": "G", "torr": "Torr", "ohm": "Ohm",
     "ohms": "Ohm", "Ohms": "Ohm", "\u03a9": "Ohm", "lb": "lbf", "lbs": "lbf", "kips": "kip", "angstrom": "Angstrom",
-    "count": "counts", "msec": "ms",
+    "count": "counts", "msec": "ms", "metre": "m", "metres": "m", "oersted": "Oe", "oersteds": "Oe", "pascal": "Pa", "pascals": "Pa",
+    "joule": "J", "joules": "J", "watt": "W", "watts": "W", "hertz": "Hz", "coulomb": "C", "coulombs": "C", "gram": "g",
+    "grams": "g", "gramme": "g", "henry": "H", "farad": "F", "weber": "Wb", "degree": "deg", "degrees": "deg", "radian": "rad",
+    "radians": "rad", "inches": "in", "foot": "ft", "feet": "ft", "minute": "min", "minutes": "min", "hour": "h", "hours": "h",
+    "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
+    "micron": "um", "microns": "um", "percent": "%",
 }  # fmt: skip
+# Words before the name of a unit: "millitesla", "kiloamperes".
+_WORDS = {"pico": "p", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "kilo": "k", "mega": "M", "giga": "G"}
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
 _QUANTITIES = {
     "time": "s", "frequency": "Hz", "voltage": "V", "electric field": "V/m", "field": "A/m", "current": "A",
@@ -160,7 +167,10 @@ _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|
 
 def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
-    return re.sub(r"(?<=A)m(?=\^?2)", "*m", text.strip().translate(_MARKS))
+    plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", text.strip().translate(_MARKS))
+    plain = re.sub(r"[ _]+per[ _]+", "/", plain)
+    plain = re.sub(r"([A-Za-z]{3,})[ _]squared?\b", r"\1^2", plain)
+    return re.sub(r"(?<=[A-Za-z0-9])_(?=[A-Za-z])", "*", plain) if "/" in plain or "_" in plain else plain
 
 
 @functools.cache
@@ -188,7 +198,7 @@ def parse_unit(text: str) -> Unit | None:
 
 def _symbol(symbol: str) -> Unit | None:
     """One symbol with or without a prefix."""
-    symbol = _SPELLINGS.get(symbol, symbol)
+    symbol = _spelled(symbol)
     if symbol in ("1", "kg"):
         return Unit(1.0, (("kg", 1.0),) if symbol == "kg" else ())
     size, base = 1.0, symbol
@@ -201,6 +211,19 @@ def _symbol(symbol: str) -> Unit | None:
         return Unit(size * factor, ((base, 1.0),))
     inner = parse_unit(behind)
     return None if inner is None else Unit(size * factor * inner.factor, inner.powers)
+
+
+def _spelled(symbol: str) -> str:
+    """The symbol of a unit that is written as a word, in any case, with its prefix."""
+    if symbol in _SYMBOLS or symbol in _SPELLINGS:
+        return _SPELLINGS.get(symbol, symbol)
+    word = symbol.lower()
+    if len(word) > 2 and word in _SPELLINGS:
+        return _SPELLINGS[word]
+    for prefix, mark in _WORDS.items():
+        if word.startswith(prefix) and word[len(prefix) :] in _SPELLINGS:
+            return mark + _SPELLINGS[word[len(prefix) :]]
+    return symbol
 
 
 @functools.cache

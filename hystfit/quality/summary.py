@@ -90,6 +90,15 @@ def dynamics_of(record: Record) -> Dynamics | None:
     return None if interval is None else estimate_dynamics(record.u, np.where(record.used, record.y, np.nan), interval)
 
 
+@_once
+def slow_lag_of(record: Record) -> float | None:
+    """Lag of the output in samples where it is longer than the turns of the loops show; None without one."""
+    if _even_interval(record) is None or not np.ptp(record.u) > 0:
+        return None
+    turns = geometry.reversals(record.u, _threshold(_column(record.u)))
+    return estimate_slow_lag(record.u, record.y, turns)
+
+
 def _even_interval(record: Record) -> float | None:
     """Time between samples; None without time or where it is uneven."""
     interval = record.sampling_interval

@@ -14,7 +14,9 @@ _WORDS: dict[str, str] = {word: kind for kind, words in _VOCABULARY["words"].ite
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
-_CHANNEL = re.compile(r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column)[ _.-]?[a-z0-9]", re.IGNORECASE)
+_CHANNEL = re.compile(
+    r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
+)
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
@@ -45,6 +47,11 @@ def column_quantity(name: str, unit: str = "") -> str:
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
     return by_unit or named or ("velocity" if base == "v" else "")
+
+
+def is_channel(name: str) -> bool:
+    """Whether a column has the number or letter of a channel instead of a name."""
+    return _CHANNEL.fullmatch(split_unit(name)[0].strip()) is not None
 
 
 def secondary(name: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
+import shlex
 import unicodedata
 from collections.abc import Sequence
 
@@ -14,49 +15,12 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.column_names import column_quantity, secondary
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import split_unit
+from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
 
-_AS_INPUT = (
-    "input", "voltage", "field", "electric field", "current", "pressure", "strain", "displacement", "induction", "", "temperature",
-    "velocity",
-)  # fmt: skip
-_MAGNETIC = ("moment", "magnetization", "induction")
-_ELECTRIC = ("polarization", "charge")
-_AS_OUTPUT = (
-    "output", *_MAGNETIC, *_ELECTRIC, "force", "stress", "displacement", "strain", "", "current", "temperature"
-)  # fmt: skip
-_AS_OUTPUT_OF_DRIVE = (
-    "output", *_MAGNETIC, *_ELECTRIC, "displacement", "strain", "force", "stress", "", "current", "temperature"
-)  # fmt: skip
-_DRIVES = ("input", "voltage", "field", "electric field", "current", "pressure")
-_LAST = ("velocity", "frequency", "status", "error", "index", "time")
-# Input and output in order of preference. Columns named as input or output come after the specific pairs.
-_SPECIFIC = tuple(
-    [("field", output) for output in _MAGNETIC]
-    + [("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge")]
-    + [("state of charge", "voltage")]  # of a battery
-)
-_COMMON = (
-    ("voltage", "displacement"),
-    ("electric field", "strain"),
-    ("voltage", "strain"),
-    ("strain", "stress"),
-    ("displacement", "force"),
-    ("current", "displacement"),
-    ("current", "induction"),
-    ("induction", "moment"),
-    ("induction", "magnetization"),
-    ("pressure", "displacement"),
-    ("voltage", "force"),
-    ("current", "force"),
-    ("displacement", "moment"),
-    *(("temperature", output) for output in ("displacement", "strain", "force", "stress", "current", "", "output")),
-)
-_EITHER = {"voltage", "current"}  # quantities of which either may drive the other
-_HEATED = 10.0  # degrees, range from which a temperature may be the input
-_PLAINER = 2.0  # ratio of overtones from which a wave is the plainer one
+_LOOP, _OPEN = 8, 0.02  # samples, and area over that of the box around it, from which a loop has a direction
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -208,23 +172,27 @@ def _guess_pair(
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     _find_velocities(table, free, kinds)
-    others = [k for k in free if kinds[k] != "temperature"]
-    heated = not given and _is_driven_by_temperature(table, free, kinds)
-    candidates = _candidates(table, others if len(others) + len(given) >= 2 and not heated else free, kinds, clock)
-    inputs, outputs = ([given[role]] if role in given else candidates for role in ("input", "output"))
-    pairs = [(i, o) for i in inputs for o in outputs if i != o]
-    best = min(pairs, key=lambda pair: _preference(table, kinds, *pair))
-    if not given and {kinds[k] for k in best} == _EITHER:
-        best, note = _by_wave(table, *best)
-        notes.append(note)
+    for k in free:  # a copy of the time is one more time
+        if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
+            kinds[k] = "time"
+    ordered = readings(table, free, kinds, given, named=table.named)
+    best = ordered[0]
+    if len(ordered) > 1 and best.points - ordered[1].points < TIE:
+        raise _undecided(table, ordered)
     nameless = not (table.named or given)
-    for role, position in zip(("input", "output"), best, strict=True):
+    for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
             given[role] = position
             notes.append(_choice_note(table, role, position, kinds))
-    if nameless:  # nothing but the order of the columns tells which drives the other
-        swapped = f"if column {best[1]} drives the device, set input='{best[1]}' and output='{best[0]}'"
+    if nameless:  # nothing but signals and the order of the columns tells which drives the other
+        swapped = f"if column {best.output} drives the device, set input='{best.output}' and output='{best.input}'"
         notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
+    if nameless and _leads(table.columns[best.input], table.columns[best.output]):
+        notes.append(
+            warn(
+                Code.COLUMN_CHOICE, f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
+            )
+        )
     pair = [re.fullmatch(r"(.*)\[\d+\]", table.names[given[role]]) for role in ("input", "output")]
     if pair[0] and pair[1] and pair[0][1] == pair[1][1] and kinds[given["input"]] == kinds[given["output"]] != "":
         raise DataError(
@@ -241,42 +209,33 @@ def _guess_pair(
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
 
 
-def _is_driven_by_temperature(table: Table, free: list[int], kinds: dict[int, str]) -> bool:
-    """Whether a temperature is the input, as that of a shape-memory alloy: it varies, and no other column drives the deformation."""
-    others = {kinds[k] for k in free} - {"temperature"}
-    driven = others & {"output", *_DRIVES} or any(
-        pair in _SPECIFIC + _COMMON for pair in itertools.permutations(others, 2)
+def _undecided(table: Table, ordered: Sequence[Reading]) -> DataError:
+    """The question that remains where two readings are equally likely."""
+    shown = []
+    for reading in ordered[:2]:
+        i, o = (_as_option(table, k) for k in (reading.input, reading.output))
+        shown.append(f"--input {i} --output {o}")
+    return DataError(
+        f"{table.source}: nothing in the file tells which columns are the input and the output; choose, such as {shown[0]} or "
+        f"{shown[1]} (input=, output=). The columns are {table.describe()}"
     )
-    varies = any(
-        np.ptp(table.columns[k][np.isfinite(table.columns[k])]) > _HEATED for k in free if kinds[k] == "temperature"
-    )
-    return varies and bool(others & {"strain", "displacement"}) and not driven
 
 
-def _by_wave(table: Table, i: int, o: int) -> tuple[tuple[int, int], Note]:
-    """Input and output of two columns of which either may drive, and a note: the input has smaller harmonics, else it is the first."""
-    parts = [_overtones(table.columns[k]) for k in (i, o)]
-    names = [table.names[k] for k in (i, o)]
-    swap = f"if wrong, set --input and --output (input={names[1]!r}, output={names[0]!r})"
-    if parts[1] * _PLAINER < parts[0]:
-        text = (
-            f"{names[1]!r} has the smaller harmonics and is assumed to be the input; if wrong, set --input and --output"
-        )
-        return (o, i), warn(Code.COLUMN_CHOICE, text)
-    if parts[0] * _PLAINER < parts[1]:
-        return (i, o), Note(
-            Code.COLUMN_CHOICE, f"{names[0]!r} has the smaller harmonics and is assumed to be the input; {swap}"
-        )
-    text = f"{names[0]!r} and {names[1]!r} could each be the input, and {names[0]!r} is assumed to be; {swap}"
-    return (i, o), warn(Code.COLUMN_CHOICE, text)
+def _as_option(table: Table, position: int) -> str:
+    """A column as it is named at the shell: by its name, where only it has that, else by its number."""
+    name = table.names[position]
+    return shlex.quote(name) if table.named and name and table.names.count(name) == 1 else str(position)
 
 
-def _overtones(values: np.ndarray) -> float:
-    """Power of a column apart from its strongest frequency, as a part of the whole: small for a sine, 0.014 for a triangle."""
-    values = values[np.isfinite(values)]
-    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
-    peak, total = int(np.argmax(power)), float(power.sum())
-    return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
+def _leads(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether the loop of an output that rises with its input runs clockwise."""
+    both = np.isfinite(u) & np.isfinite(y)
+    u, y = u[both], y[both]
+    if u.size < _LOOP or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+        return False
+    u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
+    area = 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
+    return bool(area * np.sign(np.sum(u * y)) < -_OPEN)
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
@@ -307,34 +266,6 @@ def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> No
             if known.sum() > 9 and np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0:
                 if np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE:
                     kinds[k] = "velocity"
-
-
-def _candidates(table: Table, free: list[int], kinds: dict[int, str], clock: int | None) -> list[int]:
-    """The best two columns of every quantity; a copy of the time is one more time."""
-    for k in free:
-        if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
-            kinds[k] = "time"
-    groups: dict[str, list[int]] = {}
-    for k in sorted(free, key=lambda k: (secondary(table.names[k]), k)):
-        groups.setdefault(kinds[k], []).append(k)
-    return [k for group in groups.values() for k in group[:2]]
-
-
-def _preference(table: Table, kinds: dict[int, str], i: int, o: int) -> tuple[int, ...]:
-    """Sort key of column i as the input and column o as the output, the least for the best pair."""
-    pair = kinds[i], kinds[o]
-    order = _AS_OUTPUT_OF_DRIVE if kinds[i] in _DRIVES else _AS_OUTPUT
-    place = lambda kind, among: len(among) + (kind in _LAST) if kind not in among else among.index(kind)
-    if pair in _SPECIFIC:
-        rank = _SPECIFIC.index(pair)
-    elif (kinds[i] == "input" or kinds[o] == "output") and not {"", "temperature", *_LAST}.intersection(pair):
-        rank = len(_SPECIFIC)
-    elif pair in _COMMON:
-        rank = len(_SPECIFIC) + 1 + _COMMON.index(pair)
-    else:
-        rank = len(_SPECIFIC) + 1 + len(_COMMON)
-    sides = ((place(kinds[k], among), secondary(table.names[k]), k) for k, among in ((i, _AS_INPUT), (o, order)))
-    return rank, *itertools.chain.from_iterable(sides)
 
 
 def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:

@@ -43,7 +43,7 @@ def fit_forc(
     """
     family = reversal_curves(data)
     model = Preisach.of(n, elements=elements, spacing="reversal-curves")
-    fit = fit_preisach(family.curves, model, nonnegative=nonnegative, smoothness=smoothness, left_out="records")
+    fit = fit_preisach(family.curves, model, nonnegative=nonnegative, smoothness=smoothness)
     return dataclasses.replace(fit, notes=(*family.notes, *fit.notes))
 
 

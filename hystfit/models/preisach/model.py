@@ -38,8 +38,10 @@ from hystfit.quality.reversal_curves import reversal_curves
 _SMALL = 4_000_000
 _RIDGE = 1e-3  # penalty on the weights themselves, relative to that on their second differences
 # Cells along an axis that a comparison tries, one step from the model's own at a time.
-_SIZES = (8, 12, 16, 24, 30, 40, 60)
-_MOST = {True: 60, False: 40}  # the largest of them, for reversal curves and for other records
+_SIZES = (8, 12, 16, 24, 30, 40, 48, 60)
+# The largest of them, for reversal curves and for other records: measured loops gain less than 10 % from 48 to 60 cells, in four times
+# the time.
+_MOST = {True: 60, False: 48}
 
 
 class Preisach(AbstractPlane):
@@ -281,21 +283,23 @@ class Preisach(AbstractPlane):
         )
         return DesignMatrix(tuple(blocks), np.zeros(len(columns)), index)
 
-    def sizes(self, records: Sequence[Record]) -> dict[str, Preisach]:
-        """This model with no more cells than distinct inputs; one more or fewer, other levels, another state before the records."""
+    def choices(self, records: Sequence[Record]) -> tuple[tuple[Preisach, ...], ...]:
+        """Other levels, with no more cells than distinct inputs; other states before the records; a line; more or fewer cells."""
         distinct = np.unique(np.concatenate([record.u[record.used] for record in records])).size
         even = lambda n: max(n - n % 2, 2) if self.symmetric else max(n, 1)
         n = even(min(self.n, distinct))
-        changes: list[dict[str, Any]] = [{"n": n}]
         known = sorted({even(size) for size in _SIZES if size <= min(distinct, _MOST[self.from_saturation])})
-        changes += [{"n": size} for size in ([k for k in known if k < n][-1:] + [k for k in known if k > n][:1])]
+        sizes = [{"n": size} for size in ([k for k in known if k < n][-1:] + [k for k in known if k > n][:1])]
+        spacings = ("square", "uniform", "steep") if self.symmetric else ("quantile", "uniform", "steep")
+        groups: list[list[dict[str, Any]]] = [[{}], sizes]
         if not self.from_saturation:
-            spacings = ("square", "uniform", "steep") if self.symmetric else ("quantile", "uniform", "steep")
-            changes += [{"n": n, "spacing": spacing} for spacing in spacings if spacing != self.spacing]
-            if not self.symmetric and not _start_at_an_end(records):
-                changes += [{"n": n, "initial": rest} for rest in get_args(Rest) if rest != self.initial]
-        models = [type(self).of(**{**self.settings(), **change}) for change in changes]
-        return {_size_words(model): model for model in models}
+            levels = [{"spacing": spacing} for spacing in spacings if spacing != self.spacing]
+            rests = () if self.symmetric or _start_at_an_end(records) else get_args(Rest)
+            before = [{"initial": rest} for rest in rests if rest != self.initial]
+            # A straight line of either sign beside the rising parts.
+            groups = [[{}, *levels], before, [{"degree": 1 - self.b.size}] if self.b.size < 2 else [], sizes]
+        make = lambda change: type(self).of(**{**self.settings(), "n": n, **change})
+        return tuple(tuple(map(make, group)) for group in groups)
 
     def plane(self) -> Preisach:
         """Itself."""
@@ -354,11 +358,6 @@ class Preisach(AbstractPlane):
         arrays |= {"knots": knots, "first": solver.excursion, "b": np.append(0.0, np.asarray(self.b))}
         arrays["straight"] = solver.straight if self.slopes.size else np.zeros(knots.size)
         return CPart(template("preisach.c"), 1 + 2 * self.depth, numbers, arrays)
-
-
-def _size_words(model: Preisach) -> str:
-    state = "" if model.from_saturation else f", {model.initial} before the record"
-    return f"{model.n} cells per axis, {model.spacing} levels{state}"
 
 
 def _start_at_an_end(records: Sequence[Record]) -> bool:

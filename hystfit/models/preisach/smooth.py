@@ -1,4 +1,4 @@
-"""Smooth weights from design matrices: convex, bounded, the smoothness chosen by the error on data left out."""
+"""Smooth weights from design matrices: convex, bounded, the smoothness chosen by the error on held-out data."""
 
 from __future__ import annotations
 
@@ -10,18 +10,16 @@ from typing import Literal
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.design import FAR, Block, DesignMatrix, left_out_squares
 from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.quality.held_out import HeldOut, held_out
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
-LeftOut = Literal["auto", "blocks", "records"]
 Offsets = Literal["each", "shared", "none"]
-_BLOCKS = 5
 _NUMBERS = (
     2**21
 )  # of rows that wait to be multiplied (16 MiB): products of few rows each would only move the sums through memory
-_EQUAL = 1.01  # ratio of errors on blocks left out, or of residuals, below which two strengths are equally good
+_EQUAL = 1.01  # ratio of errors on held-out groups, or of residuals, below which two strengths are equally good
 _MANY = 1200  # parameters from which the choice of smoothness ignores bounds and leaves out two folds only: seconds, not minutes
 
 
@@ -77,9 +75,9 @@ class SmoothSystem:
         layout: of all p weights.
         origin: offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size
             of an output far from zero.
-        grams: one matrix a block of samples, shape (blocks, p + 1, p + 1); the output, less the response to `origin`, comes last.
-        counts: sum of weights of each block of samples, shape (blocks,).
-        judged: blocks of samples that are left out in turn to choose the smoothness, shape (blocks,), bool.
+        grams: one matrix for each held-out group of samples, and a last one for those that stay in every fit, shape
+            (groups + 1, p + 1, p + 1); the output, less the response to `origin`, comes last.
+        counts: sum of weights of each group of samples, shape (groups + 1,).
         roughness: matrix of the smoothness penalty, shape (p, p).
         bounded: which weights are >= 0, shape (p,).
         offsets: which weights are offsets of single records, shape (p,), bool.
@@ -92,7 +90,6 @@ class SmoothSystem:
     origin: np.ndarray
     grams: np.ndarray
     counts: np.ndarray
-    judged: np.ndarray
     roughness: np.ndarray
     bounded: np.ndarray
     offsets: np.ndarray
@@ -105,7 +102,7 @@ class SmoothSystem:
         designs: Iterable[DesignMatrix],
         records: Sequence[Record],
         *,
-        left_out: LeftOut = "auto",
+        held: HeldOut | None = None,
         nonnegative: bool = True,
         offsets: Offsets = "each",
     ) -> SmoothSystem:
@@ -114,27 +111,18 @@ class SmoothSystem:
         Args:
             designs: one for each record, with the same blocks; each is needed once, in turn, so that they may be made on the way.
             records: measured; a sample counts with its weight.
-            left_out: what is left out in turn: "blocks", a contiguous fifth of each record; "records", in up to five
-                groups, the records that lie inside the range of the others, which tests how well loops between those measured
-                are predicted; "auto" takes records where there are such.
+            held: groups of samples that choose the smoothness; those that suit the records by default.
             nonnegative: bound weights from below as their parameters are bounded.
             offsets: weights declared for each record have a value for each, one for all, or none.
-
-        Raises:
-            ModelError: no record lies inside the range of the others, and records were to be left out.
         """
-        inner = _inner(records)
-        left_out = ("records" if inner.any() else "blocks") if left_out == "auto" else left_out
-        if left_out == "records" and not inner.any():
-            raise ModelError('left_out="records" needs a record inside the range of the others; use "blocks"')
+        held = held_out(records) if held is None else held
         size = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or 1.0
         others = iter(designs)
         layout = Layout.of(design := next(others), len(records), offsets)
         blocks, starts, p = layout.blocks, layout.starts, layout.starts[-1]
-        folds = _folds(records, inner) if left_out == "records" else [r.blocks(_BLOCKS) for r in records]
-        grams = np.zeros((len(folds[0]), p + 1, p + 1))
+        grams = np.zeros((held.count + 1, p + 1, p + 1))
         sums = [_Gram(gram) for gram in grams]
-        counts = np.zeros(len(folds[0]))
+        counts = np.zeros(len(grams))
         # One level for all records; where zero is near, zero.
         level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
         level = level if abs(level) > FAR else 0.0
@@ -143,10 +131,10 @@ class SmoothSystem:
                 origin[start : start + (len(records) if own else 1)] = level
         low, high = np.full(p, np.inf), np.full(p, -np.inf)
         every = itertools.chain([design], others)
-        for number, (record, design, masks) in enumerate(zip(records, every, folds, strict=True)):
+        for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number)
-            for fold, mask in enumerate(masks):
-                if mask.any():
+            for fold in range(-1, held.count):
+                if (mask := record.used & (folds == fold)).any():
                     y = (record.y[mask] - design.rest[design.index[mask]]) / size - (A @ origin)[design.index[mask]]
                     sums[fold].add(_rows(A, design.index[mask], y, record.weight[mask]))
                     counts[fold] += record.weight[mask].sum()
@@ -164,8 +152,7 @@ class SmoothSystem:
                 roughness[at, at] = block.penalty.matrix
                 if block.penalty.cells is not None:
                     reach[at] = np.clip((high - low)[at] / (2 * block.penalty.cells), 0.0, 1.0)
-        judged = np.arange(counts.size) < (counts.size if left_out == "blocks" else counts.size - 1)
-        return cls(layout, origin, grams, counts, judged, roughness, bounded, shifts, reach, size)
+        return cls(layout, origin, grams, counts, roughness, bounded, shifts, reach, size)
 
     def notes(self) -> tuple[str, ...]:
         """Cells that the data never switched, one sentence for each array of their weights."""
@@ -212,23 +199,6 @@ class _Gram:
             self._total += rows.T @ rows
 
 
-def _inner(records: Sequence[Record]) -> np.ndarray:
-    """Records whose input lies inside the range of all the others together, shape (R,), bool."""
-    low = np.array([r.u[r.used].min() for r in records])
-    high = np.array([r.u[r.used].max() for r in records])
-    slack = 1e-9 * (high.max() - low.min())
-    others = [np.arange(low.size) != k for k in range(low.size)] if low.size > 1 else []
-    inside = [low[k] >= low[o].min() - slack and high[k] <= high[o].max() + slack for k, o in enumerate(others)]
-    return np.array(inside or [False])
-
-
-def _folds(records: Sequence[Record], inner: np.ndarray) -> list[list[np.ndarray]]:
-    """Inner records dealt out to at most five folds, the others in one more: for every record one mask a fold."""
-    count = min(int(inner.sum()), _BLOCKS)
-    folds = np.where(inner, (np.cumsum(inner) - 1) % count, count)
-    return [[r.used & (fold == k) for k in range(count + 1)] for r, fold in zip(records, folds, strict=True)]
-
-
 def _rows(A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Rows (A, y), one a state that the samples visit, and a last one: their sums of squares are those of the samples."""
     states, place = np.unique(index, return_inverse=True)
@@ -244,9 +214,9 @@ class SmoothFit:
     """Solution of a `SmoothSystem`.
 
     Attributes:
-        weights: all p weights, in output units; held ones as given.
+        weights: all p weights, in output units; fixed ones as given.
         smoothness: strength of the penalty, relative to the number of samples.
-        left_out: root mean square error on blocks left out, in parts of the output's range, for each strength tried.
+        left_out: root mean square error on held-out groups, in parts of the output's range, for each strength tried.
         error: the same for the strength chosen and weights inside their bounds; None where there was no choice.
         rss: sum of squared residuals, output units.
         cost: the same with the penalty added.
@@ -263,19 +233,19 @@ class SmoothFit:
 
 
 def fit_smooth(
-    system: SmoothSystem, strengths: Sequence[float] = SMOOTHNESS, *, held: np.ndarray | None = None
+    system: SmoothSystem, strengths: Sequence[float] = SMOOTHNESS, *, fixed: np.ndarray | None = None
 ) -> SmoothFit:
-    """Solve for the weights, with the smoothness whose error on blocks left out in turn is smallest.
+    """Solve for the weights, with the smoothness whose error on held-out groups in turn is smallest.
 
     The offset of a record that is left out as a whole is fitted to it.
 
     Args:
         system: the equations.
         strengths: of the penalty to choose among; a single one is used without a choice.
-        held: values of weights that are not fitted, NaN for the others, output units, shape (p,).
+        fixed: values of weights that are not fitted, NaN for the others, output units, shape (p,).
     """
-    held = np.full(system.roughness.shape[0], np.nan) if held is None else held
-    trials = _Trials(system, held)
+    fixed = np.full(system.roughness.shape[0], np.nan) if fixed is None else fixed
+    trials = _Trials(system, fixed)
     left_out = trials.left_out(strengths) if len(strengths) > 1 else []
     best, v, rss = trials.chosen(strengths, left_out)
     error = left_out[best] if left_out else None
@@ -283,7 +253,7 @@ def fit_smooth(
         error = trials.error(strengths[best], trials.bounded)
     strength = strengths[best] * trials.n
     cost = (rss + strength * float(v @ trials.rough @ v)) * system.size**2
-    weights = held.copy()
+    weights = fixed.copy()
     weights[trials.free] = (v + system.origin[trials.free]) * system.size
     penalty = strength * np.diag(system.roughness)
     return SmoothFit(weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, penalty)
@@ -294,20 +264,20 @@ class _Trials:
 
     Args:
         system: the equations.
-        held: see `fit_smooth`.
+        fixed: see `fit_smooth`.
     """
 
-    def __init__(self, system: SmoothSystem, held: np.ndarray):
-        self._grams, self.free = _reduced(system, held - system.origin * system.size)
+    def __init__(self, system: SmoothSystem, fixed: np.ndarray):
+        self._grams, self.free = _reduced(system, fixed - system.origin * system.size)
         self._total, self.n = self._grams.sum(axis=0), float(system.counts.sum())
         self.exact = self.free.size <= _MANY
         self.rough, self.bounded = system.roughness[np.ix_(self.free, self.free)], system.bounded[self.free]
         self._own, self._counts = system.offsets[self.free], system.counts
-        self._judged = np.flatnonzero(system.judged)[: None if self.exact else 2]
+        self._judged = np.arange(len(system.grams) - 1)[: None if self.exact else 2]
         self._starts: list[np.ndarray | None] = [None] * len(self._grams)
 
     def left_out(self, strengths: Sequence[float]) -> list[float]:
-        """The error on blocks left out with each strength, until it has tripled: stiffer weights only make it larger."""
+        """The error on held-out groups with each strength, until it has tripled: stiffer weights only make it larger."""
         bounds, errors = self.bounded if self.exact else np.zeros_like(self.bounded), list[float]()
         for strength in strengths:
             errors.append(self.error(strength, bounds))
@@ -316,9 +286,9 @@ class _Trials:
         return errors
 
     def error(self, strength: float, bounds: np.ndarray) -> float:
-        """Root mean square error on the blocks left out, with weights >= 0 where `bounds`."""
+        """Root mean square error on the held-out groups, with weights >= 0 where `bounds`."""
         squares = 0.0
-        near = self._starts[self._judged[0]]
+        near = self._starts[0]
         for k in self._judged:
             others = self._total - self._grams[k]
             v, near = _solve(others, strength * (self.n - self._counts[k]) * self.rough, bounds, near)
@@ -343,21 +313,24 @@ class _Trials:
         return best, *fits[best]
 
     def _solved(self, strength: float) -> tuple[np.ndarray, float]:
-        start = self._starts[self._judged[0]] if self.exact else None
+        start = self._starts[0] if self.exact else None
         v, near = _solve(self._total, strength * self.n * self.rough, self.bounded, start)
         self._starts = [near] * len(self._grams)
         r = np.append(-v, 1.0)
         return v, max(float(r @ self._total @ r), 0.0)
 
 
-def _reduced(system: SmoothSystem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrices without the held weights, whose part moves to the side of the output, and the free ones' positions."""
-    free, fixed = np.flatnonzero(np.isnan(held)), np.flatnonzero(~np.isnan(held))
+def _reduced(system: SmoothSystem, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices without the fixed weights, whose part moves to the side of the output, and the free ones' positions.
+
+    `values` are those of the fixed weights, NaN for the free ones, output units, shape (p,).
+    """
+    free, fixed = np.flatnonzero(np.isnan(values)), np.flatnonzero(~np.isnan(values))
     if not fixed.size:
         return system.grams, free
-    T = np.zeros((held.size + 1, free.size + 1))
+    T = np.zeros((values.size + 1, free.size + 1))
     T[free, np.arange(free.size)] = 1.0
-    T[fixed, -1] = -held[fixed] / system.size
+    T[fixed, -1] = -values[fixed] / system.size
     T[-1, -1] = 1.0
     return np.stack([T.T @ gram @ T for gram in system.grams]), free
 

@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOut, Offsets, SmoothSystem, fit_smooth
+from hystfit.models.preisach.smooth import SMOOTHNESS, Offsets, SmoothSystem, fit_smooth
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,6 @@ def fit_preisach(
     model: Preisach | int = 24,
     *,
     smoothness: Sequence[float] = SMOOTHNESS,
-    left_out: LeftOut = "auto",
     nonnegative: bool = True,
     offsets: Offsets = "shared",
     **structure: Any,
@@ -59,7 +58,6 @@ def fit_preisach(
         data: records.
         model: a model (its levels are chosen again unless its spacing is "given"), or the number of cells along an axis of a new one.
         smoothness: strengths of the penalty on second differences, to choose among.
-        left_out: what chooses the smoothness, see `SmoothSystem.of`.
         nonnegative: bound the masses from below.
         offsets: each record its own constant, one for all, or none.
         **structure: of a new model, as in `Preisach.of` (symmetric, reversible, initial, ...).
@@ -73,7 +71,7 @@ def fit_preisach(
     records = list(Dataset.of(data))
     model = (Preisach.of(model, **structure) if isinstance(model, int) else model).start(records)
     designs = [model.design_matrix(r.u) for r in records]
-    system = SmoothSystem.of(designs, records, left_out=left_out, nonnegative=nonnegative, offsets=offsets)
+    system = SmoothSystem.of(designs, records, nonnegative=nonnegative, offsets=offsets)
     fit = fit_smooth(system, smoothness)
     split = np.cumsum([model.w.size, model.slopes.size, model.b.size])
     *weights, constants = np.split(fit.weights, split)

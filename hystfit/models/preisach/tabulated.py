@@ -76,6 +76,6 @@ class TabulatedPreisach(Preisach):
         """See the base class."""
         return {"n": self.n}
 
-    def sizes(self, records: Sequence[Record]) -> dict[str, Any]:
+    def choices(self, records: Sequence[Record]) -> tuple[Any, ...]:
         """None: the table is not compared by left-out data."""
-        return {}
+        return ()

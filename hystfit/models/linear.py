@@ -1,0 +1,44 @@
+"""A straight line of either sign, to be added to a model in a `Sum`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from hystfit.data.record import Record
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
+from hystfit.models.parallel.associative import StateMap
+from hystfit.models.shapes import Scalar, State
+from hystfit.params.param import param
+
+
+class Linear(AbstractHysteresis):
+    """A response without memory, in proportion to the input:  y = k u.
+
+    The sample holder or the paramagnetic part of a magnetic moment, the gas spring of a damper, the leakage of a capacitor.
+    """
+
+    rate_independent: ClassVar[bool] = True
+    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
+    linear_in_input: ClassVar[bool] = True
+
+    k: Scalar = param(0.0, unit="y/u", linear=True, doc="slope")
+
+    def init(self, u0: Scalar) -> State:
+        """No state."""
+        return jnp.zeros((0,), dtype=jnp.result_type(float))
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """The line."""
+        return state, self.k * u1
+
+    def start(self, records: Sequence[Record]) -> Linear:
+        """No slope; it follows from the fit."""
+        return type(self)(k=0.0)
+
+    def c_part(self) -> CPart:
+        """A product."""
+        return CPart(template("linear.c"), 0, {"K": self.k})

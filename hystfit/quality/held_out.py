@@ -1,0 +1,178 @@
+"""What is held out of a fit to judge it: whole records, amplitude levels, cycles, or scattered samples, as the records allow."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.quality.loops import distinct, reversals
+
+# Groups that are held out in turn: more refits hardly change the error (Breiman and Spector 1992).
+FOLDS = 5
+_RECORDS = 3  # from which whole records are held out: two would leave a single one to fit
+_LEVELS, _PER_LEVEL = 3, 2  # amplitude levels, and cycles of each, from which whole levels are held out
+_TURN = 0.02  # of the input's range: smaller reversals are noise
+_SLACK = 0.01  # of the input's range by which a held-out part may reach past the others: noise of the input
+_RUNS = 10  # runs of samples in each scattered group at least, so that a group covers all parts of a loop
+
+
+class Scheme(enum.StrEnum):
+    """What is held out in turn."""
+
+    RECORDS = "records"
+    LEVELS = "levels"
+    CYCLES = "cycles"
+    SCATTERED = "scattered"
+    FUTURE = "future"
+
+    @property
+    def held(self) -> str:
+        """What is held out, in words."""
+        return _WORDS[self][0]
+
+    @property
+    def tested(self) -> str:
+        """Which predictions the error speaks for, in words."""
+        return _WORDS[self][1]
+
+
+_WORDS = {
+    Scheme.RECORDS: ("whole records", "predicts records like these"),
+    Scheme.LEVELS: ("whole amplitude levels", "predicts amplitudes between those measured"),
+    Scheme.CYCLES: ("contiguous fifths of the cycles", "predicts further cycles within the measured range"),
+    Scheme.SCATTERED: ("scattered samples", "predicts this loop; other amplitudes are not tested by these data"),
+    Scheme.FUTURE: ("the last three fifths, one after another", "predicts what follows the measured time"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOut:
+    """Groups of samples that are held out in turn.
+
+    Attributes:
+        scheme: what they are.
+        folds: of each record the number of the group of every sample, shape (T,); -1 for samples that stay in every fit, and for those
+            that do not count.
+    """
+
+    scheme: Scheme
+    folds: tuple[np.ndarray, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of groups."""
+        return 1 + max(int(fold.max(initial=-1)) for fold in self.folds)
+
+    def splits(self) -> list[tuple[list[np.ndarray], list[np.ndarray]]]:
+        """(samples to fit, samples to predict) of each group: one mask (T,) for each record."""
+        return [([f != k for f in self.folds], [f == k for f in self.folds]) for k in range(self.count)]
+
+
+def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
+    """The groups that suit the records.
+
+    | records | held out |
+    |---|---|
+    | three or more | whole records: those inside the range of the others, or all where fewer than two are |
+    | cycles of three or more amplitudes, each repeated | whole levels but the largest |
+    | a cycle or more in each fifth | fifths of the record, apart from branches that leave the range of the rest |
+    | a single loop, or few | runs of `spacing` samples, every fifth run |
+
+    Whatever only the held-out part determines would test an extrapolation, which prefers coarse models.
+
+    Args:
+        records: measured.
+        spacing: samples over which errors are correlated; scattered runs have this length where the record is long enough.
+    """
+    if len(records) >= _RECORDS:
+        return HeldOut(Scheme.RECORDS, _whole_records(records))
+    turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in records]
+    levels = [_levels(record, turn) for record, turn in zip(records, turns, strict=True)]
+    if all(level is not None for level in levels):
+        return HeldOut(Scheme.LEVELS, tuple(level for level in levels if level is not None))
+    if all(turn.size >= 2 * FOLDS for turn in turns):
+        folds = [_fifths(record, turn) for record, turn in zip(records, turns, strict=True)]
+        if all(len(np.unique(fold[fold >= 0])) > 1 for fold in folds):
+            return HeldOut(Scheme.CYCLES, tuple(folds))
+    return HeldOut(Scheme.SCATTERED, tuple(_scattered(record, spacing) for record in records))
+
+
+def correlation_length(errors: np.ndarray) -> int:
+    """Samples after which the autocorrelation of errors, shape (n,), has fallen below 1 / e."""
+    errors = errors - errors.mean()
+    power = np.abs(np.fft.rfft(errors, 2 * errors.size)) ** 2
+    correlation = np.fft.irfft(power)[: errors.size]
+    if not correlation[0] > 0:
+        return 1
+    below = np.flatnonzero(correlation < correlation[0] / np.e)
+    return int(below[0]) if below.size else errors.size
+
+
+def future(records: Sequence[Record]) -> HeldOut:
+    """Fifths of every record, of which the third to the last are predicted from what came before (Buerkner et al. 2020)."""
+    return HeldOut(Scheme.FUTURE, tuple(_of_masks(record, record.blocks(FOLDS)) for record in records))
+
+
+def _of_masks(record: Record, masks: Sequence[np.ndarray]) -> np.ndarray:
+    fold = np.full(len(record), -1)
+    for k, mask in enumerate(masks):
+        fold[mask] = k
+    return fold
+
+
+def _whole_records(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    """Records dealt out to at most five groups."""
+    low, high = (np.array([f(r.u[r.used]) if r.used.any() else 0.0 for r in records]) for f in (np.min, np.max))
+    slack = _SLACK * float(high.max() - low.min())
+    inside = np.empty(len(records), dtype=bool)
+    for k in range(len(records)):
+        others = np.arange(len(records)) != k
+        inside[k] = low[k] >= low[others].min() - slack and high[k] <= high[others].max() + slack
+    if inside.sum() < 2:
+        inside[:] = True
+    group = np.where(inside, (np.cumsum(inside) - 1) % min(int(inside.sum()), FOLDS), -1)
+    return tuple(np.where(record.used, number, -1) for record, number in zip(records, group, strict=True))
+
+
+def _levels(record: Record, turns: np.ndarray) -> np.ndarray | None:
+    """Groups by amplitude, the largest in none; None where there are too few levels, or these are not repeated."""
+    if turns.size < 2 * _LEVELS * _PER_LEVEL:
+        return None
+    span = float(np.ptp(record.u))
+    edges = [0, *turns.tolist(), len(record)]
+    strokes = np.array([np.ptp(record.u[a : b + 1]) / span for a, b in itertools.pairwise(edges)])
+    values = distinct(strokes[1:-1])
+    count = len(values)
+    if count < _LEVELS or turns.size < 2 * _PER_LEVEL * count:
+        return None
+    level = np.abs(strokes[:, None] - np.array(values)).argmin(axis=1)
+    group = np.where(level == 0, -1, (level - 1) % min(count - 1, FOLDS))
+    return np.where(record.used, np.repeat(group, np.diff(edges)), -1)
+
+
+def _fifths(record: Record, turns: np.ndarray) -> np.ndarray:
+    """Contiguous fifths; branches that leave the range of the other fifths stay in every fit."""
+    fold = _of_masks(record, record.blocks(FOLDS))
+    slack, edges = _SLACK * float(np.ptp(record.u)), [0, *turns.tolist(), len(record)]
+    ranges = [(record.u[fold == k].min(), record.u[fold == k].max()) for k in range(FOLDS)]
+    for first, last in itertools.pairwise(edges):
+        branch = record.u[first : min(last + 1, len(record))]
+        others = [ranges[k] for k in range(FOLDS) if k not in fold[first:last]]
+        low, high = min((low for low, _ in others), default=np.inf), max((high for _, high in others), default=-np.inf)
+        if branch.min() < low - slack or branch.max() > high + slack:
+            fold[first:last] = -1
+    return fold
+
+
+def _scattered(record: Record, spacing: int) -> np.ndarray:
+    """Runs of samples, every fifth in the same group."""
+    used = np.flatnonzero(record.used)
+    length = max(1, min(spacing, used.size // (FOLDS * _RUNS)))
+    fold = np.full(len(record), -1)
+    fold[used] = np.arange(used.size) // length % FOLDS
+    return fold
