@@ -20,14 +20,15 @@ from hystfit.reading.raw_table import Table
 
 NAME = "Charge throughput"
 _CAPACITY = r"(?:cap(?:acity)?|q|ah|amp hr)"
-_OF_CHARGE = re.compile(rf"(?:ch(?:ar)?ge?|chg|cha)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:charge|chg|cha)")
+_OF_CHARGE = re.compile(rf"(?:ch(?:ar)?ge?|chg|cha)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:charge|chg|cha)|充电容量")
 _OF_DISCHARGE = re.compile(
-    rf"(?:dis ?ch(?:ar)?ge?|d ?chg|dis)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:discharge|dis ?chg|dchg|dis)"
+    rf"(?:dis ?ch(?:ar)?ge?|d ?chg|dis)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:discharge|dis ?chg|dchg|dis)|放电容量"
 )
-_OF_STEP = re.compile(_CAPACITY)
+_OF_STEP = re.compile(rf"{_CAPACITY}|容量")
+_SIGNED = re.compile(r"\(?q ?q[o0]\)?|net capacity")  # a charge that goes back and forth as it is
 _UNITS = frozenset({"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr"})
 _AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name that is the unit
-_OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b")
+_OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b|电压")
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
@@ -38,31 +39,12 @@ def with_throughput(table: Table) -> Table | None:
     if not table.named or table.part is not None or NAME in table.names:
         return None
     names = [re.sub(r"[\s_./-]+", " ", split_unit(name)[0]).strip(" .").lower() for name in table.names]
-    capacities = {k: name for k, name in enumerate(names) if _is_capacity(table, k)}
-    voltage = next(
-        (
-            k
-            for k, name in enumerate(names)
-            if _OF_VOLTAGE.match(name) and _is_number(table, k) and table.units[k] in ("V", "mV", "")
-        ),
-        None,
-    )
-    if voltage is None or not capacities:
+    in_volts = lambda k: _is_number(table, k) and table.units[k] in ("V", "mV", "")
+    voltage = next((k for k, name in enumerate(names) if _OF_VOLTAGE.match(name) and in_volts(k)), None)
+    found = None if voltage is None else _passed(table, names)
+    if voltage is None or found is None or not np.ptp(found[0][np.isfinite(found[0])]) > 0:
         return None
-    of = lambda pattern: next((k for k, name in capacities.items() if pattern.fullmatch(name)), None)
-    charge, discharge = of(_OF_CHARGE), of(_OF_DISCHARGE)
-    if charge is not None and discharge is not None:
-        passed, source = _grown(table.columns[charge]) - _grown(table.columns[discharge]), charge
-        how = f"{table.names[charge]!r} less {table.names[discharge]!r}"
-    else:
-        source = of(_OF_STEP)
-        signs = None if source is None else _signs(table)
-        if source is None or signs is None:
-            return None
-        steps = np.diff(_grown(table.columns[source]), prepend=0.0)
-        passed, how = np.cumsum(signs * steps), f"{table.names[source]!r} with the sign of the current"
-    if not np.ptp(passed[np.isfinite(passed)]) > 0:
-        return None
+    passed, source, how = found
     return dataclasses.replace(
         table,
         names=(*table.names, NAME),
@@ -70,6 +52,24 @@ def with_throughput(table: Table) -> Table | None:
         columns=(*table.columns, passed),
         pair=(len(table.names), voltage),
     ).noted(Note(Code.PREPARED, f"the input is the charge that passed: {how}"))
+
+
+def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, int, str] | None:
+    """The charge that passed, shape (rows,), the position of a column with its unit, and how it was found; None without capacities."""
+    capacities = {k: name for k, name in enumerate(names) if _is_capacity(table, k)}
+    of = lambda pattern: next((k for k, name in capacities.items() if pattern.fullmatch(name)), None)
+    charge, discharge, step = of(_OF_CHARGE), of(_OF_DISCHARGE), of(_OF_STEP)
+    if charge is not None and discharge is not None:
+        passed = _grown(table.columns[charge]) - _grown(table.columns[discharge])
+        return passed, charge, f"{table.names[charge]!r} less {table.names[discharge]!r}"
+    signed = next((k for k, name in enumerate(names) if _SIGNED.fullmatch(name) and _is_number(table, k)), None)
+    if signed is not None:
+        return table.columns[signed], signed, repr(table.names[signed])
+    signs = None if step is None else _signs(table)
+    if step is None or signs is None:
+        return None
+    passed = np.cumsum(signs * np.diff(_grown(table.columns[step]), prepend=0.0))
+    return passed, step, f"{table.names[step]!r} with the sign of the current"
 
 
 def _is_number(table: Table, position: int) -> bool:

@@ -13,6 +13,8 @@ from hystfit.reading import cells
 
 _MOST = 300_000  # characters of the sample
 _SAMPLE = 900
+_NEVER_DECIMAL = (";", "\t", "|")
+_MOST_LINES = 0.5  # share of the lines that are rows between such marks, above which white space is no delimiter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +31,11 @@ class Dialect:
     def width(self) -> int:
         """Number of columns, empty ones included."""
         return len(self.kinds)
+
+    @property
+    def numbers(self) -> int:
+        """Number of columns of numbers."""
+        return self.kinds.count(cells.NUMBER)
 
     def words(self) -> str:
         """Delimiter and decimal mark, for messages."""
@@ -114,6 +121,13 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
         raise DataError(f"the decimal mark must be '.' or ',', got {decimal!r}")
     best, text_of_best = Dialect(None, ".", "", 0.0, 0), 0
     for mark in marks:
+        if (
+            mark is None
+            and best.delimiter in _NEVER_DECIMAL
+            and best.rows > _MOST_LINES * len(filled)
+            and best.numbers > 1
+        ):
+            break  # blanks within its cells part words
         rows = [split(line, mark) for line in filled]
         for point in (".", ",") if decimal is None else (decimal,):
             dialect = dialect_of(rows, mark, point)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.params.units import quantity
 from hystfit.reading.array_table import table_of_arrays
+from hystfit.reading.column_names import column_quantity
+from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text_file import TextFile
@@ -21,7 +23,6 @@ _FEWEST = 2  # numbers of an array that is a column
 _MOST_METADATA = 40
 _LONGEST = 200  # characters of a text that is kept
 _DEEPEST = 30
-_UNITS = re.compile(r"(?:^|\.)units?\.[^.]+$", re.IGNORECASE)
 
 
 def read_json(text: TextFile) -> Table | None:
@@ -38,7 +39,8 @@ def read_json(text: TextFile) -> Table | None:
     parts = _parts(_columnar(content))
     if not parts:
         raise DataError(f"{text.source} holds no arrays of numbers; write each column as a list under its name")
-    tables = [_table(text, _with_units(arrays, scalars)) for arrays, _, scalars in parts]
+    units = {*_unit_texts(content)}
+    tables = [_table(text, _with_units(arrays, units)) for arrays, _, _ in parts]
     table = tables[0] if len(tables) == 1 else below_each_other(tables)
     described = [_part(name, scalars) for _, name, scalars in parts]
     return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
@@ -143,11 +145,33 @@ def _array(items: list[Any]) -> np.ndarray | None:
         return np.array([str(item) for item in items])
 
 
-def _with_units(arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The arrays with the units in their names that a mapping beside them holds, {"units": {"force": "N"}}."""
-    units = {key.rpartition(".")[2]: str(value) for key, value in scalars.items() if _UNITS.search(key)}
-    last = lambda name: name.rpartition(".")[2]
-    return {f"{name} [{units[last(name)]}]" if last(name) in units else name: array for name, array in arrays.items()}
+def _unit_texts(tree: Any) -> Iterator[tuple[str, str]]:
+    """Units anywhere in the tree, with the name of the column where {"units": {"force": "N"}} gives it and "" where a list does not."""
+    for key, item in tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list) else ():
+        if str(key).lower() in ("unit", "units"):
+            pairs = (
+                item.items()
+                if isinstance(item, Mapping)
+                else [("", one) for one in item]
+                if isinstance(item, list)
+                else [("", item)]
+            )
+            yield from ((name, unit) for name, unit in pairs if isinstance(unit, str))
+        else:
+            yield from _unit_texts(item)
+
+
+def _with_units(arrays: Mapping[str, np.ndarray], known: Collection[tuple[str, str]]) -> dict[str, np.ndarray]:
+    """The arrays with units in their names: those of their name, else the only one of their quantity."""
+    found = {}
+    for name, array in arrays.items():
+        last = name.rpartition(".")[2]
+        kind = column_quantity(last)
+        units = {unit for title, unit in known if title == last} or {
+            unit for title, unit in known if not title and kind and quantity(unit) == kind
+        }
+        found[f"{name} [{units.pop()}]" if len(units) == 1 and not split_unit(last)[1] else name] = array
+    return found
 
 
 def _table(text: TextFile, arrays: Mapping[str, np.ndarray]) -> Table:

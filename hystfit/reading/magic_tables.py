@@ -60,15 +60,27 @@ def _tables(text: TextFile) -> list[tuple[str, range]]:
 
 def _loops_of(table: Table) -> Table:
     """The rows of hysteresis loops, where method codes say which they are."""
-    for codes in table.labels.values():
+    for position in sorted(table.labels, key=lambda k: ("method" not in table.names[k], k)):
+        codes = table.labels[position]
         loops = np.array([bool(_LOOPS.search(code)) for code in codes])
         if loops.any():
             if loops.all():
                 return table
             others = ", ".join(dict.fromkeys(codes[~loops].tolist()))
             text = f"left out: {int((~loops).sum())} rows of other experiments ({others})"
+            if without := _without_loops(table, loops):
+                text += f"; no loop of {', '.join(without)}"
             return table.take(loops).noted(Note(Code.LEFT_OUT, text))
     return table
+
+
+def _without_loops(table: Table, loops: np.ndarray) -> list[str]:
+    """Specimens that have rows, and none of a loop."""
+    position = next((k for k in table.labels if table.names[k] in ("specimen", "er_specimen_name")), None)
+    if position is None:
+        return []
+    with_loops = set(table.labels[position][loops].tolist())
+    return [name for name in dict.fromkeys(table.labels[position].tolist()) if name not in with_loops]
 
 
 def _best(table: Table, names: dict[str, str]) -> int | None:

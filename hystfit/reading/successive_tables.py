@@ -15,7 +15,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
-from hystfit.reading.dialect import split
+from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, setting_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
@@ -25,6 +25,7 @@ from hystfit.reading.text_file import TextFile
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
 _FEWEST = 4  # rows of a table
 _MOST = 5000  # pieces of numbers between lines of words
+_SAMPLE = 100  # lines that show how the numbers are written
 _ABOVE = 8  # lines above the numbers that may hold the header
 _TITLE = 60  # characters of a title
 _NAMED = 6  # tables named in a note
@@ -94,11 +95,17 @@ def _pieces(text: TextFile) -> list[_Piece]:
     if not 1 < firsts.size <= _MOST:
         return []
     counts = np.diff(np.append(firsts, numbers.size))
+    longest = int(numbers[firsts[np.argmax(counts)]])
+    try:
+        sample = text.lines[longest : longest + _SAMPLE]
+        dialect = sniff(sample, text.source, text.opening.delimiter, text.opening.decimal)
+    except DataError:
+        return []
     found: list[_Piece] = []
     for k, count in zip(firsts.tolist(), counts.tolist(), strict=True):
         first, stop = int(numbers[k]), int(numbers[k + count - 1]) + 1
         above = found[-1].stop if found else 0
-        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first])
+        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first], dialect)
         if header or not found:
             found.append(_Piece(above, first, stop, count, header))
         else:
@@ -106,17 +113,13 @@ def _pieces(text: TextFile) -> list[_Piece]:
     return [piece for piece in found if piece.header]
 
 
-def _header(above: Sequence[str], row: str) -> tuple[str, ...]:
+def _header(above: Sequence[str], row: str, dialect: Dialect) -> tuple[str, ...]:
     """The lines of names and units directly above a row of numbers; () without one."""
-    for mark in ("\t", ";", ",", None):
-        cells = split(row.strip(), mark)
-        if len(cells) > 1:
-            for decimal in (".", ","):
-                used = read_header([line.rstrip("\t ;,") for line in above], len(cells), mark, decimal, {})[2]
-                if used:
-                    return tuple(line.strip() for line in [line for line in above if line.strip()][-used:])
-            return ()
-    return ()
+    width = len(split(row.rstrip("\t ;,"), dialect.delimiter))
+    if width < 2:
+        return ()
+    used = read_header([line.rstrip("\t ;,") for line in above], width, dialect.delimiter, dialect.decimal, {})[2]
+    return tuple(line.strip() for line in [line for line in above if line.strip()][-used:]) if used else ()
 
 
 def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:

@@ -64,6 +64,8 @@ def _pairs(table: Table) -> list[_Pair]:
             found.append(_Pair(base, (j, i), word2))
         elif (word, word2) in _NUMBERED:
             found.append(_Pair(base, (i, j), word, directed=False))
+        elif (word2, word) in _NUMBERED:
+            found.append(_Pair(base, (j, i), word2, directed=False))
     return found
 
 
