@@ -56,20 +56,20 @@ def read_tables(text: TextFile) -> Table | None:
     if not groups:
         return None
     chosen = max(groups.values(), key=lambda group: sum(tables[k].rows for k in group))
-    rest = [table for k, table in tables.items() if k not in chosen]
+    rest = [piece for k, piece in enumerate(pieces) if k not in chosen]
     parts = [_part(text, pieces[k], tables[k]) for k in chosen]
-    parts = _with_summary(_with_names(parts), rest)
+    parts = _with_summary(text, _with_names(parts), rest)
     notes = [*tables[chosen[0]].notes]
     notes += [
         note for k in chosen[1:] for note in tables[k].notes if note.severity is not Severity.INFO and note not in notes
     ]
     if len(chosen) > 1:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
-    if left := [piece for k, piece in enumerate(pieces) if k not in chosen]:
-        lines = ", ".join(f"line {piece.first + 1}" for piece in left[:_NAMED]) + (
-            ", ..." if len(left) > _NAMED else ""
+    if rest:
+        lines = ", ".join(f"line {piece.first + 1}" for piece in rest[:_NAMED]) + (
+            ", ..." if len(rest) > _NAMED else ""
         )
-        notes.append(Note(Code.LEFT_OUT, f"left out: {len(left)} tables of other columns ({lines})"))
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} tables of other columns ({lines})"))
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)
     return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
@@ -170,12 +170,18 @@ def _with_names(parts: Sequence[Part]) -> list[Part]:
     return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
 
 
-def _with_summary(parts: Sequence[Part], others: Sequence[Table]) -> list[Part]:
-    """The parts with the results of a table that has a row for each of them, where none stand above their own tables."""
-    summaries = [table for table in others if table.rows == len(parts)]
-    stated = [[*part.stated] for part in parts]
-    for table in summaries:
-        for row, known in enumerate(stated):
-            found = (result_of(name, f"{table.columns[k][row]:.12g}") for k, name in enumerate(table.names))
-            known += [one for one in found if one is not None and one.label not in {s.label for s in known}]
-    return [dataclasses.replace(part, stated=tuple(results)) for part, results in zip(parts, stated, strict=True)]
+def _with_summary(text: TextFile, parts: Sequence[Part], others: Sequence[_Piece]) -> list[Part]:
+    """The parts with the results of a table that has a row for each of them, beside those that stand above their own tables."""
+    stated = [{one.label: one for one in part.stated} for part in parts]
+    for piece in others:
+        names = _cells(piece.header[0])
+        rows = [_cells(line) for line in text.lines[piece.first : piece.stop] if line.strip()]
+        for known, row in zip(stated, rows if len(rows) == len(parts) else (), strict=False):
+            found = (result_of(name, cell.replace(",", ".")) for name, cell in zip(names, row, strict=False))
+            known |= {one.label: one for one in found if one is not None and one.label not in known}
+    return [dataclasses.replace(part, stated=tuple(known.values())) for part, known in zip(parts, stated, strict=True)]
+
+
+def _cells(line: str) -> list[str]:
+    """Cells of a line of a summary, in which the numbers are no more than that."""
+    return split(line.strip(), next((mark for mark in ("\t", ";", ",") if mark in line), None))
