@@ -197,6 +197,35 @@ def test_tables_after_a_summary_are_records_with_their_results(above: bool, tmp_
         assert record.metadata["SampleName"] == f"S{k}"
 
 
+def test_a_single_table_after_a_summary(tmp_path: Path) -> None:
+    """The summary has as many columns as the measurement, and its header stands above its row."""
+    text = "DynamicHysteresisResult\n\nTable No [#]\tVc+ [V]\tPr+ [uC/cm2]\n1\t0.5\t3\n\nTable [1]\nTime [s]\tV+ [V]\tP1 [uC/cm2]\n"
+    text += "".join(f"{j / 80:e}\t{u:e}\t{y:e}\n" for j, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True)))
+    record = one(written(tmp_path, text))
+    is_loop(record)
+    assert [(one.label, one.value) for one in record.stated] == [("Vc+", 0.5), ("Pr+", 3.0)]
+
+
+def test_titles_of_tables_name_records_unless_time_goes_on(tmp_path: Path) -> None:
+    table = lambda k: "x_mm F_N\n" + "".join(f"{k * u:.6f} {k * y:.6f}\n" for u, y in zip(FIELD, MOMENT, strict=True))
+    data = read(written(tmp_path, "\n".join(f"Cycle {k}\n{table(k)}" for k in (1, 2, 3))))
+    assert [record.name for record in Dataset.of(data)] == ["Cycle 1", "Cycle 2", "Cycle 3"]
+    page = lambda k: "t_s,x_mm,F_N\n" + "".join(f"{81 * k + j},{FIELD[j]:.6f},{MOMENT[j]:.6f}\n" for j in range(81))
+    assert len(one(written(tmp_path, "".join(f"page {k}\n{page(k)}" for k in (0, 1))))) == 162
+
+
+def test_names_above_a_line_that_is_no_row(tmp_path: Path) -> None:
+    rows = "".join(f"{j}\t{u}\t{y}\n" for j, (u, y) in enumerate(zip(FIELD, MOMENT, strict=True)))
+    record = one(
+        written(
+            tmp_path,
+            f"@Operator Kim\nTime\tApplied Field\tSignal\n[s]\t[Oe]\t[emu]\n@@Data\nNew Section: 0\n{rows}@@END\n",
+        )
+    )
+    is_loop(record)
+    assert (record.u_name, record.u_unit, record.y_unit) == ("Applied Field", "Oe", "emu")
+
+
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
 def test_the_table_with_most_rows_is_read_of_those_with_other_columns(mark: str, tmp_path: Path) -> None:
     text = f"Calibration\nload_N{mark}signal_V\n" + "".join(f"{k}{mark}{2 * k + 0.5}\n" for k in range(6))
@@ -260,6 +289,11 @@ def test_text_that_is_constant_over_long_runs_divides_and_names_records(title: s
     for k, record in enumerate(data, 1):
         is_loop(record, k * FIELD, k * MOMENT)
     assert len(one_of(read(tmp_path / "loop.dat", only="S-2"))) == 81
+
+
+def test_numbers_of_specimens_divide_records(tmp_path: Path) -> None:
+    data = read(written(tmp_path, stacked("Specimen", ["3", "7"])))
+    assert [record.name for record in Dataset.of(data)] == ["Specimen=3", "Specimen=7"]
 
 
 def test_blanks_in_text_between_tabs_part_no_columns(tmp_path: Path) -> None:
@@ -468,7 +502,8 @@ def test_json_lists_of_rows_and_of_records(tmp_path: Path) -> None:
         is_loop(list(Dataset.of(data))[1], 2 * FIELD)
         assert [one.value for one in list(Dataset.of(data))[1].stated] == [0.6]
     described = {"x": {"label": "H", "unit": "A/m", "values": U}, "y": {"label": "B", "unit": "T", "values": Y}}
-    for content in (described, {"units": {"H": "A/m", "B": "T"}, "data": {"B": Y, "H": U}}):
+    series = {"series": [{"name": "H (A/m)", "data": U}, {"name": "B (T)", "data": Y}]}
+    for content in (described, series, {"units": {"H": "A/m", "B": "T"}, "data": {"B": Y, "H": U}}):
         record = one(written(tmp_path, json.dumps(content), "a.json"))
         is_loop(record)
         assert (record.u_unit, record.y_unit) == ("A/m", "T")

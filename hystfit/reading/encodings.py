@@ -15,7 +15,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 
 _MAGIC = {
-    b"PK\x03\x04": "a zip archive (unpack it; read an Excel file with hystfit.read)",
+    b"PK\x03\x04": "a zip archive (unpack it) or a damaged Excel file (save it again as .xlsx)",
     b"\x89HDF": "an HDF5 file (read it with hystfit.read)",
     b"\xd0\xcf\x11\xe0": "an old Excel file (save it as .xlsx)",
     b"MATLAB": "a MATLAB file (read it with hystfit.read)",

@@ -117,6 +117,9 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
             below = _leaves(item, f"{name}.")
             arrays |= below[0]
             scalars |= below[1]
+        elif isinstance(item, list) and item and all(isinstance(one, Mapping) for one in item):
+            for one in item:
+                arrays |= _column("", one) or {}
         elif isinstance(item, list):
             if (array := _array(item)) is not None:
                 arrays[name] = array
@@ -126,12 +129,16 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
 
 
 def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
-    """The column of a mapping that describes one, {"label": "H", "unit": "A/m", "values": [...]}; None for others."""
+    """The column of a mapping that describes one, {"label": "H", "unit": "A/m", "values": [...]}; None for others.
+
+    Args:
+        name: used where the mapping has none; "" requires one there.
+    """
     lists = [value for value in item.values() if isinstance(value, list)]
     unit = next((item[key] for key in ("unit", "units") if isinstance(item.get(key), str)), None)
-    if len(lists) != 1 or unit is None or (array := _array(lists[0])) is None:
-        return None
     label = next((str(item[key]) for key in ("label", "name", "title") if key in item), name)
+    if len(lists) != 1 or not (label and (unit or not name)) or (array := _array(lists[0])) is None:
+        return None
     return {f"{label} [{unit}]" if unit else label: array}
 
 

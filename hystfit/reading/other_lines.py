@@ -41,11 +41,12 @@ class LeftOut:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """Names and units of the columns, "" where there is none, and in how many lines they stand."""
+    """Names and units of the columns, "" where there is none, in how many lines they stand, and whether other lines follow them."""
 
     names: list[str]
     units: list[str]
     used: int
+    apart: bool = False
 
 
 def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
@@ -67,23 +68,28 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         for position in nameless:
             names.insert(position, "")
             units.insert(position, "")
-    if not used and (place := _apart(text, block)):
+    place = 0 if used else _apart(text, block)
+    if place:
         names, units, used = read_header(text.lines[low:place], dialect.width, dialect.delimiter, dialect.decimal, cut)
     elif not used and first and text.lines[first - 1].strip():
         names, used = _uneven(text, block)
         units = [split_unit(name, names)[1] for name in names]
-    return Header(names, units, used)
+    return Header(names, units, used, apart=place > 0)
 
 
 def _apart(text: Text, block: Block) -> int:
-    """Line after the names where one or two lines that are no cells stand between them and the numbers ("@@Data"); 0 without them."""
+    """Line after the names where one or two lines that are no rows of the table stand between them and the numbers; 0 without them.
+
+    They are words without cells ("@@Data"), or rows of numbers of another width.
+    """
     dialect, first = text.dialect, int(block.index[0])
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
+        between = block.rows[place]
+        if len(between) == dialect.width or (len(between) > 1 and not _mostly_numbers(between, text)[0]):
+            break
         row = [cells.clean(cell) for cell in block.rows[place - 1]]
         if dialect.delimiter is not None and len(row) == dialect.width > 2:
             return place if all(cells.kind(cell, dialect.decimal) == cells.TEXT for cell in row) else 0
-        if len(row) > 1:
-            return 0
     return 0
 
 
@@ -135,7 +141,7 @@ def _mostly_numbers(row: Sequence[str], text: Text) -> tuple[bool, list[str]]:
 
 def _directly_above(text: Text, block: Block, header: Header) -> list[int]:
     """Rows of numbers of another width that end where the header, or the first row, begins: they are no metadata."""
-    end = start = int(block.index[0]) - header.used
+    end = start = int(block.index[0]) - (0 if header.apart else header.used)
     while start and len(row := block.rows[start - 1]) != text.dialect.width and _mostly_numbers(row, text)[0]:
         start -= 1
     return list(range(start, end))

@@ -22,6 +22,7 @@ from hystfit.reading.json_text import read_json
 from hystfit.reading.magic_tables import read_magic
 from hystfit.reading.micromag import read_micromag
 from hystfit.reading.raw_table import Table
+from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
 from hystfit.reading.specimens import divided
 from hystfit.reading.successive_tables import read_tables
@@ -114,6 +115,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_micromag,
     read_magic,
     read_easyexpert,
+    read_sections,
     read_tables,
     plain_text,
 )

@@ -10,6 +10,7 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _FEWEST = 8  # rows of a record, on average
@@ -25,10 +26,13 @@ _PAUSE = 10.0  # step of a clock to the next record over its median step, up to 
 
 def divided(table: Table) -> Table | None:
     """Specimens or tests below each other, told apart by a column of text, are a record each; None for other tables."""
-    if table.part is not None or not table.labels:
+    if table.part is not None:
         return None
     best: tuple[tuple[int, int], int, np.ndarray] | None = None
-    for position, labels in table.labels.items():
+    for position in range(len(table.names)):
+        labels = _labels(table, position)
+        if labels is None:
+            continue
         changes = np.flatnonzero(labels[1:] != labels[:-1])
         if not changes.size or len(set(labels.tolist())) != changes.size + 1 or "" in labels:
             continue
@@ -40,8 +44,8 @@ def divided(table: Table) -> Table | None:
     if best is None:
         return None
     _, position, changes = best
-    labels = table.labels[position]
-    names = [str(labels[k]) for k in (0, *(changes + 1))]
+    labels = _labels(table, position)
+    names = [] if labels is None else [str(labels[k]) for k in (0, *(changes + 1))]
     base = table.parts[0] if table.parts else Part()
     text = f"{len(names)} records, told apart by column {table.names[position]!r}: {', '.join(names[:6])}{', ...' * (len(names) > 6)}"
     return dataclasses.replace(
@@ -49,6 +53,18 @@ def divided(table: Table) -> Table | None:
         part=np.searchsorted(changes, np.arange(table.rows)),
         parts=tuple(dataclasses.replace(base, name=name, stated=()) for name in names),
     ).noted(Note(Code.CURVES, text))
+
+
+def _labels(table: Table, position: int) -> np.ndarray | None:
+    """The text in a column, or the numbers of specimens or tests in it as text, shape (rows,); None for other columns."""
+    values, name = table.columns[position], table.names[position]
+    if position in table.labels:
+        return table.labels[position]
+    if _rank(name) >= len(_OBJECTS) or not np.isfinite(values).all() or (values % 1).any():
+        return None
+    title = split_unit(name)[0]
+    distinct, back = np.unique(values, return_inverse=True)
+    return np.array([f"{title}={value:.0f}" for value in distinct])[back]
 
 
 def _rank(name: str) -> int:
@@ -59,10 +75,10 @@ def _rank(name: str) -> int:
 
 def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bool:
     """Whether the values of a column of text stand for records, and not for the branches or steps of one."""
-    name, values = table.names[position], dict.fromkeys(table.labels[position].tolist())
-    rank = _rank(name)
+    name, rank = table.names[position], _rank(table.names[position])
     if rank < len(_OBJECTS):
         return True
+    values = dict.fromkeys(table.labels[position].tolist())
     if any(words_of(value) & BRANCHES for value in values) or _clock_goes_on(table, changes):
         return False
     return rank < len(_OBJECTS) + len(_PASSES) or (not _STEPS.search(name) and _jumps(table, changes))

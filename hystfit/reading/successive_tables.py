@@ -15,8 +15,9 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
-from hystfit.reading.header import read_header, setting_of
+from hystfit.reading.header import read_header, sample_properties, setting_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
@@ -27,6 +28,7 @@ _FEWEST = 4  # rows of a table
 _MOST = 5000  # pieces of numbers between lines of words
 _SAMPLE = 100  # lines that show how the numbers are written
 _ABOVE = 8  # lines above the numbers that may hold the header
+_LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
 _NAMED = 6  # tables named in a note
 
@@ -54,22 +56,23 @@ def read_tables(text: TextFile) -> Table | None:
     if not groups:
         return None
     chosen = max(groups.values(), key=lambda group: sum(tables[k].rows for k in group))
-    rest = [table for k, table in tables.items() if k not in chosen]
+    rest = [piece for k, piece in enumerate(pieces) if k not in chosen]
     parts = [_part(text, pieces[k], tables[k]) for k in chosen]
-    parts = _with_summary(_with_names(parts), rest)
+    parts = _with_summary(text, _with_names(parts), rest)
     notes = [*tables[chosen[0]].notes]
     notes += [
         note for k in chosen[1:] for note in tables[k].notes if note.severity is not Severity.INFO and note not in notes
     ]
     if len(chosen) > 1:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
-    if left := [piece for k, piece in enumerate(pieces) if k not in chosen]:
-        lines = ", ".join(f"line {piece.first + 1}" for piece in left[:_NAMED]) + (
-            ", ..." if len(left) > _NAMED else ""
+    if rest:
+        lines = ", ".join(f"line {piece.first + 1}" for piece in rest[:_NAMED]) + (
+            ", ..." if len(rest) > _NAMED else ""
         )
-        notes.append(Note(Code.LEFT_OUT, f"left out: {len(left)} tables of other columns ({lines})"))
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} tables of other columns ({lines})"))
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
-    return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes))
+    common = sample_properties(text.lines[: pieces[0].first], table.names)
+    return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
 
 
 def _line_kinds(text: TextFile) -> np.ndarray:
@@ -124,15 +127,18 @@ def _header(above: Sequence[str], row: str, dialect: Dialect) -> tuple[str, ...]
 
 def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:
     """Whether the pieces are tables of their own, and not one whose header is repeated on every page while its first column goes on."""
-    pieces = [piece for piece in pieces if piece.rows >= _FEWEST]
-    if len(pieces) < 2 or len({piece.header for piece in pieces}) > 1:
-        return len(pieces) > 1
+    if max((piece.rows for piece in pieces), default=0) < _FEWEST or len(pieces) < 2:
+        return False
+    if len({piece.header for piece in pieces}) > 1:
+        names = {name for piece in pieces for name in re.split(r"[\t,;|]|\s+", piece.header[0])}
+        return any(map(column_quantity, names))  # else they are remarks of as many words as there are columns
     between = [line for piece in pieces[1:] for line in text.lines[piece.above : piece.first] if line.strip()]
     if len(between) == sum(len(piece.header) for piece in pieces[1:]):
         return False
     first = lambda k: re.match(r"[\s\"]*([+-]?[\d.]+(?:[eE][+-]?\d+)?)", text.lines[k])
-    ends = [(first(one.stop - 1), first(other.first)) for one, other in itertools.pairwise(pieces)]
-    return not all(a and b and float(a[1]) < float(b[1]) for a, b in ends)
+    found = [first(k) for piece in pieces for k in np.linspace(piece.first, piece.stop - 1, _LOOKED_AT, dtype=int)]
+    values = [float(match[1]) if match else 0.0 for match in found]
+    return any(a > b for a, b in itertools.pairwise(values))
 
 
 def _table(text: TextFile, piece: _Piece) -> Table | None:
@@ -151,7 +157,8 @@ def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
     titles = [
         line for line in above[: len(above) - len(piece.header)] if setting_of(line) is None and len(line) <= _TITLE
     ]
-    title = titles[-1].strip("#%*[]<>=- \t") if titles else ""
+    title = re.sub(r"^[#%*<>=\s-]+|[*<>=\s-]+$", "", titles[-1]) if titles else ""
+    title = title[1:-1] if title.startswith("[") and title.endswith("]") else title
     return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
 
 
@@ -163,12 +170,18 @@ def _with_names(parts: Sequence[Part]) -> list[Part]:
     return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
 
 
-def _with_summary(parts: Sequence[Part], others: Sequence[Table]) -> list[Part]:
-    """The parts with the results of a table that has a row for each of them, where none stand above their own tables."""
-    summaries = [table for table in others if table.rows == len(parts)]
-    stated = [[*part.stated] for part in parts]
-    for table in summaries:
-        for row, known in enumerate(stated):
-            found = (result_of(name, f"{table.columns[k][row]:.12g}") for k, name in enumerate(table.names))
-            known += [one for one in found if one is not None and one.label not in {s.label for s in known}]
-    return [dataclasses.replace(part, stated=tuple(results)) for part, results in zip(parts, stated, strict=True)]
+def _with_summary(text: TextFile, parts: Sequence[Part], others: Sequence[_Piece]) -> list[Part]:
+    """The parts with the results of a table that has a row for each of them, beside those that stand above their own tables."""
+    stated = [{one.label: one for one in part.stated} for part in parts]
+    for piece in others:
+        names = _cells(piece.header[0])
+        rows = [_cells(line) for line in text.lines[piece.first : piece.stop] if line.strip()]
+        for known, row in zip(stated, rows if len(rows) == len(parts) else (), strict=False):
+            found = (result_of(name, cell.replace(",", ".")) for name, cell in zip(names, row, strict=False))
+            known |= {one.label: one for one in found if one is not None and one.label not in known}
+    return [dataclasses.replace(part, stated=tuple(known.values())) for part, known in zip(parts, stated, strict=True)]
+
+
+def _cells(line: str) -> list[str]:
+    """Cells of a line of a summary, in which the numbers are no more than that."""
+    return split(line.strip(), next((mark for mark in ("\t", ";", ",") if mark in line), None))

@@ -144,7 +144,6 @@ def table_of_block(
         left_out=others.count,
         unread=others.unread,
         metadata=metadata,
-        sectioned=any(line.strip(" ,;\t").lower() == "[data]" for line in above),
         parts=(Part(stated=stated),) if stated else (),
         problems=problems | unclear,
     )
