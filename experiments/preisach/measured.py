@@ -76,7 +76,8 @@ def reversal_curves(results: Results, wires: list[hf.Record]) -> tuple[list[hf.R
     percent = 100 * float(np.sqrt(np.mean(error**2))) / span
     results.add("measured reversal curves: the same on curves 3, 7, ... fitted, RMS %", percent)
     coarse = fit_preisach(
-        train, hf.Preisach.of(50, elements="relays", spacing="uniform", initial="positive"), 
+        train,
+        hf.Preisach.of(50, elements="relays", spacing="uniform", initial="positive"),
     )
     judge("relays, 50 uniform thresholds", lambda r: coarse.predict(r.u))
     judge("straight line between the curves fitted next to it", lambda r: _between(r, train))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
+# Labels of the line that was added to the output before the other results were computed: per unit of the input, and at zero input.
+SLOPE, OFFSET = "Slope correction", "Offset correction"
+
 
 @dataclasses.dataclass(frozen=True)
 class Stated:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.stated import OFFSET, SLOPE, Stated
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.header import setting_of
@@ -32,6 +33,7 @@ _SEGMENT = re.compile(r"\s*\d{7},")
 _DATA = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*,")
 _SYMBOLS = re.compile(r"\(([^)]*)\)")
 _TESLA = 20.0  # largest field of these magnets in T, with a margin: in Oe no loop is as small
+_STRAIGHT = 0.01  # of the largest difference of raw and adjusted moments, up to which these differ by a line
 _SAME = 0.01  # of the largest field, up to which a segment begins where the one before ends
 
 
@@ -55,8 +57,25 @@ def read_micromag(text: TextFile) -> Table | None:
     stated = stated_in(
         above, {"coercive_input": table.units[0], "remanence": table.units[1], "saturation": table.units[1]}
     )
-    table = dataclasses.replace(table, parts=(Part(stated=stated),))
+    table = dataclasses.replace(table, parts=(Part(stated=_with_applied_line(table, stated)),))
     return table if not rows else _by_segments(table, text.lines, rows)
+
+
+def _with_applied_line(table: Table, stated: tuple[Stated, ...]) -> tuple[Stated, ...]:
+    """The stated results with the line by which the adjusted moments differ from the raw ones: the header may state another slope."""
+    at = {name: table.columns[k] for k, name in enumerate(table.names)}
+    if not {"Field", "Moment", "Adjusted Moment"} <= at.keys():
+        return stated
+    change, field = at["Adjusted Moment"] - at["Moment"], at["Field"]
+    known = np.isfinite(change) & np.isfinite(field)
+    if known.sum() < 2 or np.ptp(field[known]) == 0:
+        return stated
+    slope, offset = np.polyfit(field[known], change[known], 1)
+    left = np.abs(change[known] - slope * field[known] - offset).max()
+    if left > _STRAIGHT * np.abs(change[known]).max():
+        return stated
+    line = Stated(SLOPE, float(slope)), Stated(OFFSET, float(offset))
+    return (*line, *(one for one in stated if one.label != SLOPE))
 
 
 def _system(above: Sequence[str]) -> dict[str, str]:

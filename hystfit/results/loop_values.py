@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.data.stated import Stated
+from hystfit.data.stated import OFFSET, SLOPE, Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
 from hystfit.outcome.notebook import fragment
@@ -28,7 +28,6 @@ _OPEN = 4.0  # standard errors by which an area differs from zero where there is
 _FEWEST = 8  # samples of a loop
 _ABOUT = 4.0  # standard deviations of the noise, within which samples are averaged about a crossing
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
-_SLOPE = "Slope correction"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -356,12 +355,13 @@ def _with_stated(
     """The quantities with those that the instrument states; after its slope correction, where it made one, in rows of their own."""
     stated = {_name_of(one): one for one in record.stated if one.quantity}
     beside = lambda row: dataclasses.replace(row, stated=_in_unit(stated.get(row.name), row.unit))
-    slope = next((one.value for one in record.stated if one.label == _SLOPE), None)
+    slope = next((one.value for one in record.stated if one.label == SLOPE), None)
     if slope is None or not stated or record.y_name.lower().startswith("adjusted"):
         yield from map(beside, found)
         return
     yield from found
-    corrected = [_Branch(b.u, b.y + slope * b.u) for b in branches]
+    offset = next((one.value for one in record.stated if one.label == OFFSET), 0.0)
+    corrected = [_Branch(b.u, b.y + slope * b.u + offset) for b in branches]
     for one in _levels(corrected, sigma, kind, record):
         if one.name in stated:
             label = f"{one.label}, after the slope correction of the file"
