@@ -49,6 +49,7 @@ from .reading import datasets as datasets
 from .reading.read import read as read
 from .reading.read import read_csv as read_csv
 from .results import plots as plots
+from .results.loop_values import quantities as quantities
 from .results.result import FitResult as FitResult
 from .results.saved import load_fit as load_fit
 from .sampling.files import load_posterior as load_posterior

@@ -23,7 +23,7 @@ from hystfit.fitting.comparison import Comparison, Row
 from hystfit.fitting.comparison_run import ComparisonRun, ShownProgress
 from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.sizes import choose_size, first_error
+from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, Terms, build, max_plays, search_structure
 from hystfit.fitting.thinning import thinned
@@ -196,23 +196,31 @@ def test_a_rest_state_in_the_name_is_kept():
 # -- candidates ------------------------------------------------------------------------------------------------------------
 
 
-def test_candidates_follow_what_check_finds():
-    force = np.asarray(hf.simulate(hf.BoucWenForce(), U)[0])
-    leading = candidates(hf.Dataset.of(hf.Record(U, force, T))).names
-    assert {"bouc-wen-force", SEARCH} <= set(leading)
-    assert not {"bouc-wen", "preisach"} & set(leading)
-    magnetic = candidates(stepped_loops()).names
-    assert "preisach-magnetic" in magnetic
-    assert not any("creep" in name for name in magnetic)
-    lagging = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.4, tau=0.5), U + 4)[0])
-    piezo = candidates(hf.Dataset.of(hf.Record(U + 4, lagging, T))).names
-    assert {"bouc-wen+log-creep", SEARCH} <= set(piezo)
-    assert not {"preisach-magnetic", "oscillator"} & set(piezo)
+def test_every_family_that_the_records_can_drive_is_tried():
+    timed = candidates(hf.Dataset.of(hf.Record(U, U, T)))
+    assert timed.closed[0] == SEARCH
+    assert {"preisach", "preisach-magnetic", "preisach-signed"} <= set(timed.closed)
+    assert {"bouc-wen", "bouc-wen-force", "bouc-wen+log-creep", "bouc-wen-force+viscous"} <= set(timed.iterated)
+    assert {"oscillator", "bouc-wen+second-order"} <= set(timed.resonant)
+    untimed = candidates(stepped_loops())
+    assert not any(
+        word in name for name in untimed.names for word in ("creep", "viscous", "second-order", "oscillator")
+    )
+    assert set(untimed.names) < set(timed.names)
     curves = [
         hf.Record(u := np.linspace(low, 1.0, 20), np.tanh(3 * u - low), name=f"{low:g}")
         for low in np.linspace(-1, 0.5, 8)
     ]
     assert set(candidates(hf.Dataset(tuple(curves))).names) == {"preisach-forc", "preisach-forc-signed"}
+
+
+def test_what_the_search_finds_beside_its_plays_is_tried_beside_other_models():
+    every = candidates(hf.Dataset.of(hf.Record(U, U, T)))
+    around = every.beside(Structure(falls=True, line=True, lag=2.0), delay=True)
+    assert around.closed == ("delay+negate+lag+preisach",)
+    assert "delay+negate+bouc-wen+linear" in around.iterated
+    assert all(make_model(name) is not None for name in around.names)
+    assert every.beside(Structure(), delay=False).iterated == every.iterated
 
 
 def test_a_resonance_brings_the_oscillator():
@@ -240,7 +248,7 @@ def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison():
 def test_only_a_model_that_serves_the_purpose_stops_others():
     rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
     for purpose in ("inverse", "prediction"):
-        comparing = ComparisonRun(stepped_loops(), "blocks", purpose, FitOptions(), {})
+        comparing = ComparisonRun(stepped_loops(), "auto", purpose, FitOptions(), {})
         comparing.rows.append(rival)
         comparing.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
         assert (comparing.rows[1].score_percent is None) == (purpose == "prediction")
@@ -250,7 +258,7 @@ def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validat
     data = stepped_loops()
     error = hf.compare(data, ["duhem"]).rows[0].in_sample_percent
     for share, validated in ((0.8, False), (1.05, True)):
-        comparing = ComparisonRun(data, "blocks", "prediction", FitOptions(), {})
+        comparing = ComparisonRun(data, "auto", "prediction", FitOptions(), {})
         comparing.rows.append(Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={}))
         comparing.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
         assert (comparing.rows[1].score_percent is not None) == validated
@@ -340,29 +348,31 @@ def test_no_more_cells_than_levels_and_the_choice_is_the_best_of_its_neighbors()
     records = list(data)
     model = make_model("preisach")
     distinct = np.unique(np.concatenate([record.u for record in records])).size
-    assert all(size.n <= distinct for size in model.sizes(records).values())
-    chosen = choose_size(model, data).model
+    assert all(size.n <= distinct for group in model.choices(records) for size in group)
+    chosen, _ = SizeSearch(data).chosen(model)
 
     def error(candidate):
         problem = hf.Problem(candidate.start(records), data)
         return left_out_score(problem, problem.space.vector(problem.model))
 
-    assert error(chosen) <= min(error(other) for other in chosen.sizes(records).values()) / 0.98
+    # Other numbers of cells were tried last, and other levels before them.
+    assert error(chosen) <= min(error(other) for other in chosen.choices(records)[-1]) / 0.98
+    assert error(SizeSearch(data).first(model)[0]) == min(error(other) for other in model.choices(records)[0])
     assert error(chosen) <= error(model)
 
 
-def test_a_known_first_error_is_not_computed_again(monkeypatch):
-    data, tried, solve = stepped_loops(samples=11), [], sizes._left_out
+def test_no_choice_is_solved_for_twice(monkeypatch):
+    data, tried, solve = stepped_loops(samples=11), [], sizes.left_out_score
 
-    def watched(model, data):
-        tried.append(model_name(model))
-        return solve(model, data)
+    def watched(problem, x, strengths):
+        tried.append(model_name(problem.model))
+        return solve(problem, x, strengths)
 
-    monkeypatch.setattr(sizes, "_left_out", watched)
-    model = make_model("preisach")
-    chosen = choose_size(model, data, first=first_error(model, data))
+    monkeypatch.setattr(sizes, "left_out_score", watched)
+    search = SizeSearch(data)
+    search.first(make_model("preisach"))
+    search.chosen(make_model("preisach"))
     assert len(tried) == len(set(tried)) > 1
-    assert eqx.tree_equal(chosen.model, choose_size(model, data).model)
 
 
 def test_other_levels_are_tried_where_they_predict_better():
@@ -372,7 +382,7 @@ def test_other_levels_are_tried_where_they_predict_better():
     up, down = (np.asarray(part) for part in truth.thresholds())
     truth = eqx.tree_at(lambda m: m.w, truth, jnp.asarray(np.exp(-(((up - 1.5) / 0.5) ** 2) - ((down - 1) / 0.5) ** 2)))
     data = hf.Dataset.of(hf.Record(u, truth.free_run(u) + np.random.default_rng(3).normal(0, 1e-3, u.size)))
-    chosen = choose_size(make_model("preisach"), data)
+    chosen = SizeSearch(data).chosen(make_model("preisach"))
     assert chosen.model.spacing == "uniform"
     assert [note.code for note in chosen.notes] == [Code.CHOICE]
 

@@ -46,6 +46,7 @@ CASES = {
     "bouc_wen": (hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88), -20.0, 120.0),
     "bouc_wen_exact": (PIEZO, -20.0, 120.0),
     "bouc_wen_creep": (hf.Series(PIEZO, hf.LogCreep(gamma=(0.0175, 0.004), span=12.0)), -20.0, 120.0),
+    "bouc_wen_line": (hf.Sum(PIEZO, hf.Linear(0.05)), -20.0, 120.0),
     "bouc_wen_relaxation_offset": (hf.Sum(hf.Series(PIEZO, hf.Relaxation()), hf.Offset(2.0)), -20.0, 120.0),
     "bouc_wen_asymmetric": (hf.AsymmetricBoucWen(**KNEE), -20.0, 120.0),
     "bouc_wen_asymmetric_exact": (hf.AsymmetricBoucWen(**KNEE, scheme="exact"), -20.0, 120.0),

@@ -207,7 +207,7 @@ def test_auto_is_the_winner_of_the_comparison(y: np.ndarray, monkeypatch) -> Non
     import hystfit.fitting.compare as comparison
     from hystfit.fitting.candidates import Candidates
 
-    monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous"), "loops"))
+    monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous")))
     found = hf.fit("auto", U, y, T, test=hf.Record(U, y, t=T))
     assert found.name == "bouc-wen"
     assert found.test is not None
@@ -227,7 +227,7 @@ def test_auto_takes_starting_points_and_noise(y: np.ndarray, monkeypatch) -> Non
     import hystfit.fitting.compare as comparison
     from hystfit.fitting.candidates import Candidates
 
-    monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous"), "loops"))
+    monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous")))
     plain, refined = (hf.fit("auto", U, y, T, starts=2, noise=noise) for noise in ("auto", "ou"))
     assert plain.starts == refined.starts == 2
     assert refined.notes[0].code is Code.CHOICE

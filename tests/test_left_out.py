@@ -11,6 +11,7 @@ import scipy.stats
 import hystfit as hf
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.left_out import bic, left_out_error
+from hystfit.quality.held_out import held_out
 
 T = np.arange(600) / 100
 U = np.sin(2 * np.pi * T) * (0.4 + 0.1 * T)
@@ -41,16 +42,16 @@ def test_the_future_is_predicted_from_plain_refits_to_the_past():
     assert left_out_error(fit, "future") == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-4)
 
 
-def test_blocks_are_predicted_from_plain_refits_to_the_others():
+def test_groups_are_predicted_from_plain_refits_to_the_others():
     made = record(bouc_wen())
     fit = hf.fit(hf.BoucWen(scheme="exact"), made)
-    squares = []
-    for part in fifths(U.size):
-        weight = np.where(np.isin(np.arange(U.size), part), 0.0, 1.0)
-        y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=weight)).predict(made)
-        squares.append((np.asarray(y)[part] - made.y[part]) ** 2)
-    assert left_out_error(fit, "blocks") == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-4)
-    assert left_out_error(fit, "blocks") > fit.train.rmse
+    squares, folds = [], held_out([made]).folds[0]
+    for k in range(folds.max() + 1):
+        y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=np.where(folds == k, 0.0, 1.0))).predict(made)
+        squares.append((np.asarray(y)[folds == k] - made.y[folds == k]) ** 2)
+    assert len(squares) > 1
+    assert left_out_error(fit) == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-4)
+    assert left_out_error(fit) > fit.train.rmse
 
 
 @pytest.mark.parametrize("model", [hf.Preisach.of(8), hf.PrandtlIshlinskii.of(6), hf.BoucWen(scheme="exact")])
@@ -83,7 +84,7 @@ def test_the_offset_of_a_left_out_record_is_fitted_to_it(truth):
             (one := record(truth, 0.01, k, a * np.sin(2 * np.pi * T), str(k))).replace(y=one.y + shift)
             for k, (a, shift) in enumerate(zip((0.5, 0.7, 0.85, 1.0), offsets, strict=True))
         ]
-        errors.append(left_out_error(hf.fit(truth, data), "blocks"))
+        errors.append(left_out_error(hf.fit(truth, data)))
     assert errors[0] == pytest.approx(0.01, rel=0.15)
     assert errors[1] == pytest.approx(errors[0], rel=1e-3)
 
@@ -137,8 +138,7 @@ def test_compare_ranks_by_the_future_and_says_so():
     found = hf.compare(made, ["bouc-wen", "bouc-wen+log-creep"], left_out="future")
     assert found.rows[0].name == "bouc-wen+log-creep"
     assert found.rows[0].score_percent == pytest.approx(100 * 0.002 / np.ptp(made.y), rel=0.1)
-    assert found.to_dict()["left_out"] == "future"
-    assert found.left_out == "future"
+    assert found.to_dict()["left_out"] == found.scheme == "future"
     assert found.text() == repr(found)
 
 

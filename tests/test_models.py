@@ -21,6 +21,7 @@ from hystfit.models import (
     Delay,
     Duhem,
     Lag,
+    Linear,
     LinearCreep,
     LogCreep,
     Negate,
@@ -92,6 +93,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "log creep": (LogCreep(gamma=(0.01, 0.002), tau=(0.05, 0.5), weights=(0.9, 0.8)), {}),
     "linear creep": (LinearCreep(a=(0.01, 0.05), tau=(0.03, 0.4), low=-1.0, high=1.0), {}),
     "offset": (Offset(value=0.3), {}),
+    "linear": (Linear(k=-0.3), {}),
     "falling loop": (Series(Negate(), BoucWen(**LOOP)), {}),
     "series in a sum": (Sum(Series(Lag(tau=0.02, level=0.1), Duhem(**CURVES)), Viscous(c=0.02), Offset(value=0.1)), {}),
 }

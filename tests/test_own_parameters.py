@@ -7,7 +7,6 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.convex import block_of
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.levenberg_marquardt import descend
 from hystfit.inference.objective import linearized
@@ -72,14 +71,3 @@ def test_a_descent_that_eliminates_by_record_ends_where_the_gradient_vanishes(lo
     J = dense(problem.objective.misfit_at, found.z[0])
     slope = np.abs(J.T @ misfit) / (np.linalg.norm(J, axis=0) * np.linalg.norm(misfit))
     assert slope.max() < 1e-6
-
-
-def test_records_are_left_out_whole_in_at_most_ten_groups():
-    assert block_of(np.array([4, 3, 2])).tolist() == [0] * 4 + [1] * 3 + [2] * 2
-    counts = np.arange(2, 25)
-    blocks = block_of(counts)
-    assert set(blocks) == set(range(10))
-    rows = np.split(blocks, np.cumsum(counts)[:-1])
-    assert all(np.ptp(row) == 0 for row in rows)
-    held = np.bincount([row[0] for row in rows])
-    assert held.max() - held.min() <= 1

@@ -17,7 +17,7 @@ from hystfit.errors import ParameterError
 from hystfit.models import BoucWen, Duhem, LogCreep, Offset, Series, Sum, Viscous, simulate
 from hystfit.params.param import leaves_of, param, short_names
 from hystfit.params.space import ParameterSpace
-from hystfit.params.units import Scales, exponents, quantity
+from hystfit.params.units import Scales, conversion, exponents, parse_unit, quantity
 
 FEW = settings(max_examples=40, deadline=None, derandomize=True)
 
@@ -396,3 +396,15 @@ def test_simulation_at_z_equals_simulation_of_the_tree() -> None:
     np.testing.assert_allclose(
         simulate(space.tree(z), u)[0], simulate(BoucWen(c=1.5, offset=0.3), u)[0], rtol=1e-13, atol=1e-14
     )
+
+
+WORDS = {
+    "A_per_meter": "A/m", "kiloamperes per meter": "kA/m", "tesla": "T", "millitesla": "mT", "Gauss": "G", "oersted": "Oe",
+    "Newton": "N", "volts": "V", "inches": "in", "microns": "um", "degrees": "deg", "pound": "lbf", "A m^2": "Am²",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "symbols"), WORDS.items())
+def test_units_in_words_are_those_of_their_symbols(words, symbols):
+    assert parse_unit(words) == parse_unit(symbols) is not None
+    assert conversion(words, symbols) == 1.0

@@ -89,6 +89,7 @@ INDEPENDENT = {
     ),
     *(
         "Negate",
+        "Linear",
         "Offset",
         "ParametricPreisach",
         "PrandtlIshlinskii",

@@ -153,7 +153,7 @@ class TestWeights:
         system = SmoothSystem.of([model.design_matrix(u)], [Record(u, output(model, u) + 0.7)])
         held = np.full(system.roughness.shape[0], np.nan)
         held[-1] = 0.7
-        fit = fit_smooth(system, [1e-12], held=held)
+        fit = fit_smooth(system, [1e-12], fixed=held)
         assert fit.weights[-1] == 0.7
         assert fit.rss / system.counts.sum() < 1e-8 * system.size**2
 
@@ -171,11 +171,6 @@ class TestWeights:
         assert len(result.free_names) > 60
         assert result.train.nrmse_percent is not None
         assert result.train.nrmse_percent < 3
-
-    def test_left_out_records_need_one_inside_the_others(self):
-        u = np.linspace(0, 1, 50)
-        with pytest.raises(ModelError, match="inside the range"):
-            fit_preisach(Record(u, u), 4, left_out="records")
 
 
 def family(model, count=25, points=60):

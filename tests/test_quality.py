@@ -17,7 +17,6 @@ from hystfit import BoucWen, check, datasets, signals, simulate
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.models.data_check import data_kinds
 from hystfit.models.registry import judged_as, make_model
 from hystfit.outcome.note import Code, Severity, has
 from hystfit.quality import drift as drifting
@@ -458,8 +457,6 @@ def test_a_resonance_is_dynamics_and_not_damage(kind, frequency):
         assert record.dynamics.natural_frequency == pytest.approx(frequency, rel=0.02)
         assert record.dynamics.damping_ratio == pytest.approx(0.1, rel=0.1)
         assert record.dynamics.phase_high < -140
-    assert report.advice.model == ("oscillator" if kind == "oscillator" else "bouc-wen+second-order")
-    assert data_kinds(report.records)[-1] == "dynamic"
 
 
 @pytest.mark.parametrize("time", [0.3, 7.0, 400.0])
@@ -542,31 +539,24 @@ def test_creep_needs_a_rest_with_motion_or_a_drift():
     assert check(Record(u, piezo(u))).verdict("creep").verdict == "no"
 
 
-def test_the_kind_of_data_decides_the_model_to_try_first():
+def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
     t, u = signals.sine(4, 200)
-    _, small = signals.sine(4, 200, low=-0.5, high=0.5)
     late = np.interp(np.arange(t.size) - 4, np.arange(t.size), piezo(u))
     cases = [
-        (Record(u, piezo(u), t=t), ("lagging-timed", "point-symmetric"), "prandtl-ishlinskii"),
-        (Record(u, late, t=t), ("lagging-timed", "point-symmetric"), "lag+prandtl-ishlinskii"),
-        (Record(u + 2, piezo(u + 2), t=t), ("lagging-timed",), "prandtl-ishlinskii"),
-        (Record(u, piezo(u) + u**2, t=t), ("lagging-timed",), "prandtl-ishlinskii-generalized"),
-        (Record(u, steel(u), t=t), ("leading",), "bouc-wen-force"),
-        (
-            Dataset.of([Record(x, piezo(x), name=f"{np.ptp(x):g}") for x in (u, small)]),
-            ("lagging-untimed", "point-symmetric"),
-            "preisach-magnetic",
-        ),
-        (Record(u, u**2, t=t), None, None),
-        (Record(u[:40], piezo(u)[:40], t=t[:40]), None, None),
+        (Record(u, piezo(u), t=t), "prandtl-ishlinskii"),
+        (Record(u, late, t=t), "lag+"),
+        (Record(u, steel(u), t=t), "prandtl-ishlinskii-stop"),
+        (Record(u, u**2, t=t), None),
     ]
-    for data, kinds, model in cases:
+    for data, model in cases:
         report = check(data)
-        assert (report.advice and report.advice.model) == model
-        if kinds:
-            assert data_kinds(report.records) == kinds
-            make_model(model)
-            assert report.determines[0].model in [judged_as(part) for part in model.split("+")]
+        if model is None:
+            assert report.advice is None
+            continue
+        assert report.advice.model.startswith(model)
+        assert make_model(report.advice.model) is not None
+        parts = [judged_as(part.partition(":")[0]) for part in report.advice.model.split("+")]
+        assert report.determines[0].model in parts
 
 
 def damaged(u):

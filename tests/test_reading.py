@@ -616,6 +616,53 @@ def test_quantities_of_names(header: str, kind: str) -> None:
     assert column_quantity(header) == kind
 
 
+ASKED = ("CH0,CH1,CH2", "t_s,channel 1,channel 2,channel 3", "sensor1,sensor2,sensor3")
+
+
+@pytest.mark.parametrize("header", ASKED)
+def test_channels_that_nothing_tells_apart_are_a_question(header: str, tmp_path: Path) -> None:
+    """Three channels without names: the error has two readings to copy."""
+    rng, count = np.random.default_rng(0), header.count(",") + 1
+    table = rng.normal(size=(40, count))
+    if header.startswith("t_s"):
+        table[:, 0] = np.arange(40)
+    path = _write(tmp_path, header + "\n" + "\n".join(",".join(f"{v:.5f}" for v in row) for row in table) + "\n")
+    with pytest.raises(DataError) as asked:
+        read(path)
+    assert str(asked.value).count("--input") == str(asked.value).count("--output") == 2
+
+
+@pytest.mark.parametrize(
+    "header", ["Force (V),Force (N),Displacement (V),Displacement (mm)", "x (V),x (mm),F (V),F (N)"]
+)
+def test_physical_units_come_before_the_volts_of_their_sensors(header: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rows = "\n".join(",".join(f"{v:.5f}" for v in row) for row in rng.normal(size=(40, 4)))
+    record = read(_write(tmp_path, f"{header}\n{rows}\n"))
+    assert (record.u_unit, record.y_unit) == ("mm", "N")  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_of_two_columns_without_names_the_clean_wave_drives(swapped: bool, tmp_path: Path) -> None:
+    x = np.linspace(0, 6 * np.pi, 600)
+    columns = [np.sin(x), np.tanh(4 * np.sin(x - 0.4))]
+    rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in zip(*columns[:: -1 if swapped else 1], strict=True))
+    record = read(_write(tmp_path, rows + "\n"))
+    np.testing.assert_allclose(record.u, columns[0], atol=1e-6)  # type: ignore[union-attr]
+
+
+def test_a_loop_of_unnamed_columns_that_leads_is_named(tmp_path: Path) -> None:
+    """Plays over their input lag; exchanged, the loop runs the other way."""
+    x = np.linspace(0, 4 * np.pi, 60)
+    for columns, leads in (((np.sin(x), np.sin(x - 0.5)), False), ((np.sin(x - 0.5), np.sin(x)), True)):
+        rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in zip(*columns, strict=True))
+        record = read(_write(tmp_path, rows + "\n"))
+        warned = [
+            note for note in record.notes if note.code is Code.COLUMN_CHOICE and note.severity is Severity.WARNING
+        ]  # type: ignore[union-attr]
+        assert bool(warned) == leads
+
+
 COLUMNS = {  # header: (input, output) among all columns of changing numbers
     "Coil (mV),Field (Oe),Moment (emu)": (1, 2),
     "T_K,M_emu,H_Oe,M. Std. Err. (emu)": (2, 1),

@@ -25,7 +25,9 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
     from hystfit.fitting.data_check import check as judge
+    from hystfit.results.loop_values import quantities
     from hystfit.results.provenance import provenance
+    from hystfit.results.report.text_report import MEASURED
 
     output.check()
     data = load(loops, reading)
@@ -38,6 +40,10 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
     content["provenance"] = provenance(data, None)
     remarks = dict.fromkeys(note for record in data for note in record.notes)
     text = "\n".join([report.text().rstrip(), *(["", "Reading of the file", *items(remarks)] if remarks else [])])
+    measured = quantities(data)
+    content["measured"] = measured.to_dict()
+    if any(measured.rows.values()):
+        text += f"\n\n{MEASURED}\n{measured!r}"
     if preisach:
         from hystfit.models.preisach import check_family
 

@@ -17,6 +17,7 @@ EXAMPLES = {
     "batch": ("hystfit batch 'loops/*.csv' --model bouc-wen --out fits",),
     "check": ("hystfit check loop.csv", "hystfit check loop.csv --input u_V --output y_um"),
     "forc": ("hystfit forc curves.csv --by curve --out forc",),
+    "quantities": ("hystfit quantities loop.csv", "hystfit quantities loop.csv --out loop"),
     "explore": ("hystfit explore loop.csv",),
     "predict": ("hystfit predict fit other.csv",),
     "invert": ("hystfit invert fit reference.csv --output y_um --limits 0:100 --out inverse",),

@@ -13,6 +13,10 @@ VERBS = {
     "check": ("check:check", "Check the quality of a record and which models it can determine."),
     "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
+    "quantities": (
+        "quantities:quantities",
+        "Read coercivity, remanence, loss or stiffness off measured loops, without a model.",
+    ),
     "explore": ("explore:explore", "Open a page with a slider for each parameter of a model over the measured loop."),
     "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
     "forc": ("reversals:forc", "Compute the FORC diagram of first-order reversal curves and its key numbers."),

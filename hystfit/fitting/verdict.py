@@ -19,6 +19,7 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
+from hystfit.quality.damage import whole_until
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.loops import reversals
 from hystfit.quality.record_quality import RecordQuality
@@ -32,6 +33,7 @@ from hystfit.results.accuracy import (
     is_single_valued_error,
     persistent_error,
 )
+from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
 _LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
@@ -206,8 +208,16 @@ def _drifting(fitted: Fitted) -> Note | None:
     )
 
 
-def _error(code: Code, text: str) -> list[Note]:
-    return [Note(code, text, Severity.ERROR)]
+def _error(code: Code, text: str, option: tuple[str, str] | None = None) -> list[Note]:
+    return [Note(code, text, Severity.ERROR, option=option)]
+
+
+def _whole_part(fitted: Fitted) -> tuple[str, str] | None:
+    """The window of a single damaged record in which no damage is seen, as an option."""
+    if len(fitted.parts) > 1 or len(fitted.parts[0]) < len(fitted.data[0]) or not _degrading(fitted):
+        return None
+    until = whole_until(fitted.parts[0], fitted.qualities[0])
+    return None if until is None else ("window", f":{until:.10g}")
 
 
 def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
@@ -225,6 +235,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if percent <= POOR and share < _LEAST_SHARE:
         text = f"hysteresis accounts for {100 * share:.2g} % of the dissipation: the data show damping, but no hysteresis of the spring"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
+    if (apart := _records_apart(fitted)) is not None:
+        return Status.POOR, [apart]
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
     if not fitted.model.from_saturation and percent <= POOR and _is_single_valued(train, baselines, unexplained):
@@ -241,6 +253,24 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, fitted.rows, baselines)]
     status = Status.ROUGH if rough else Status.OK
     return status, [*rough, *(_damaged(fitted) if rough or (percent > _VISIBLE and fitted.may_change) else [])]
+
+
+def _records_apart(fitted: Fitted) -> Note | None:
+    """The objection to records of which most are not described, beside the range of each: they are of different devices."""
+    if len(fitted.rows) < 2:
+        return None
+    ranges = [float(np.ptp(record.y[record.used])) for record in fitted.data]
+    errors = [
+        100 * float(np.sqrt(np.mean(row**2))) / (span or np.inf) for row, span in zip(fitted.rows, ranges, strict=True)
+    ]
+    missed = [record.name for record, error in zip(fitted.data, errors, strict=True) if error > POOR]
+    if 2 * len(missed) <= len(errors) or fitted.model.from_saturation:
+        return None
+    text = (
+        f"{len(missed)} of {len(errors)} records, such as {missed[0]!r}, are not described: the error of one is {max(errors):.3g} % of its "
+        "range. If they are of different samples or devices, fit each alone (only=), or all of them by hystfit batch"
+    )
+    return Note(Code.RECORDS_DIFFER, text, Severity.ERROR)
 
 
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
@@ -269,14 +299,15 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
         text = f"{text}; this is where {fitted.method} ended, and method='{fitted.usual}' may reach a lower error"
         if not fitted.estimate.converged:
             return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}: {text}")
-    return Status.POOR, _error(code, text)
+    return Status.POOR, _error(code, text, _whole_part(fitted) if code is Code.MODEL_MISMATCH else None)
 
 
 def _damaged(fitted: Fitted) -> list[Note]:
     """A warning where the device degrades, which no model describes."""
     if not _degrading(fitted):
         return []
-    return [warn(Code.MODEL_MISMATCH, f"{_damage(fitted)}: the model has no term for it (see hystfit check)")]
+    text = f"{_damage(fitted)}: the model has no term for it (see hystfit check)"
+    return [dataclasses.replace(warn(Code.MODEL_MISMATCH, text), option=_whole_part(fitted))]
 
 
 def _damage(fitted: Fitted) -> str:
@@ -304,7 +335,11 @@ def _noise_notes(fitted: Fitted) -> list[Note]:
 
 def _no_loop(data: Dataset) -> Note:
     family = recognize_family(data)
-    if family is None:
+    read = [one.label for values in quantities(data).rows.values() for one in values]
+    if family is None and read:
+        listed = ", ".join(dict.fromkeys(read))
+        text = f"a curve in one direction, without a loop to fit: {listed} are read off the curve itself, see below"
+    elif family is None:
         text = "the input has no reversal of more than 1 % of its range: there is no loop in these data"
     else:
         text = (

@@ -97,6 +97,8 @@ class Code(enum.StrEnum):
     SPIKES = "spikes"
     CHATTER = "chatter"
     OUTPUT_NOISE = "output-noise"
+    RECORDS_DIFFER = "records-differ"
+    QUANTITY_DIFFERS = "quantity-differs"
     SINGLE_VALUED = "single-valued"
     NOT_CLOSED = "not-closed"
     DEGRADING = "degrading"

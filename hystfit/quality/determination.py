@@ -120,7 +120,7 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
         per_branch=samples / sum(r.motion.reversals + 1 for r in records),
         reversals=sum(r.motion.reversals for r in records),
         crossing=bool(shapes) and all(shape.crossing for shape in shapes),
-        branches_apart=bool(circulation) or not shapes,
+        branches_apart=bool(circulation) or not shapes or any(r.degrading for r in records),
         amplitudes=len(distinct(s * r.u.range / span for r in records for s in r.motion.strokes if span > 0)),
         turning_pairs=sum(max(r.motion.turning_pairs, r.motion.reversals > 0) for r in records),
         asymmetry=max((shape.asymmetry_percent for shape in shapes), default=0.0),

@@ -138,7 +138,7 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
             "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): no model of hystfit "
             "describes that; fit the signed quantity of which the output is an even function, or one half of the input range",
         )
-    elif shape.circulation is None:
+    elif shape.circulation is None and not record.degrading:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
     chance = 0.0 if record.y.range == 0 else 100 * _ABOVE_NOISE * (record.y.known_noise or 0.0) / record.y.range
     if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):

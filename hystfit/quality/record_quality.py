@@ -172,8 +172,10 @@ class RecordQuality:
     @property
     def degrading(self) -> bool:
         """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance, a switch, a current."""
-        if self.shape is None or self.dynamic or self.switches or self.charges or self.shape.circulation is None:
+        if self.shape is None or self.dynamic or self.switches or self.charges:
             return False
+        if self.shape.circulation is None:  # the largest loop of a device that broke in it is closed to a line
+            return self.weakens
         left = 1.0 if self.stiffness_left is None else self.stiffness_left
         return (
             self.weakens

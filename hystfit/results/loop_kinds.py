@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 
 from hystfit.data.dataset import Dataset
-from hystfit.params.units import quantity
+from hystfit.reading.column_names import column_quantity
 
 
 class LoopKind(enum.StrEnum):
@@ -20,8 +20,9 @@ class LoopKind(enum.StrEnum):
 
     @classmethod
     def of(cls, data: Dataset) -> LoopKind:
-        """The kind of the records; `OTHER` where their units are not known or belong to no other kind."""
-        u, y = quantity(data.units["u"]), quantity(data.units["y"])
+        """The kind of the records, by the units and names of their columns; `OTHER` where these tell of no other kind."""
+        first = data[0]
+        u, y = column_quantity(first.u_name, first.u_unit), column_quantity(first.y_name, first.y_unit)
         for kind, inputs, outputs in _LOOP_KINDS:
             if u in inputs and y in outputs:
                 return kind

@@ -13,7 +13,8 @@ from hystfit.data.dataset import Dataset
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.steady_loops import SteadyLoops
 
-_APART = 2.0  # standard errors between a model's quantity and the measured one that a report mentions
+# Standard errors of both, and part of the measured value, by which a model's quantity must differ from it to be reported.
+_APART, _VISIBLE = 2.0, 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,6 +128,7 @@ class QuantityEstimate:
         stderr: standard error to first order; None where it is unknown.
         reason: why one of them is unknown; None where both are known.
         measured: that of the measured loops, without a model; None where no measured cycle covers the fitted range.
+        measured_stderr: standard error of that, by noise or repeats; None where it is unknown.
     """
 
     name: str
@@ -135,13 +137,16 @@ class QuantityEstimate:
     unit: str
     reason: Unknown | None = None
     measured: float | None = None
+    measured_stderr: float | None = None
 
     @property
     def differs(self) -> bool:
-        """Whether the model's value is further than two standard errors from the measured one."""
-        known = self.value is not None and self.stderr is not None and self.measured is not None
-        return known and abs(self.value - self.measured) > _APART * self.stderr  # type: ignore[operator]
+        """Whether the model's value is further from the measured one than both errors allow, and visibly so."""
+        if self.value is None or self.stderr is None or self.measured is None:
+            return False
+        apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, self.measured_stderr or 0.0))
+        return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
-        return {k: v for k, v in dataclasses.asdict(self).items() if k != "name"}
+        return {k: v for k, v in dataclasses.asdict(self).items() if k != "name"} | {"differs": self.differs}

@@ -14,6 +14,7 @@ from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.space import relative_size
 from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.loop_values import quantities
 from hystfit.results.measured_quantities import measured_quantities
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
@@ -42,12 +43,16 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     excitation = Excitation.of(result.data, hardens=result.model.hardens)
     values = _values(result, excitation, lambda record: _perturbed(result, record, _STEP * size, linear))
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
+    read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
+    part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{y} {u}": scales.y * scales.u}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
-        rows.append(dataclasses.replace(one, measured=measured.get(name)))
+        value = measured.get(name)
+        error = None if value is None or name not in part else part[name] * abs(value)
+        rows.append(dataclasses.replace(one, measured=value, measured_stderr=error))
     return tuple(rows)
 
 

@@ -24,6 +24,7 @@ from hystfit.quality.baselines import Baselines
 from hystfit.reading.in_memory import excitation_of, records_of
 from hystfit.registry import attribute, near
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
+from hystfit.results.loop_values import LoopValues, quantities
 from hystfit.results.metrics import Metrics
 from hystfit.results.quantities import QuantityEstimate
 
@@ -113,9 +114,16 @@ class FitResult(WithStatus):
     def quantities(self) -> tuple[QuantityEstimate, ...]:
         """Engineering quantities (coercivity, remanence, loss per cycle, hysteresis in percent, ...), with standard errors.
 
-        The units of the records and the model decide which ones are computed: see `hystfit.results.quantities`.
+        The units of the records and the model decide which ones are computed: see `hystfit.results.quantities`. None without a loop.
         """
+        if self.status is Status.NO_LOOP:
+            return ()
         return _view("quantity_estimates:quantity_estimates")(self)
+
+    @functools.cached_property
+    def measured(self) -> LoopValues:
+        """Quantities read off the measured loops of every record, without the model."""
+        return quantities(self.data)
 
     @functools.cached_property
     def answer(self) -> tuple[tuple[str, str], ...]:

@@ -41,6 +41,7 @@ def content_of(result: FitResult) -> dict[str, Any]:
         "parameters": {p.name: p.to_dict() for p in result.parameters},
         "derived": {p.name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for p in result.derived},
         "quantities": {q.name: q.to_dict() for q in result.quantities},
+        "measured": result.measured.to_dict(),
         "free_names": list(result.free_names),
         "covariance": covariance,
         "metrics": {"train": result.train.to_dict(), "test": result.test.to_dict() if result.test else None},

@@ -26,7 +26,7 @@ from hystfit.results.user_code import checksums
 _NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
 _TURN = 0.02  # of the input's range: what counts as a turning point
-_ENDS = (Code.LAST_HALF_CYCLE, Code.INITIAL_STATE)  # notes that may propose a window
+_ENDS = (Code.LAST_HALF_CYCLE, Code.INITIAL_STATE, Code.MODEL_MISMATCH)  # notes that may propose a window
 _LAGS = 3.0  # standard errors from which a lag is reported
 
 
@@ -110,6 +110,15 @@ def _error(result: FitResult) -> str:
 
 
 def _numbers(result: FitResult) -> list[tuple[str, str]]:
+    if result.status is Status.NO_LOOP:
+        read = next(iter(result.measured.rows.values()), ())
+        return [
+            (
+                _capital(one.label),
+                " +- ".join(t for t in rounded(one.value, one.stderr) if t != "-") + f" {one.unit}".rstrip(),
+            )
+            for one in read
+        ]
     kind, rows = LoopKind.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]

@@ -16,7 +16,16 @@ from hystfit.results.plots import fit as draw
 from hystfit.results.record_plots import selects_cycles
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
-from hystfit.results.report.text_report import ERRORS, QUANTITIES_OF, facts, headline, remarks, text_report, verdict
+from hystfit.results.report.text_report import (
+    ERRORS,
+    MEASURED,
+    QUANTITIES_OF,
+    facts,
+    headline,
+    remarks,
+    text_report,
+    verdict,
+)
 from hystfit.results.result import FitResult
 from hystfit.results.webpage import Page, Picture
 
@@ -90,7 +99,8 @@ def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str
     sections = [
         ("Verdict", [in_words(verdict(result))]),
         ("Plots", [list(shown.values())]),
-        (QUANTITIES_OF, [quantity_table(result, meaning=True)]),
+        *([(QUANTITIES_OF, [quantity_table(result, meaning=True)])] if result.quantities else []),
+        *([(MEASURED, [result.measured.table()])] if any(result.measured.rows.values()) else []),
         (ERRORS, [metrics_table(result)]),
         ("Parameters", [parameter_table(result, meaning=True), *in_words([fixed_words(result), unit_words(result)])]),
         ("Notes", [in_words(remarks(result))]),

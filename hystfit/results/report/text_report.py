@@ -8,14 +8,18 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
-from hystfit.outcome.table import number
+from hystfit.outcome.note import warn
+from hystfit.outcome.table import number, rounded
 from hystfit.outcome.wrapping import PROSE, within
+from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
+MEASURED = "Quantities read off the measured loops, without the model"
+_MOST_LINES = 60  # of their table
 _MOST_ITEMS = 16  # of a list
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are acceptable"}
 _VERDICT = frozenset(
@@ -32,6 +36,8 @@ _VERDICT = frozenset(
         Code.MINOR_LOOPS,
         Code.EXTRAPOLATION,
         Code.SINGLE_VALUED,
+        Code.RECORDS_DIFFER,
+        Code.NO_LOOP,
     }
 )
 
@@ -49,8 +55,20 @@ def headline(result: FitResult) -> str:
 
 
 def verdict(result: FitResult) -> list[Note]:
-    """The notes on which the status rests, and those that limit it."""
-    return [note for note in result.notes if note.code in _VERDICT]
+    """The notes on which the status rests, and those that limit it: also quantities in which model and measured loop differ."""
+    return [*(note for note in result.notes if note.code in _VERDICT), *map(_difference, _differing(result))]
+
+
+def _differing(result: FitResult) -> list[QuantityEstimate]:
+    return [one for one in result.quantities if one.differs]
+
+
+def _difference(one: QuantityEstimate) -> Note:
+    """A warning that the model has another value of a quantity than the measured loop."""
+    value, error = rounded(one.value, one.stderr)
+    measured = f"{number(one.measured)} {one.unit}".rstrip()
+    text = f"{QUANTITIES[one.name].label}: {value} +- {error} {one.unit} by the model, {measured} in the measured loop"
+    return warn(Code.QUANTITY_DIFFERS, f"{text}; use the measured value")
 
 
 def remarks(result: FitResult) -> list[Note]:
@@ -122,6 +140,11 @@ def _shortened(items: list[str]) -> list[str]:
     return items if more <= 0 else [*items[:_MOST_ITEMS], f"and {more} more (result.json and records.npz)"]
 
 
+def _shown(lines: list[str]) -> list[str]:
+    more = len(lines) - _MOST_LINES
+    return lines if more <= 0 else [*lines[:_MOST_LINES], f"  and {more} more (result.json)"]
+
+
 def text_report(result: FitResult, wording: Wording | None = None, width: int = PROSE) -> str:
     """The report as text.
 
@@ -138,7 +161,10 @@ def text_report(result: FitResult, wording: Wording | None = None, width: int = 
     lines += [f"  - {following}:", *(f"      {command}" for command in commands.splitlines())]  # whole, to be copied
     lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
-    lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
+    if result.quantities:
+        lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
+    if any(result.measured.rows.values()):
+        lines += ["", MEASURED, *_shown(result.measured.table().lines("  "))]
     lines += ["", "Parameters", *parameter_table(result).lines("  ")]
     lines += [f"  {words}" for words in (fixed_words(result), unit_words(result)) if words]
     if notes := remarks(result):

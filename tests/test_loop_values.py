@@ -1,0 +1,125 @@
+"""Quantities of measured loops: closed forms of an ellipse, repeats of noisy loops, and results that an instrument states."""
+
+import json
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.cli import run
+from hystfit.data.stated import Stated
+from hystfit.results.loop_values import quantities
+
+PHASE = np.linspace(0, 2 * np.pi, 2001)
+MAGNETIC = {"u_unit": "A/m", "y_unit": "T", "u_name": "H", "y_name": "B"}
+
+
+def ellipse(noise=0.0, seed=0, delay=0.4, cycles=1, count=2001, **labels):
+    """u = 3 cos x, y = 2 cos(x - delay), from the largest input."""
+    phase = np.linspace(0, 2 * np.pi * cycles, count)
+    y = 2 * np.cos(phase - delay) + np.random.default_rng(seed).normal(0, noise or 1e-12, count)
+    return hf.Record(3 * np.cos(phase), y, **{**MAGNETIC, **labels})
+
+
+def values_of(record):
+    (rows,) = quantities(record).rows.values()
+    return {one.name: one for one in rows}
+
+
+def test_an_ellipse_has_the_values_of_its_closed_form():
+    found = values_of(ellipse())
+    assert found["coercive_input"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)  # y = 0
+    assert found["remanence"].value == pytest.approx(2 * np.sin(0.4), rel=1e-5)  # u = 0
+    assert found["coercive_input_rising"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)
+    assert found["coercive_input_falling"].value == pytest.approx(-3 * np.sin(0.4), rel=1e-5)
+    assert found["remanence_falling"].value == pytest.approx(2 * np.sin(0.4), rel=1e-5)
+    assert found["loop_area"].value == pytest.approx(np.pi * 3 * 2 * np.sin(0.4), rel=1e-4)
+    assert found["loop_area"].unit == "J/m3"
+    assert found["stroke"].value == pytest.approx(4.0, rel=1e-5)
+
+
+def test_the_energy_is_that_of_the_units():
+    assert values_of(ellipse(u_unit="kA/m", y_unit="mT"))["loop_area"].value == pytest.approx(
+        6 * np.pi * np.sin(0.4), rel=1e-4
+    )
+    force = values_of(ellipse(u_unit="mm", y_unit="kN", u_name="x", y_name="F", delay=-0.4))
+    assert force["loop_area"].unit == "J"
+    assert force["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4), rel=1e-4)
+    # The ends of the loop are 4 cos(0.4) apart, over a stroke of 6; damping is the loss over 2 pi times the elastic energy.
+    assert force["secant_stiffness"].value == pytest.approx(4 * np.cos(0.4) / 6, rel=1e-3)
+    assert force["equivalent_damping_percent"].value == pytest.approx(100 * np.tan(0.4) / 2, rel=1e-3)
+    unknown = values_of(ellipse(u_unit="", y_unit="", u_name="a", y_name="b"))
+    assert unknown["loop_area"].unit == ""
+
+
+def test_standard_errors_are_the_scatter_of_noisy_repeats():
+    repeats = [values_of(ellipse(0.02, seed, count=401)) for seed in range(200)]
+    for name in ("coercive_input", "remanence", "loop_area"):
+        scatter = np.std([found[name].value for found in repeats])
+        stated = np.median([found[name].stderr for found in repeats])
+        assert 0.6 < stated / scatter < 1.6, name
+
+
+def test_several_cycles_are_averaged():
+    one, many = values_of(ellipse(0.02, count=401)), values_of(ellipse(0.02, cycles=16, count=401 * 16))
+    assert many["loop_area"].count > 10 * one["loop_area"].count
+    assert many["coercive_input"].stderr < 0.5 * one["coercive_input"].stderr
+    assert many["coercive_input"].value == pytest.approx(3 * np.sin(0.4), abs=4 * many["coercive_input"].stderr)
+
+
+@pytest.mark.parametrize("mirrored", [1.0, -1.0])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_demagnetization_line_has_its_energy_product(mirrored, reverse):
+    """B = 1.2 T (1 + H / Hc): (BH)max is Br Hc / 4, half way."""
+    field = np.linspace(0, -80e3, 40)
+    flux = 1.2 * (1 + field / 80e3)
+    order = slice(None, None, -1 if reverse else 1)
+    record = hf.Record(mirrored * field[order], mirrored * flux[order], **MAGNETIC)
+    found = values_of(record)
+    assert found["coercive_input"].value == pytest.approx(80e3)
+    assert abs(found["remanence"].value) == pytest.approx(1.2)
+    assert found["energy_product"].value == pytest.approx(1.2 * 80 / 4, rel=1e-6)
+    assert found["energy_product"].unit == "kJ/m3"
+
+
+@pytest.mark.parametrize("curve", [np.tanh, lambda x: x**2])
+def test_curves_without_a_loop_have_no_quantities_of_a_loop(curve):
+    u = np.linspace(0, 3, 200)
+    noise = np.random.default_rng(0).normal(0, 0.01, 400)
+    assert not values_of(hf.Record(u, curve(u), u_unit="V", y_unit="um"))
+    assert not values_of(hf.Record(np.append(u, u[::-1]), np.append(curve(u), curve(u[::-1])) + noise, **MAGNETIC))
+
+
+def test_results_of_the_instrument_stand_beside_ours():
+    stated = (Stated("Vc+", 1.2e-3, "kA/m", "coercive_input"), Stated("Pr-", -0.8, "T", "remanence"))
+    found = values_of(ellipse().replace(stated=stated))
+    assert found["coercive_input_rising"].stated == pytest.approx(1.2)
+    assert found["remanence_rising"].stated == -0.8
+    sloped = ellipse().replace(y=ellipse().y + 0.5 * ellipse().u)
+    corrected = (Stated("Slope correction", -0.5), Stated("Coercivity", 1.17, "A/m", "coercive_input"))
+    found = values_of(sloped.replace(stated=corrected))
+    assert found["coercive_input"].stated is None
+    assert found["coercive_input_corrected"].value == pytest.approx(3 * np.sin(0.4), rel=1e-4)
+    assert found["coercive_input_corrected"].stated == 1.17
+
+
+@pytest.mark.parametrize("values", [np.zeros(50), np.full(50, 1e300), np.r_[np.nan, np.ones(49)], np.arange(50.0)])
+def test_no_record_makes_it_fail(values):
+    with np.errstate(all="raise"):
+        quantities(hf.Record(np.sin(np.arange(50.0)), values))
+        quantities(hf.Record(np.linspace(-1e300, 1e300, 5), np.arange(5.0)))
+
+
+def test_the_verb_writes_a_table(tmp_path, capsys):
+    record = ellipse()
+    rows = "\n".join(f"{u:.9g},{y:.9g}" for u, y in zip(record.u, record.y, strict=True))
+    (tmp_path / "loop.csv").write_text(f"H (A/m),B (T)\n{rows}\n")
+    assert run(["quantities", str(tmp_path / "loop.csv"), "--out", str(tmp_path / "out")]) == 0
+    assert "coercivity" in capsys.readouterr().out
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    (found,) = content["quantities"].values()
+    assert found["coercive_input"]["value"] == pytest.approx(3 * np.sin(0.4), rel=1e-4)
+    assert (tmp_path / "out" / "quantities.csv").read_text().startswith("record,quantity,value")
+    u = np.linspace(0, 1, 50)
+    (tmp_path / "line.csv").write_text("V,um\n" + "\n".join(f"{a:.4f},{a:.4f}" for a in u))
+    assert run(["quantities", str(tmp_path / "line.csv")]) == 1
