@@ -7,6 +7,7 @@ import functools
 import itertools
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -203,17 +204,29 @@ def thousands(cells: Sequence[str], decimal: str) -> tuple[bool, bool, bool, boo
     return bool(grouped), not certain, proven, certain
 
 
+class _Stamp(NamedTuple):
+    """A time stamp.
+
+    Attributes:
+        date: year, month and day, then the three numbers of a date such as 3/4/2024; "" for each that is not there.
+        clock: seconds of the day.
+    """
+
+    date: tuple[str, str, str, str, str, str]
+    clock: float
+
+
 def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     """Time stamps as seconds from the first one, shape (rows,), NaN where a cell is none; and what was assumed."""
-    matches = [_STAMP.fullmatch(text) if is_stamp(text := clean(cell)) else None for cell in cells]
-    stamps = [stamp for stamp in matches if stamp]
+    stamps = [_stamp(text) if is_stamp(text := clean(cell)) else None for cell in cells]
+    there = [stamp for stamp in stamps if stamp is not None]
     notes: list[Note] = []
     try:
-        readings = [_passed(matches, day_first) for day_first in _day_orders(stamps)]
+        readings = [_passed(stamps, day_first) for day_first in _day_orders(there)]
     except ValueError as error:
         raise DataError(f"{where}: a time stamp is not a valid date ({error}); correct it") from error
-    values = readings[0] if len(readings) == 1 else _likelier(stamps, readings, where)
-    if not any(stamp["y"] or stamp["p"] for stamp in stamps):
+    values = readings[0] if len(readings) == 1 else _likelier(there, readings, where)
+    if not any(any(stamp.date) for stamp in there):
         turns = np.concatenate([[0.0], np.cumsum(np.diff(values) < -43200.0)])
         if turns[-1]:
             text = f"{where}: the clock passes midnight {int(turns[-1])} times; a day was added each time"
@@ -223,45 +236,60 @@ def seconds(cells: Sequence[str], where: str) -> tuple[np.ndarray, list[Note]]:
     return values - (first[0] if first.size else 0.0), notes
 
 
-def _passed(matches: Sequence[re.Match[str] | None], day_first: bool) -> np.ndarray:
+def _passed(stamps: Sequence[_Stamp | None], day_first: bool) -> np.ndarray:
     """Seconds from the day of the first stamp, shape (rows,), NaN where there is none."""
-    pairs = [(0, np.nan) if stamp is None else _instant(stamp, day_first) for stamp in matches]
-    days = np.array([day for day, _ in pairs]) - next((day for day, clock in pairs if clock == clock), 0)
-    return 86400.0 * days + np.array([clock for _, clock in pairs])
+    days = np.array([0 if stamp is None else _day(stamp.date, day_first) for stamp in stamps])
+    clocks = np.array([np.nan if stamp is None else stamp.clock for stamp in stamps])
+    first = int(np.argmax(np.isfinite(clocks)))
+    return 86400.0 * (days - days[first]) + clocks
 
 
-def _day_orders(stamps: Sequence[re.Match[str]]) -> tuple[bool, ...]:
+def _day_orders(stamps: Sequence[_Stamp]) -> tuple[bool, ...]:
     """Whether the day is the first number of dates such as 3/4/2024; both answers where the dates do not tell."""
-    dates = {(int(stamp["p"]), int(stamp["q"])) for stamp in stamps if stamp["p"]}
+    dates = {(int(stamp.date[3]), int(stamp.date[4])) for stamp in stamps if stamp.date[3]}
     if any(first > 12 for first, _ in dates) or len(dates) <= 1:
         return (not any(second > 12 for _, second in dates),)
     return (False,) if any(second > 12 for _, second in dates) else (True, False)
 
 
-def _likelier(stamps: Sequence[re.Match[str]], readings: Sequence[np.ndarray], where: str) -> np.ndarray:
+def _likelier(stamps: Sequence[_Stamp], readings: Sequence[np.ndarray], where: str) -> np.ndarray:
     """The reading of dates in which the samples go on from one date to the next as they do within a date."""
     steps = [np.abs(np.diff(values[np.isfinite(values)])) for values in readings]
-    dates = [stamp.group("p", "q", "yy") for stamp in stamps]
-    within = np.array([one == other for one, other in itertools.pairwise(dates)])
+    within = np.array([one.date == other.date for one, other in itertools.pairwise(stamps)])
     if within.any():
         most = _LONGER * steps[0][within].max()
         fit = [values for values, step in zip(readings, steps, strict=True) if (step <= most).all()]
         if len(fit) == 1:
             return fit[0]
-    shown = "/".join(min(dates)[:2])
+    shown = "/".join(min(stamp.date for stamp in stamps)[3:5])
     raise DataError(
         f"{where}: dates such as {shown} are ambiguous (day or month first); write them as 2025-01-31, or read without time "
         "(time=False, --time none)"
     )
 
 
-@functools.lru_cache(maxsize=64)
-def _day(year: int, month: int, day: int) -> int:
-    return datetime.date(year, month, day).toordinal()
+@functools.lru_cache(maxsize=1024)
+def _day(date: tuple[str, str, str, str, str, str], day_first: bool) -> int:
+    """Number of a day; 0 for a stamp without date."""
+    if date[0]:
+        return datetime.date(*map(int, date[:3])).toordinal()
+    if not date[3]:
+        return 0
+    day, month = map(int, date[3:5] if day_first else date[4:2:-1])
+    return datetime.date(int(date[5]) + (2000 if len(date[5]) == 2 else 0), month, day).toordinal()
 
 
-def _instant(stamp: re.Match[str], day_first: bool) -> tuple[int, float]:
-    """Day number and seconds of that day."""
+@functools.lru_cache(maxsize=1024)
+def _same(date: tuple[str, str, str, str, str, str]) -> tuple[str, str, str, str, str, str]:
+    """One object for all stamps of a date."""
+    return date
+
+
+def _stamp(cell: str) -> _Stamp | None:
+    """The date and the clock in a cell."""
+    stamp = _STAMP.fullmatch(cell)
+    if stamp is None:
+        return None
     clock = 0.0
     if stamp["min"] is not None:
         clock = 60.0 * int(stamp["min"]) + float(stamp["sec"].replace(",", "."))
@@ -273,11 +301,5 @@ def _instant(stamp: re.Match[str], day_first: bool) -> tuple[int, float]:
     zone = stamp["zone"]
     if zone and zone != "Z":
         clock -= (1 if zone[0] == "+" else -1) * 60.0 * (60 * int(zone[1:3]) + int(zone[-2:]))
-    if stamp["y"]:
-        return _day(int(stamp["y"]), int(stamp["m"]), int(stamp["d"])), clock
-    if stamp["p"]:
-        day, month = int(stamp["p"]), int(stamp["q"])
-        if not day_first:
-            day, month = month, day
-        return _day(int(stamp["yy"]) + (2000 if len(stamp["yy"]) == 2 else 0), month, day), clock
-    return 0, clock
+    year, month, day, one, other, last = (stamp[key] or "" for key in ("y", "m", "d", "p", "q", "yy"))
+    return _Stamp(_same((year, month, day, one, other, last)), clock)

@@ -20,7 +20,7 @@ from hystfit.outcome.note import warn
 from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
-from hystfit.reading.lines import check_lengths, lines_of
+from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import Header, header_of, left_out
 from hystfit.reading.raw_table import Part, Table
@@ -39,13 +39,14 @@ def plain_text(text: TextFile, header: Header | None = None) -> Table:
     """
     check_lengths(text.content, text.source)
     with _without_collection():
-        parsed, block, more = _block_of(text.content, text.source, text.opening.delimiter, text.opening.decimal)
+        parsed, block, more = _block_of(text)
         return table_of_block(parsed, block, text.sha256, [*text.notes, *more], header)
 
 
-def _block_of(content: str, source: str, delimiter: str | None, decimal: str | None) -> tuple[Text, Block, list[Note]]:
+def _block_of(file: TextFile) -> tuple[Text, Block, list[Note]]:
     """The lines with their dialect, the block of numbers among them, and what was assumed of the dialect."""
-    lines, touching, notes = _without_broken_names(lines_of(content)), 0, []
+    source, delimiter, decimal = file.source, file.opening.delimiter, file.opening.decimal
+    lines, touching, notes = _without_broken_names(file.lines), 0, []
     try:
         dialect = sniff(lines, source, delimiter, decimal)
     except DataError:
@@ -58,7 +59,7 @@ def _block_of(content: str, source: str, delimiter: str | None, decimal: str | N
             f"{source}: {dialect.width} columns, and {_MOST_COLUMNS} are the most; write one sample in a line"
         )
     text = Text(lines, dialect, source, settled=decimal is not None)
-    block = clean_block(text, content)
+    block = clean_block(text, file.content)
     if block is None:
         lines = list(lines)
         if dialect.delimiter is None and not touching:
