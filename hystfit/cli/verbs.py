@@ -14,7 +14,7 @@ VERBS = {
     "fit": ("fit:fit", "Fit a model to a measured loop and report what the data determine."),
     "compare": ("fit:compare", "Fit several models and rank them by their cross-validation error."),
     "quantities": (
-        "quantities:quantities",
+        "loop_quantities:quantities",
         "Read coercivity, remanence, loss or stiffness off measured loops, without a model.",
     ),
     "explore": ("explore:explore", "Open a page with a slider for each parameter of a model over the measured loop."),

@@ -12,6 +12,9 @@ from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW
 
+_MANY = (
+    500  # weights without a bound nearby, from which their ridge counts in full: its share takes inverses of that size
+)
 _REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
 _ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 
@@ -81,7 +84,7 @@ class NearBounds(NamedTuple):
         room = np.where(space.linear, np.minimum(below, above), np.inf)
         room = np.where(problem.on_bound(x), 0.0, room)[acts]
         near = np.isfinite(room).sum()
-        if near > FEW or not (near or ridge.any()):
+        if near > FEW or not (near or ridge.any()) or (not near and room.size > _MANY):
             return None
         columns, back = centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(columns, axis=0)

@@ -75,6 +75,8 @@ def _by_root(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> tuple[np.ndar
     """Fallback: an active-set method on a square root of A, with free unknowns as differences of two nonnegative ones."""
     values, vectors = np.linalg.eigh(A)
     root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
+    if not bounded.any():
+        return vectors @ ((vectors.T @ b) / root**2), ~bounded
     L, d = (vectors * root).T, (vectors / root).T @ b
     free = np.flatnonzero(~bounded)
     w, _ = scipy.optimize.nnls(np.column_stack([L, -L[:, free]]), d, maxiter=100 * b.size)

@@ -55,6 +55,8 @@ _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
 # Fewer samples show no harmonics.
 _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
+# Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
+_COMMANDED, _NOISIER = 1.0, 10.0
 # Difference of points below which neither of two readings is better: that of one place among columns of the same quantity (0.25)
 # decides, as people write the main channel first; nothing smaller is evidence.
 TIE = 0.2
@@ -125,6 +127,8 @@ def _scored(
     if table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]):
         plain, bent = _overtones(table.columns[i]), _overtones(table.columns[o])
         terms.append((_CLEAN * (plain <= _PURE and bent > _PLAINER * plain), "its clean wave"))
+        noisier = _roughness(table.columns[o]) > _NOISIER * _roughness(table.columns[i])
+        terms.append((_COMMANDED * noisier, "its small noise"))
     reasons = tuple(text for points, text in terms if points > 0 and text)
     return Reading(i, o, float(sum(points for points, _ in terms)), reasons)
 
@@ -146,6 +150,14 @@ def _is_raw_signal(table: Table, position: int) -> bool:
 def _extent(values: np.ndarray) -> float:
     finite = values[np.isfinite(values)]
     return float(np.ptp(finite)) if finite.size else 0.0
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Median third difference over the range: the noise of a column that is sampled often."""
+    values = values[np.isfinite(values)]
+    return (
+        float(np.median(np.abs(np.diff(values, 3))) / np.ptp(values)) if values.size > 3 and np.ptp(values) > 0 else 0.0
+    )
 
 
 def _overtones(values: np.ndarray) -> float:
