@@ -14,6 +14,7 @@ from hystfit.fitting.covariance import uncertainty
 from hystfit.fitting.fit_setup import solve
 from hystfit.fitting.near_bounds import centered, centered_lengths
 from hystfit.inference import blocks, objective
+from hystfit.inference import problem as inference_problem
 from hystfit.inference.linearization import Linearization
 from hystfit.models.preisach import smooth
 
@@ -77,6 +78,9 @@ def fitted() -> dict[str, Any]:
 def test_a_fit_in_blocks_is_the_fit_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, shapes = fitted(), []
     monkeypatch.setattr(blocks, "NUMBERS", 10_000)
+    monkeypatch.setattr(
+        inference_problem, "COLUMNS", 0
+    )  # too large for a design matrix: derivatives by scans of the samples
     compute = objective._linearize
 
     def watched(*given: Any) -> Any:
@@ -94,7 +98,7 @@ def test_a_fit_in_blocks_is_the_fit_of_the_whole(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_weights_need_their_columns_and_a_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Arrays of NumPy: scaled, centered and joined columns of the whole record would be seven times as much."""
+    """Arrays of NumPy: the design matrix, its columns for the solve, and a block; scaled and centered ones would be seven times as much."""
     monkeypatch.setattr(blocks, "NUMBERS", 10_000)
     t = np.arange(20_000) / 500
     record = hf.Record(u=20 * (1 - np.cos(2 * np.pi * t)), y=t, t=t)
@@ -105,7 +109,7 @@ def test_the_weights_need_their_columns_and_a_block(monkeypatch: pytest.MonkeyPa
     fit_ridge(LinearSystem.of(problem, x))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 1.3 * problem.objective.batch.u.size * len(problem.space) * 8
+    assert peak < 2.3 * problem.objective.batch.u.size * len(problem.space) * 8
 
 
 @pytest.mark.parametrize("rows", [1, 7, 200])

@@ -97,14 +97,21 @@ def weighted_columns(
     values[place[at]] = 0.0
     columns, target = [], []
     for number, (record, design) in enumerate(zip(records, itertools.chain([first], designs), strict=True)):
-        joint, used = layout.columns(design, number), record.used
-        rest = (design.rest + joint @ values)[design.index[used]]
-        root = np.sqrt(record.weight[used])
-        columns.append(joint[:, place[at]][design.index[used]])
+        used, rest = record.used, design.rest.copy()
+        index, root = design.index[used], np.sqrt(record.weight[used])
+        solved = np.zeros((index.size, at.size))
+        for position, kept in enumerate(layout.kept):  # block after block: no copy of the whole matrix
+            block, start = design.blocks[kept].columns, layout.first(position, number)
+            rest += block @ values[start : start + block.shape[1]]
+            asked = np.flatnonzero((place[at] >= start) & (place[at] < start + block.shape[1]))
+            for k in asked:
+                solved[:, k] = block[index, place[at[k]] - start]
+        rest = rest[index]
+        columns.append(solved)
         if (root != 1).any():
-            columns[-1] *= root[:, None]
+            solved *= root[:, None]
         target.append((record.y[used] - rest) * root)
-    return np.concatenate(columns), np.concatenate(target)
+    return columns[0] if len(columns) == 1 else np.concatenate(columns), np.concatenate(target)
 
 
 def _fixed(space: ParameterSpace, layout: Layout) -> np.ndarray:

@@ -270,7 +270,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
             element_columns(envelope(k, x), np.asarray(self.r), envelope(k, before), self.operator)
             for k in self.envelopes
         ]
-        columns = {"w": np.column_stack(elements), "offset": np.ones((u.size, 1))}
+        columns = {"w": elements[0] if len(elements) == 1 else np.hstack(elements), "offset": np.ones((u.size, 1))}
         if self.b.size:
             columns["b"] = legvander(2.0 * x - 1.0, self.b.size)[:, 1:]
         if self.rise.size:
