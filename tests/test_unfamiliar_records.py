@@ -14,7 +14,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.error_ratios import mean_error_ratio
 from hystfit.fitting.structure import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
-from hystfit.outcome import Code, Severity, Status
+from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.summary import summarize
@@ -439,7 +439,7 @@ def test_a_switch_is_neither_clipped_nor_damaged() -> None:
     report = hf.check(record)
     assert not has(report.findings, Code.CLIPPED, Code.DEGRADING)
     assert report.advice is not None
-    assert report.advice.model == "negate+preisach"
+    assert report.advice.model.startswith("negate+preisach")
 
 
 def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:
@@ -466,14 +466,14 @@ def test_of_a_voltage_and_a_current_the_plainer_wave_is_the_input(tmp_path: Path
     np.testing.assert_allclose(record.u, drive)
 
 
-def test_a_voltage_and_a_current_of_equal_waves_are_called_ambiguous(tmp_path: Path) -> None:
+def test_of_a_voltage_and_a_current_of_equal_waves_the_user_chooses(tmp_path: Path) -> None:
     phase = np.linspace(0, 6 * np.pi, 300)
     path = tmp_path / "device.csv"
     np.savetxt(
         path, np.column_stack([np.sin(phase), np.sin(phase - 0.4)]), delimiter=",", header="I (A),U (V)", comments=""
     )
-    notes = hf.read_csv(path).notes
-    assert any(note.code is Code.COLUMN_CHOICE and note.severity is Severity.WARNING for note in notes)
+    with pytest.raises(hf.HystfitError, match="--input 'I"):
+        hf.read_csv(path)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.compare import compare
 from hystfit.models.registry import judged, judged_as
+from hystfit.outcome import Status
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import Verdict
 from hystfit.reading.in_memory import records_of
@@ -44,7 +45,7 @@ def _advice(records: Dataset) -> Advice | None:
     with contextlib.suppress(HystfitError):
         found = compare(records, "quick", progress=lambda *_: None)
         best = found.rows[0]
-        if found.winner.usable and best.score_percent is not None:
+        if found.winner.status not in (Status.NO_LOOP, Status.POOR) and best.score_percent is not None:
             reason = f"cross-validation error {best.score_percent:.2g} % of the range; it {found.scheme.tested}"
             return Advice(best.name, reason)
     return None

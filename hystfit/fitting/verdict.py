@@ -214,9 +214,10 @@ def _error(code: Code, text: str, option: tuple[str, str] | None = None) -> list
 
 def _whole_part(fitted: Fitted) -> tuple[str, str] | None:
     """The window of a single damaged record in which no damage is seen, as an option."""
-    if len(fitted.parts) > 1 or len(fitted.parts[0]) < len(fitted.data[0]) or not _degrading(fitted):
+    part, *others = fitted.parts
+    if others or len(part) < len(fitted.data[0]) or not _degrading(fitted):
         return None
-    until = whole_until(fitted.parts[0], fitted.qualities[0])
+    until = whole_until(part, summarize(part))
     return None if until is None else ("window", f":{until:.10g}")
 
 

@@ -84,12 +84,13 @@ def readings(
         named: whether the columns have names.
     """
     inputs, outputs = ([given[role]] if role in given else list(free) for role in ("input", "output"))
+    alone = len({*inputs, *outputs}) == 2  # there is no other column to choose
     # Of more than two channels that have a number instead of a name, the order means nothing.
     equal = [k for k in free if kinds[k] == "" and (not named or is_channel(table.names[k]))]
     equal = equal if len(equal) > 2 else []
     ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds)
     found = [
-        _scored(table, i, o, kinds, ranks, ordered=not {i, o} <= set(equal))
+        _scored(table, i, o, kinds, ranks, ordered=not {i, o} <= set(equal), alone=alone)
         for i, o in itertools.product(inputs, outputs)
         if i != o
     ]
@@ -107,7 +108,7 @@ def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str]) -> dict[
 
 
 def _scored(
-    table: Table, i: int, o: int, kinds: Mapping[int, str], ranks: Mapping[int, int], *, ordered: bool
+    table: Table, i: int, o: int, kinds: Mapping[int, str], ranks: Mapping[int, int], *, ordered: bool, alone: bool
 ) -> Reading:
     """The points of column i as the input and column o as the output."""
     terms = [
@@ -122,7 +123,7 @@ def _scored(
             terms.append((_RAW_VOLTS, ""))
         if table.rows >= _MANY_ROWS and np.unique(table.columns[k]).size <= _FEW:
             terms.append((_IS_SET, ""))
-    if kinds[i] == "temperature" and _extent(table.columns[i]) < _HEATED:
+    if not alone and kinds[i] == "temperature" and _extent(table.columns[i]) < _HEATED:
         terms.append((_COLD, ""))
     if table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]):
         plain, bent = _overtones(table.columns[i]), _overtones(table.columns[o])
