@@ -133,8 +133,8 @@ def test_a_lag_of_many_samples_is_found_and_modeled(saturating: bool) -> None:
     report = hf.check(record)
     assert has(report.findings, Code.LAG)
     assert report.advice is not None
-    assert report.advice.model.startswith("lag+")
-    if not saturating:
+    if not saturating:  # a curve that saturates behind a lag is described as well by weights of either sign
+        assert report.advice.model.startswith("lag+")
         assert search_structure(hf.Dataset.of(record), plays=8).structure.lag == pytest.approx(14.0, rel=0.2)
 
 
@@ -240,7 +240,8 @@ def test_a_butterfly_is_neither_single_valued_nor_damaged() -> None:
     assert has(found.findings, Code.CROSSING)
     assert not has(found.findings, Code.SINGLE_VALUED)
     assert not has(found.findings, Code.DEGRADING)
-    assert found.advice is None
+    assert found.advice is not None
+    assert found.advice.model.startswith("preisach-signed")
 
 
 def test_a_hysteresis_of_a_thousandth_is_seen_above_less_noise() -> None:
@@ -258,7 +259,8 @@ def test_the_advice_is_a_model_that_the_samples_determine() -> None:
     y = u + np.where(np.arange(22) > 10, 2.5 * np.sin(np.pi * u / 100), 0.0)
     report = hf.check(hf.Record(u, y + 0.1 * NOISE[:22]))
     assert report.advice is not None
-    assert report.verdict(judged_as(report.advice.model) or "").verdict != "no"
+    name = report.advice.model.partition(":")[0]
+    assert judged_as(name) is None or report.verdict(judged_as(name) or "").verdict != "no"
 
 
 def test_check_says_each_reason_once() -> None:

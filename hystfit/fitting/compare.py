@@ -137,13 +137,12 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0) -> list[R
 
 # How many times the error of the others may be that of a fit which has not converged, so that it has no standard errors to rely on, and
 # of a model without an inverse: a flexible one that describes a lag or a drift of this loop by weights that no other loop would have.
-_UNSURE, _NO_INVERSE = 1.5, 1.2
+_MARGIN = 1.5
 
 
 def _handicap(row: Row) -> float:
     """Factor by which a model must err less than the others."""
-    unsure = _UNSURE if row.status is Status.NOT_CONVERGED else 1.0
-    return unsure * (_NO_INVERSE if row.serves("inverse") is False else 1.0)
+    return _MARGIN ** ((row.status is Status.NOT_CONVERGED) + (row.serves("inverse") is False))
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:

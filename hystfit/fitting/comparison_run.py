@@ -150,7 +150,8 @@ class ComparisonRun:
     def _rescore(self, spacing: int, shown: ShownProgress, workers: Workers) -> None:
         """Fit and validate the models so far again, with runs of samples held out: the errors of all must be those on the same samples."""
         self.options = dataclasses.replace(self.options, spacing=spacing)
-        seconds = {row.asked: row.seconds for row in self.rows if row.score_percent is not None}
+        rows = {row.asked: row for row in self.rows if row.score_percent is not None}
+        seconds = {name: row.seconds for name, row in rows.items()}
         before, self.rows = dict(self.fits), [row for row in self.rows if row.asked not in seconds]
 
         def again(one: Candidate, progress: Callable[[str], object]) -> None:
@@ -161,6 +162,9 @@ class ComparisonRun:
 
         candidates = [Candidate(name, seconds=spent) for name, spent in seconds.items()]
         self._each(again, candidates, shown, workers)
+        for one in candidates:
+            if one.failure is not None:  # the first fit remains
+                one.row, one.failure = rows[one.name], None
         self._keep_finished(candidates, shown)
 
     def _spacing(self) -> int:
