@@ -374,7 +374,7 @@ def test_speed_dependence_is_distinguished_from_a_lag():
     assert viscous.records[0].lag.samples < 0
     assert has(viscous.findings, Code.SPEED_DEPENDENT)
     assert viscous.verdict("bouc-wen-force").verdict == "partly"
-    assert viscous.advice.model == "bouc-wen-force+viscous"
+    assert "+viscous" in viscous.advice.model
     late = check(Record(u[4:], piezo(u)[:-4], t=t[4:]))
     assert late.records[0].lag.samples == pytest.approx(4, abs=0.4)
     assert not has(late.findings, Code.SPEED_DEPENDENT)
