@@ -149,10 +149,8 @@ posterior = hf.sample(result, sampler="emcee", draws=50, walkers=18)
 folder = result.save(sys.argv[1] + "/fit", report=False)
 draws = posterior.save(sys.argv[1] + "/draws")
 ukf = identify.Ukf.of(model, record)
-double = hf.check(record).to_dict()
 jax.config.update("jax_enable_x64", False)
 jax.clear_caches()
-assert hf.check(record).to_dict() == double
 answers = {}
 for name, call in json.loads(sys.stdin.read()).items():
     try:
