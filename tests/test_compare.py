@@ -32,6 +32,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
 from hystfit.params.space import ParameterSpace
+from hystfit.quality.held_out import Scheme, held_out
 from hystfit.runs.threads import Stopped, Workers
 
 T = np.arange(0.0, 6.0, 0.02)
@@ -120,7 +121,7 @@ STRUCTURES = [
 HARDENING = [Structure("stop", 1, 5, "level", hardening=3)]
 
 
-@pytest.mark.parametrize("structure", [Structure("play", 3, 3, "first", 2.5, creep=True, rate=2), *HARDENING])
+@pytest.mark.parametrize("structure", [Structure("play", 3, 3, "first", lag=2.5, creep=True, rate=2), *HARDENING])
 def test_columns_of_a_structure_are_the_derivatives_of_its_model(structure):
     """The search has its columns from NumPy, the fit differentiates the compiled model."""
     rng = np.random.default_rng(5)
@@ -131,8 +132,11 @@ def test_columns_of_a_structure_are_the_derivatives_of_its_model(structure):
     model = build(structure, data, 4)
     space = ParameterSpace.of(model)
     problem = Problem(model, data, fix=[n for n, info in zip(space.names, space.infos, strict=True) if not info.linear])
-    expected, got = LinearSystem.of(problem, problem.space.vector(problem.model)), Terms(data, 4).system(structure)
-    for name in ("columns", "target", "free", "ridged", "block", "weight"):
+    expected, got = (
+        LinearSystem.of(problem, problem.space.vector(problem.model)),
+        Terms(data, 4, held_out(list(data))).system(structure),
+    )
+    for name in ("columns", "target", "free", "ridged", "fold", "weight"):
         np.testing.assert_allclose(getattr(got, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)
 
 
@@ -145,13 +149,15 @@ def test_no_force_against_the_rate_is_taken_beside_plays(rate, finite):
     for x in u:
         play.append(min(max(play[-1], x - 0.2), x + 0.2))
     y = 0.7 * u + 0.5 * np.array(play[1:]) + rate * np.gradient(u, t)
-    terms = Terms(hf.Dataset.of(hf.Record(u, y, t)), 8)
+    data = hf.Dataset.of(hf.Record(u, y, t))
+    terms = Terms(data, 8, held_out(list(data)))
     assert np.isfinite(terms.score(Structure(rate=1))) == finite
     assert np.isfinite(terms.score(Structure(lag=2.0)))
 
 
 def test_columns_of_a_search_are_freed_with_it():
-    terms = Terms(hf.Dataset.of(hf.Record(U[:60], U[:60] ** 2, T[:60])), 4)
+    data = hf.Dataset.of(hf.Record(U[:60], U[:60] ** 2, T[:60]))
+    terms = Terms(data, 4, held_out(list(data)))
     assert terms.score(Structure()) > 0
     left = weakref.ref(terms)
     del terms
@@ -382,9 +388,9 @@ def test_other_levels_are_tried_where_they_predict_better():
     up, down = (np.asarray(part) for part in truth.thresholds())
     truth = eqx.tree_at(lambda m: m.w, truth, jnp.asarray(np.exp(-(((up - 1.5) / 0.5) ** 2) - ((down - 1) / 0.5) ** 2)))
     data = hf.Dataset.of(hf.Record(u, truth.free_run(u) + np.random.default_rng(3).normal(0, 1e-3, u.size)))
-    chosen = SizeSearch(data).chosen(make_model("preisach"))
-    assert chosen.model.spacing == "uniform"
-    assert [note.code for note in chosen.notes] == [Code.CHOICE]
+    model, notes = SizeSearch(data).chosen(make_model("preisach"))
+    assert model.spacing == "uniform"
+    assert [note.code for note in notes] == [Code.CHOICE]
 
 
 # -- progress --------------------------------------------------------------------------------------------------------------
@@ -453,7 +459,7 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
         row("small", 0.1015, 5),
         row("worse", 0.103, 2),
     ]
-    assert [r.name for r in _ranked(rows, "prediction")] == ["small", "large", "stuck", "worse"]
+    assert [r.name for r in _ranked(rows, "prediction")] == ["small", "large", "worse", "stuck"]
     assert [r.name for r in _ranked(rows[:2], "prediction")] == ["large", "stuck"]
     assert [r.name for r in _ranked(rows, "prediction", 0.11)] == ["worse", "small", "large", "stuck"]
 
@@ -525,7 +531,7 @@ def test_the_winner_is_the_best_of_the_models_that_were_fitted(monkeypatch):
     )
     rows = (row("bouc-wen", 1.0), row("duhem", 2.0), row("preisach", None))
     module = importlib.import_module("hystfit.fitting.fit")
-    monkeypatch.setattr(module, "compare", lambda *_, **__: Comparison(rows, fit, {"bouc-wen": fit}))
+    monkeypatch.setattr(module, "compare", lambda *_, **__: Comparison(rows, fit, {"bouc-wen": fit}, Scheme.CYCLES))
     assert "the best of 2 models" in module.best_model(fit.data).notes[0].text
 
 

@@ -103,12 +103,13 @@ def path(low: float, high: float, samples: int = 300) -> np.ndarray:
 @pytest.mark.parametrize("name", CASES)
 def test_c_equals_python(name: str, tmp_path: Path) -> None:
     model, low, high = CASES[name]
-    program, dt, u = build(model, tmp_path), 0.002, path(low, high)
+    limits = (low, high) if model.step_inverse().needs_limits else None
+    program, dt, u = build(model, tmp_path, limits=limits), 0.002, path(low, high)
     expected = np.asarray(hf.simulate(model, u, dt)[0])
     found = run(program, "f", float(u[0]), u, dt)[:, 0]
     assert np.abs(found - expected).max() <= 1e-12 * np.ptp(expected)
     # The inverse of the same outputs, from the same rest.
-    inverse = InverseStep.of(model)
+    inverse = InverseStep.of(model, limits=limits)
     _, answer = inverse.run(inverse.init(u[0]), jnp.asarray(expected), jnp.full(u.size, dt))
     u_c, y_c, status = run(program, "i", float(u[0]), expected, dt).T
     assert np.abs(u_c - np.asarray(answer.u)).max() <= 1e-12 * (high - low) / _steepness(name)

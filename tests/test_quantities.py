@@ -258,7 +258,8 @@ def test_gaps_have_their_reason(fit):
     found = {q.name: q for q in dataclasses.replace(fit, joint=unseen).quantities}
     assert found["loop_area"].reason is Unknown.NOT_DETERMINED
     assert found["loop_area"].to_dict() == {
-        "value": None, "stderr": None, "unit": "kN mm", "reason": "not-determined", "measured": fit.quantities[0].measured
+        "value": None, "stderr": None, "unit": "kN mm", "reason": "not-determined", "measured": fit.quantities[0].measured,
+        "measured_stderr": fit.quantities[0].measured_stderr, "differs": False,
     }  # fmt: skip
     loose = dataclasses.replace(fit, joint=1e10 * fit.joint)
     assert {q.reason for q in loose.quantities if q.name == "remanence"} == {Unknown.NOT_DETERMINED}

@@ -205,4 +205,4 @@ def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
     """
     record = dict(source.loops(work.reading))[row.name].in_units(**work.units)
     model = row.model if work.searches and row.model else work.model
-    return fit(model, record, **vars(work.options))
+    return fit(model, record, **work.options.of_fit())

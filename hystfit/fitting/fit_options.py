@@ -39,6 +39,10 @@ class FitOptions:
         """Whether no noise model refines the fit."""
         return self.noise in _PLAIN_NOISE
 
+    def of_fit(self) -> dict[str, Any]:
+        """The arguments of `hystfit.fit`; the spacing, which a comparison sets, is none of them."""
+        return {name: value for name, value in vars(self).items() if name != "spacing"}
+
     def changed(self) -> list[str]:
         """Names of the options that have another value than their default; the seed, which every fit takes, is none of them."""
         names = [field.name for field in dataclasses.fields(self) if field.name not in ("seed", "spacing")]
