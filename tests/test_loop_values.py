@@ -123,3 +123,12 @@ def test_the_verb_writes_a_table(tmp_path, capsys):
     u = np.linspace(0, 1, 50)
     (tmp_path / "line.csv").write_text("V,um\n" + "\n".join(f"{a:.4f},{a:.4f}" for a in u))
     assert run(["quantities", str(tmp_path / "line.csv")]) == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_output_of_either_zero_is_no_division_by_zero():
+    """0 and -0 side by side are no crossing of zero."""
+    u = np.concatenate([np.linspace(-1, 1, 20), np.linspace(1, -1, 20)])
+    y = np.where(np.abs(u) < 0.3, np.where(np.arange(40) % 2, 0.0, -0.0), u + 0.2 * np.repeat([-1, 1], 20))
+    found = hf.quantities(hf.Record(u, y, u_unit="A/m", y_unit="T"))
+    assert all(np.isfinite(value.value) for values in found.rows.values() for value in values)

@@ -11,11 +11,12 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.compare import compare
 from hystfit.models.registry import judged, judged_as
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Status
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import Verdict
 from hystfit.reading.in_memory import records_of
 
+_INTEGRATED = ("integrate", "true")  # option that reads a current as the charge, of which the loop is made
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
@@ -34,7 +35,8 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     require_x64()
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
-    advice = _advice(records)
+    other = any(note.code is Code.DEGRADING or note.option == _INTEGRATED for note in report.findings)
+    advice = None if other else _advice(records)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))

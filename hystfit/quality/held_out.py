@@ -159,10 +159,10 @@ def _fifths(record: Record, turns: np.ndarray) -> np.ndarray:
     """Contiguous fifths; branches that leave the range of the other fifths stay in every fit."""
     fold = _of_masks(record, record.blocks(FOLDS))
     slack, edges = _SLACK * float(np.ptp(record.u)), [0, *turns.tolist(), len(record)]
-    ranges = [(record.u[fold == k].min(), record.u[fold == k].max()) for k in range(FOLDS)]
+    ranges = {k: (record.u[fold == k].min(), record.u[fold == k].max()) for k in np.unique(fold[fold >= 0])}
     for first, last in itertools.pairwise(edges):
         branch = record.u[first : min(last + 1, len(record))]
-        others = [ranges[k] for k in range(FOLDS) if k not in fold[first:last]]
+        others = [ranges[k] for k in ranges if k not in fold[first:last]]
         low, high = min((low for low, _ in others), default=np.inf), max((high for _, high in others), default=-np.inf)
         if branch.min() < low - slack or branch.max() > high + slack:
             fold[first:last] = -1

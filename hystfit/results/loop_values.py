@@ -244,7 +244,7 @@ def _crossing(
         values: at the same samples, shape (n,).
         sigma: noise of the level; of_values: noise of the values; None where unknown.
     """
-    passed = np.flatnonzero(np.signbit(level[:-1]) != np.signbit(level[1:]))
+    passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
     if not passed.size:
         return None
     k = int(passed[len(passed) // 2])

@@ -83,6 +83,7 @@ def steep_levels(records: Sequence[Record], n: int, center: float | None, *, rel
         raise DataError(f"the input is constant ({low:g}): it gives no range for thresholds")
     axis = np.linspace(low, high, _BINS + 1)
     branches = [part for sign in (1, -1) if (part := _slopes(records, axis, sign))[0].size]
+    branches = branches or [(np.zeros(0), np.zeros(0))]  # no slope that the samples show: levels at even distances
     if center is not None:
         half = max(high - center, center - low)
         low, high = center - half, center + half
