@@ -166,10 +166,10 @@ def compare(
     With --out, the folder holds the ranking (comparison.txt, report.html) and the fit of the winner (winner/).
 
     Args:
-        models: names, repeated or separated by commas; default: a selection that suits what hystfit check finds, of which models that
+        models: names, repeated or separated by commas; default: every family that the records can drive, of which models that
             cannot win are stopped early.
-        left_out: what is left out of each fit: blocks in turn (whole records where there are three or more), or the future:
-            later parts of each record are predicted from a fit to the earlier part.
+        left_out: what is held out of each fit: by default what the records allow (whole records, amplitudes, cycles or scattered
+            samples; the report names it), or the future: later parts of each record are predicted from a fit to the earlier part.
         seed: random seed for the starting points.
     """
     from hystfit.fitting.compare import compare as compare_models
