@@ -25,7 +25,9 @@ from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import left_out_score
-from hystfit.fitting.structure import Structure, Terms, build, max_plays, search_structure
+from hystfit.fitting.structure import Structure, build
+from hystfit.fitting.structure_columns import Terms
+from hystfit.fitting.structure_search import max_plays, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis

@@ -13,7 +13,7 @@ import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting.compare import SEARCH
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, solve_normal
-from hystfit.fitting.structure import search_structure
+from hystfit.fitting.structure_search import search_structure
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.outcome import Code, Severity

@@ -13,7 +13,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystfit import BoucWen, check, datasets, signals, simulate
+from hystfit import BoucWen, check, compare, datasets, signals, simulate
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -543,8 +543,9 @@ def test_creep_needs_a_rest_with_motion_or_a_drift():
 def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
     t, u = signals.sine(4, 200)
     late = np.interp(np.arange(t.size) - 4, np.arange(t.size), piezo(u))
+    measured = piezo(u) + 1e-3 * np.ptp(piezo(u)) * np.random.default_rng(0).normal(size=t.size)
     cases = [
-        (Record(u, piezo(u), t=t), ("prandtl-ishlinskii", "preisach")),
+        (Record(u, measured, t=t), "prandtl-ishlinskii"),
         (Record(u, late, t=t), "lag+"),
         (Record(u, steel(u), t=t), "prandtl-ishlinskii-stop"),
         (Record(u, u**2, t=t), None),
@@ -745,10 +746,14 @@ def test_units_and_origins_change_no_finding(kind, u_power, y_power):
         (60, "stepped", "steel", "linear", 1e-3, 20, "none"),
         (17, "ramp", "line", "exponential", 0.0, 20, "whole seconds"),
         (17, "one amplitude", "plays", "none", 1e-3, 20, "none"),
+        (60, "chirp", "steel", "logarithmic", 1e-3, None, "uneven"),
+        (60, "one reversal", "plays", "none", 0.3, 1, "even"),
     ],
 )
-def test_advice_never_fails_where_most_outputs_are_missing(kind):
-    report = check(made(*kind))
+@pytest.mark.parametrize(("factor", "offset", "scale"), [(1.0, 0.0, 1.0), (1e9, -1e12, 1e-9)])
+def test_advice_never_fails_on_few_samples_with_gaps(kind, factor, offset, scale):
+    record = made(*kind)
+    report = check(record.replace(u=scale * record.u, y=factor * record.y + offset))
     assert report.advice is None or make_model(report.advice.model) is not None
 
 
@@ -894,9 +899,6 @@ def test_damaged_structures_are_out_of_reach(name):
     assert has(report.findings, Code.DEGRADING)
 
 
-CLOCKWISE = {"bouc-wen-force", "prandtl-ishlinskii-stop", "prandtl-ishlinskii-hardening"}
-
-
 @needs_data
 @pytest.mark.parametrize("name", ["struct_slotboom/u-damper", "steel_resspylab/example_1", "steel_resspylab/example_2"])
 def test_sound_steel_is_within_reach(name):
@@ -904,8 +906,11 @@ def test_sound_steel_is_within_reach(name):
     assert report.verdict("bouc-wen-force").verdict == "yes"
     assert report.verdict("prandtl-ishlinskii").verdict == "no"
     assert report.records[0].shape.circulation == "clockwise"
-    assert report.advice.model.partition(":")[0] in CLOCKWISE
     assert judged_as(report.advice.model.partition(":")[0]) == report.determines[0].model
+    assert (
+        compare(datasets.load(name, folder=SHARED), [report.advice.model, "bouc-wen-force"]).rows[0].name
+        == report.advice.model
+    )
 
 
 @needs_data

@@ -207,13 +207,19 @@ def test_weights_that_replace_each_other_are_sampled():
     )
     y = np.asarray(hf.simulate(model, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=200)
     drawn = sample(
-        hf.fit(model, hf.Record(u=u, y=y), noise="iid"), "nuts", noise="iid", chains=2, draws=1200, warmup=200
+        hf.fit(model, hf.Record(u=u, y=y), noise="iid"),
+        "nuts",
+        noise="iid",
+        chains=2,
+        draws=1200,
+        warmup=200,
+        target_accept=0.9,
     )
     # For 1000 gradients, of six seeds: 6.8 to 12 effective draws of the worst weight; 1.3 to 2.7 in logarithmic coordinates, and
     # divergent transitions.
     assert drawn.convergence.bulk.min() > 0.0045 * drawn.stats["steps"].sum()
-    # Of seeds 0 to 3, one had 6 divergent transitions of 2400 and the others none; which one depends on rounding.
-    assert drawn.stats["diverging"].mean() < 0.01
+    # With the default of 0.65, two of six seeds had 1 to 6 divergent transitions of 2400, and the note names this remedy.
+    assert not drawn.stats["diverging"].any()
 
 
 class Kinked(Target):

@@ -16,11 +16,12 @@ from hystfit.fitting.covariance import Uncertainty, uncertainty
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
+from hystfit.fitting.fitted import Fitted
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
-from hystfit.fitting.structure import search_structure
+from hystfit.fitting.structure_search import search_structure
 from hystfit.fitting.trial import with_left_out
-from hystfit.fitting.verdict import Fitted, verdict_of
+from hystfit.fitting.verdict import verdict_of
 from hystfit.identify.identification import as_fit
 from hystfit.identify.sequential import identify
 from hystfit.inference.blocks import chosen

@@ -45,7 +45,7 @@ class FitOptions:
 
     def changed(self) -> list[str]:
         """Names of the options that have another value than their default; the seed, which every fit takes, is none of them."""
-        names = [field.name for field in dataclasses.fields(self) if field.name not in ("seed", "spacing")]
+        names = [name for name in self.of_fit() if name != "seed"]
         return [name for name in names if (getattr(self, name) or None) != (getattr(type(self), name) or None)]
 
     def check_search(self, others: Iterable[str] = ()) -> None:

@@ -3,36 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import Record
-from hystfit.fitting.disturbance import disturbance_note
-from hystfit.fitting.estimate import Estimate
+from hystfit.fitting.fit_warnings import warnings_of
+from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.inference.autocorrelation import is_correlated
-from hystfit.inference.problem import Problem
-from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
-from hystfit.quality.faults import clipped_samples, saturated_samples
-from hystfit.quality.loops import reversals
-from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.quality.summary import delay_of, may_change, outliers_of, summarize
-from hystfit.results.accuracy import (
-    accuracy_note,
-    better_family_warning,
-    exceeded_limits,
-    is_noise,
-    is_single_valued_error,
-    persistent_error,
-)
+from hystfit.quality.summary import summarize
+from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise, is_single_valued_error
 from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
@@ -42,64 +28,6 @@ _ROUGH = 3.0  # percent of range above which the fit is checked for signs of a w
 _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
 _FEWEST = 10  # samples, below which no fit is usable
-_BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_VISIBLE_DELAY = 0.3  # percent of range, below which a delay does not matter
-_VISIBLE = 1.0  # percent of range, below which it does not matter
-
-
-@dataclasses.dataclass(frozen=True)
-class Fitted:
-    """The data on which a verdict is based.
-
-    Attributes:
-        problem: what was fitted.
-        model: the fitted model.
-        estimate: where the fit ended.
-        train: its error.
-        rows: residuals of each record, samples that count only [y].
-        baselines: of the records.
-        method: name of the estimator; `usual` is that which the model takes by default.
-        thorough: whether the records are searched for damage and drift, which takes longer than many a fit.
-    """
-
-    problem: Problem
-    model: AbstractHysteresis
-    estimate: Estimate
-    train: Metrics
-    rows: Sequence[np.ndarray]
-    baselines: Baselines
-    method: str
-    usual: str
-    thorough: bool = True
-
-    @property
-    def data(self) -> Dataset:
-        """The records."""
-        return self.problem.data
-
-    @property
-    def percent(self) -> float:
-        """RMS error in percent of the output's range."""
-        return np.inf if self.train.nrmse_percent is None else self.train.nrmse_percent
-
-    @functools.cached_property
-    def qualities(self) -> tuple[RecordQuality, ...]:
-        """What is measured on each record; it takes longer than many a fit."""
-        return tuple(summarize(record) for record in self.parts)
-
-    @functools.cached_property
-    def may_change(self) -> bool:
-        """Whether some output may drift or some device degrade, so that `qualities` are worth their time."""
-        return self.thorough and any(may_change(record) for record in self.parts)
-
-    @functools.cached_property
-    def parts(self) -> tuple[Record, ...]:
-        """Each record from its first to its last sample that counts: the verdict does not depend on what lies outside a window."""
-        counted = [(record, np.flatnonzero(record.used)) for record in self.data]
-        return tuple(
-            record if at[-1] - at[0] + 1 == len(record) else record.segment(int(at[0]), int(at[-1]) + 1)
-            for record, at in counted
-        )
 
 
 def turns_back(data: Dataset) -> bool:
@@ -133,79 +61,10 @@ def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     status, reasons = _status_of(fitted)
     if not fitted.thorough:
         return status, reasons
-    notes = [*reasons, accuracy_note(fitted.train, fitted.rows, fitted.baselines, "error")]
-    found = (
-        better_family_warning(fitted.train, fitted.baselines),
-        _at_an_end(fitted),
-        _clipped(fitted.data),
-        _outliers(fitted.data),
-        disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
-        _delayed(fitted),
-        _drifting(fitted),
-    )
-    notes += [note for note in found if note is not None]
+    notes = [*reasons, accuracy_note(fitted.train, fitted.rows, fitted.baselines, "error"), *warnings_of(fitted)]
     if status is not Status.NO_LOOP and not fitted.model.from_saturation:
         notes += coverage_notes(fitted.data)
     return status, notes
-
-
-def _clipped(data: Dataset) -> Note | None:
-    """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit."""
-    saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
-    if saturated:
-        text = f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit"
-        return warn(Code.CLIPPED, text)
-    count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
-    if not count:
-        return None
-    return warn(
-        Code.CLIPPED,
-        f"{count} samples of the output stay at its limit while the input moves, and were fitted: if the sensor was saturated, "
-        "mark them as missing or fit a window without them (window=)",
-    )
-
-
-def _outliers(data: Dataset) -> Note | None:
-    """A warning where isolated outliers were left out, between the first and the last sample that was fitted."""
-    count = 0
-    for record in data:
-        used, found = np.flatnonzero(record.used), outliers_of(record)
-        count += int(np.sum(~record.used[found] & (found > used[0]) & (found < used[-1])))
-    if not count:
-        return None
-    which = "1 isolated outlier of the output is" if count == 1 else f"{count} isolated outliers of the output are"
-    return warn(Code.SPIKES, f"{which} left out of the fit and of its error; a robust loss (loss='huber') keeps them")
-
-
-def _delayed(fitted: Fitted) -> Note | None:
-    """A warning where the output has a delay that the model has not."""
-    if fitted.percent < _VISIBLE_DELAY or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
-        return None
-    found = [(record, delay) for record in fitted.data if (delay := delay_of(record)) is not None]
-    if not found:
-        return None
-    record, delay = found[0]
-    clock = f"{delay.seconds:.3g} {record.t_unit}".rstrip()
-    return warn(
-        Code.DELAY,
-        f"the output of {record.name!r} has a pure delay of {delay.samples:.1f} samples ({clock}), which this model does not include: put "
-        "delay+ in front of it",
-    )
-
-
-def _drifting(fitted: Fitted) -> Note | None:
-    """A warning where the output drifts steadily, which no model describes."""
-    if fitted.percent < _VISIBLE or is_noise(fitted.train.rmse, fitted.baselines) or not fitted.may_change:
-        return None
-    drifting = next((quality for quality in fitted.qualities if quality.trend is not None), None)
-    if drifting is None:
-        return None
-    size = f"{drifting.trend:.3g} {drifting.units['y']}".rstrip()
-    return warn(
-        Code.DRIFT,
-        f"the output of {drifting.name!r} drifts by {size} over the record, apart from its loops: no model includes a steady drift, so "
-        "subtract it before the fit",
-    )
 
 
 def _error(code: Code, text: str, option: tuple[str, str] | None = None) -> list[Note]:
@@ -253,7 +112,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, fitted.rows, baselines)]
     status = Status.ROUGH if rough else Status.OK
-    return status, [*rough, *(_damaged(fitted) if rough or (percent > _VISIBLE and fitted.may_change) else [])]
+    return status, [*rough, *(_damaged(fitted) if rough or (percent > VISIBLE and fitted.may_change) else [])]
 
 
 def _records_apart(fitted: Fitted) -> Note | None:
@@ -348,58 +207,3 @@ def _no_loop(data: Dataset) -> Note:
             "saturation"
         )
     return Note(Code.NO_LOOP, text, Severity.ERROR)
-
-
-def _at_an_end(fitted: Fitted) -> Note | None:
-    """A warning where the largest error lies in the first half cycle (another initial state) or the last one (a device that failed).
-
-    None where a window without it would leave no reversal, and no other half cycle shows whether the model describes this one.
-    """
-    size = [persistent_error(row) for row in fitted.rows]
-    worst = int(np.argmax([row.max() for row in size]))
-    record, errors = fitted.data[worst], size[worst]
-    largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
-    turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
-    held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
-    if turns.size < (1 if held else 2) or largest < _VISIBLE:
-        return None
-    samples = np.flatnonzero(record.used)
-    first, last = samples <= turns[0], samples >= turns[-1]
-    code, inside = (Code.INITIAL_STATE, first) if first[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, last)
-    rest = fitted.rows[worst][~inside]
-    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
-        return None
-    if code is Code.LAST_HALF_CYCLE:
-        place, window = _window_to(record, int(turns[-1]))
-        which, remedy = "last", f"if the device failed there, fit the record before {place} (window=)"
-    else:
-        place, window = _window_from(record, int(turns[0]))
-        which = "first"
-        remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
-        if held:
-            window = None
-            remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
-    text = (
-        f"the largest error, {largest:.3g} % of the range, lies in the {which} half cycle of {record.name!r}: {remedy}"
-    )
-    alone = window is not None and len(fitted.data) == 1  # a window holds for all records
-    return dataclasses.replace(warn(code, text), option=("window", window) if alone else None)
-
-
-def _window_to(record: Record, sample: int) -> tuple[str, str | None]:
-    """The place of a sample in words, and the window before it; in time, or in sample numbers where there is none."""
-    place, number = _place(record, sample)
-    return place, f":{number}"
-
-
-def _window_from(record: Record, sample: int) -> tuple[str, str | None]:
-    """As `_window_to`, and the window from it on."""
-    place, number = _place(record, sample)
-    return place, f"{number}:"
-
-
-def _place(record: Record, sample: int) -> tuple[str, str]:
-    if record.t is None:
-        return f"sample {sample}", str(sample)
-    number = f"{record.t[sample]:.9g}"
-    return f"{number} {record.t_unit}".rstrip(), number

@@ -1,0 +1,149 @@
+"""Warnings of a fit about its records: samples that were left out, a half cycle unlike the others, a delay, a drift."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
+from hystfit.fitting.disturbance import disturbance_note
+from hystfit.fitting.fitted import VISIBLE, Fitted
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.quality.faults import clipped_samples, saturated_samples
+from hystfit.quality.loops import reversals
+from hystfit.quality.summary import delay_of, outliers_of
+from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
+
+_BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
+_VISIBLE_DELAY = 0.3  # percent of range, below which a delay does not matter
+
+
+def warnings_of(fitted: Fitted) -> list[Note]:
+    """Warnings of a fit that the status does not carry: another family, an end of the record, samples left out, a delay, a drift."""
+    found = (
+        better_family_warning(fitted.train, fitted.baselines),
+        _at_an_end(fitted),
+        _clipped(fitted.data),
+        _outliers(fitted.data),
+        disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
+        _delayed(fitted),
+        _drifting(fitted),
+    )
+    return [note for note in found if note is not None]
+
+
+def _clipped(data: Dataset) -> Note | None:
+    """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit."""
+    saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
+    if saturated:
+        text = f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit"
+        return warn(Code.CLIPPED, text)
+    count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
+    if not count:
+        return None
+    return warn(
+        Code.CLIPPED,
+        f"{count} samples of the output stay at its limit while the input moves, and were fitted: if the sensor was saturated, "
+        "mark them as missing or fit a window without them (window=)",
+    )
+
+
+def _outliers(data: Dataset) -> Note | None:
+    """A warning where isolated outliers were left out, between the first and the last sample that was fitted."""
+    count = 0
+    for record in data:
+        used, found = np.flatnonzero(record.used), outliers_of(record)
+        count += int(np.sum(~record.used[found] & (found > used[0]) & (found < used[-1])))
+    if not count:
+        return None
+    which = "1 isolated outlier of the output is" if count == 1 else f"{count} isolated outliers of the output are"
+    return warn(Code.SPIKES, f"{which} left out of the fit and of its error; a robust loss (loss='huber') keeps them")
+
+
+def _delayed(fitted: Fitted) -> Note | None:
+    """A warning where the output has a delay that the model has not."""
+    if fitted.percent < _VISIBLE_DELAY or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
+        return None
+    found = [(record, delay) for record in fitted.data if (delay := delay_of(record)) is not None]
+    if not found:
+        return None
+    record, delay = found[0]
+    clock = f"{delay.seconds:.3g} {record.t_unit}".rstrip()
+    return warn(
+        Code.DELAY,
+        f"the output of {record.name!r} has a pure delay of {delay.samples:.1f} samples ({clock}), which this model does not include: put "
+        "delay+ in front of it",
+    )
+
+
+def _drifting(fitted: Fitted) -> Note | None:
+    """A warning where the output drifts steadily, which no model describes."""
+    if fitted.percent < VISIBLE or is_noise(fitted.train.rmse, fitted.baselines) or not fitted.may_change:
+        return None
+    drifting = next((quality for quality in fitted.qualities if quality.trend is not None), None)
+    if drifting is None:
+        return None
+    size = f"{drifting.trend:.3g} {drifting.units['y']}".rstrip()
+    return warn(
+        Code.DRIFT,
+        f"the output of {drifting.name!r} drifts by {size} over the record, apart from its loops: no model includes a steady drift, so "
+        "subtract it before the fit",
+    )
+
+
+def _at_an_end(fitted: Fitted) -> Note | None:
+    """A warning where the largest error lies in the first half cycle (another initial state) or the last one (a device that failed).
+
+    None where a window without it would leave no reversal, and no other half cycle shows whether the model describes this one.
+    """
+    size = [persistent_error(row) for row in fitted.rows]
+    worst = int(np.argmax([row.max() for row in size]))
+    record, errors = fitted.data[worst], size[worst]
+    largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
+    turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
+    held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
+    if turns.size < (1 if held else 2) or largest < VISIBLE:
+        return None
+    samples = np.flatnonzero(record.used)
+    first, last = samples <= turns[0], samples >= turns[-1]
+    code, inside = (Code.INITIAL_STATE, first) if first[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, last)
+    rest = fitted.rows[worst][~inside]
+    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
+        return None
+    if code is Code.LAST_HALF_CYCLE:
+        place, window = _window_to(record, int(turns[-1]))
+        which, remedy = "last", f"if the device failed there, fit the record before {place} (window=)"
+    else:
+        place, window = _window_from(record, int(turns[0]))
+        which = "first"
+        remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
+        if held:
+            window = None
+            remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
+    text = (
+        f"the largest error, {largest:.3g} % of the range, lies in the {which} half cycle of {record.name!r}: {remedy}"
+    )
+    alone = window is not None and len(fitted.data) == 1  # a window holds for all records
+    return dataclasses.replace(warn(code, text), option=("window", window) if alone else None)
+
+
+def _window_to(record: Record, sample: int) -> tuple[str, str | None]:
+    """The place of a sample in words, and the window before it; in time, or in sample numbers where there is none."""
+    place, number = _place(record, sample)
+    return place, f":{number}"
+
+
+def _window_from(record: Record, sample: int) -> tuple[str, str | None]:
+    """As `_window_to`, and the window from it on."""
+    place, number = _place(record, sample)
+    return place, f"{number}:"
+
+
+def _place(record: Record, sample: int) -> tuple[str, str]:
+    if record.t is None:
+        return f"sample {sample}", str(sample)
+    number = f"{record.t[sample]:.9g}"
+    return f"{number} {record.t_unit}".rstrip(), number

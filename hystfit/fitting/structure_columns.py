@@ -1,0 +1,204 @@
+"""The terms of a Prandtl-Ishlinskii model as columns of one linear system, so that a candidate of the search costs one ridge solve.
+
+Given the lag, plays or stops, the single-valued part, creep, forces of the rate and hardening all have columns in closed form.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from hystfit.data.dataset import Dataset
+from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.structure import Structure, interval_of, output_of
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.creep import LinearCreep
+from hystfit.models.dynamics import Lag
+from hystfit.models.play_columns import element_columns, fading, rising_columns
+from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest, envelope
+from hystfit.models.rate import SaturatingRate, Viscous
+from hystfit.models.starting import fitted_input_range, output_range
+from hystfit.quality.held_out import HeldOut
+from hystfit.quality.slow_lag import SHORT
+
+_DEGREES = (1, 3, 5)
+_COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
+_ALL = get_args(Envelope)
+_FEWEST_RANGES = 4  # that the input runs through, so that later cycles can differ from the first one
+# Terms besides plays and stops, and the name of their weight.
+_BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
+    "creep": (LinearCreep, "a[0]"),
+    "viscous": (Viscous, "c"),
+    "saturating": (SaturatingRate, "F"),
+}
+_ABOUT = np.geomspace(0.7, 1.4, 5)  # lags that are tried, over that which the records show
+STEP_OF_LAGS = 0.5  # samples between the lags that are tried
+
+
+class _Drive(NamedTuple):
+    """What happens to the input before the plays, see `Structure`."""
+
+    rest: Rest
+    lag: float
+    falls: bool
+
+    @classmethod
+    def of(cls, structure: Structure) -> _Drive:
+        return cls(structure.rest, structure.lag, structure.falls)
+
+
+class _Term(NamedTuple):
+    """Weighted columns of one array of weights, shape (n, k), whether these have no lower bound, and whether a ridge acts on them."""
+
+    columns: np.ndarray
+    free: bool
+    ridged: bool = True
+
+
+class Terms:
+    """Columns of every term, computed once for each lag and rest, and the scores of the structures tried."""
+
+    def __init__(self, data: Dataset, plays: int, held: HeldOut):
+        self.data, self.plays, self.held = data, plays, held
+        self.thresholds = np.asarray(PrandtlIshlinskii.of(plays).r)
+        self.timed = interval_of(data) > 0 and all(record.t is not None for record in data)
+        self.span = output_range(data).width
+        slopes = (np.cov(record.u[record.used], record.y[record.used])[0, 1] for record in data)
+        self.falls = bool(sum(slopes) < 0)  # the output falls as the input rises
+        self.used = np.concatenate([record.used for record in data])
+        self.weight = np.concatenate([record.weight for record in data])[self.used]
+        self.samples = self.weight.size
+        self.scores: dict[Structure, float] = {}
+        # On the instance: a cache of the class would keep the columns of every search of the process.
+        self._lagged, self._positions = functools.cache(self._lagged_data), functools.cache(self._positions_of)
+        self._elements, self._single = functools.cache(self._element_columns), functools.cache(self._single_valued)
+        self._beside, self._line = functools.cache(self._beside_plays), functools.cache(self._straight)
+
+    def served(self, structure: Structure) -> bool:
+        """Whether there are two samples for each weight, and no line beside stops, which have one."""
+        if structure.line and structure.operator == "stop":
+            return False
+        return 2 * structure.columns(self.plays, len(self.data)) <= self.samples
+
+    def options(self, lag: float = 0.0) -> dict[str, tuple[Any, ...]]:
+        """Values of each field that these data allow; `lag` [samples], where the records show one, adds lags about it."""
+        options: dict[str, tuple[Any, ...]] = {"operator": get_args(Operator), "envelopes": (1, 3), "degree": _DEGREES}
+        options["line"] = (False, True)
+        span = max(float(np.ptp(record.u)) for record in self.data)
+        if any(abs(record.u[0]) > 1e-3 * span for record in self.data):
+            options["rest"] = ("level", "first")
+        if self.timed:
+            # Hardening would stand in for what creep and rate describe.
+            lags = (
+                0.0,
+                *np.arange(1.0, SHORT + 0.1, STEP_OF_LAGS).tolist(),
+                *(np.round(_ABOUT * lag, 1).tolist() if lag else ()),
+            )
+            return {**options, "lag": lags, "creep": (False, True), "rate": (0, 1, 2)}
+        if max(float(np.abs(np.diff(record.u)).sum()) for record in self.data) < _FEWEST_RANGES * span:
+            return options
+        return {**options, "hardening": (0, 1, 3, 10)}
+
+    def score(self, structure: Structure) -> float:
+        """Root mean square error on held-out samples, output units; infinite where plays have a force against the rate beside them.
+
+        Such a force describes a lag by an output that falls as the input jumps up, which has no inverse; `lag` describes it with one.
+        """
+        if structure not in self.scores:
+            fitted = fit_ridge(self.system(structure), _COARSE)
+            forces = fitted.weights[fitted.weights.size - structure.rate :]
+            against = structure.operator == "play" and bool((forces < 0).any())
+            self.scores[structure] = np.inf if against else fitted.score
+        return self.scores[structure]
+
+    def lag_between(self, structure: Structure) -> float:
+        """The lag at which a parabola through the squared errors at this lag and half a sample to either side is least [samples].
+
+        Half a sample off, the error is several times that of the right lag, and terms of a higher degree would seem to be needed.
+        """
+        sides = [
+            dataclasses.replace(structure, lag=structure.lag + step) for step in (-STEP_OF_LAGS, 0.0, STEP_OF_LAGS)
+        ]
+        low, middle, high = (self.score(side) ** 2 for side in sides)
+        bend = low - 2 * middle + high
+        shift = 0.5 * STEP_OF_LAGS * (low - high) / bend if np.isfinite(bend) and bend > 0 else 0.0
+        return float(np.round(structure.lag + np.clip(shift, -STEP_OF_LAGS, STEP_OF_LAGS), 2))
+
+    def system(self, s: Structure) -> LinearSystem:
+        """The linear system of a structure, joined from the columns of its terms."""
+        drive = _Drive.of(s)
+        terms = [_Term(self._elements(drive, s.operator, kind), False) for kind in _ALL[: s.envelopes]]
+        terms += [self._single(drive, s.operator, s.degree), self._offset]
+        terms += [self._line(drive)] * s.line
+        if s.hardening:
+            terms.append(self._hardening(drive, s.operator, s.hardening))
+        terms += [self._beside(term, drive) for term in ["creep"] * s.creep + ["viscous", "saturating"][: s.rate]]
+        each = lambda name: np.concatenate([np.full(term.columns.shape[1], getattr(term, name)) for term in terms])
+        # With all weights at zero every term is zero: the target is the output itself.
+        y = np.concatenate([record.y for record in self.data])
+        columns, target = np.hstack([term.columns for term in terms]), self._weighted(y)
+        return LinearSystem(columns, target, each("free"), each("ridged"), self._fold, self.weight)
+
+    def _weighted(self, rows: np.ndarray) -> np.ndarray:
+        """The rows of samples that count, times the roots of their weights."""
+        root = np.sqrt(self.weight)
+        return rows[self.used] * (root if rows.ndim == 1 else root[:, None])
+
+    @functools.cached_property
+    def _fold(self) -> np.ndarray:
+        return np.concatenate([fold[r.used] for fold, r in zip(self.held.folds, self.data, strict=True)])
+
+    @functools.cached_property
+    def _offset(self) -> _Term:
+        """One column of ones per record."""
+        record = np.repeat(np.arange(len(self.data)), [len(record) for record in self.data])
+        return _Term(self._weighted(np.eye(len(self.data))[record]), free=True, ridged=False)
+
+    def _lagged_data(self, drive: _Drive) -> Dataset:
+        """The records with the input negated, where it is, and behind the lag."""
+        data = self.data.map(lambda record: record.replace(u=-record.u)) if drive.falls else self.data
+        through = Lag(tau=drive.lag * interval_of(data), rest=drive.rest)
+        return data.map(lambda record: record.replace(u=output_of(through, record))) if drive.lag else data
+
+    def _positions_of(self, drive: _Drive) -> list[tuple[np.ndarray, float]]:
+        """Input of each record as a fraction of the range, and where it rested before."""
+        records = list(self._lagged(drive))
+        place = fitted_input_range(records)
+        low, high = place.center - place.half, place.center + place.half
+        inputs = [(record.u - low) / (high - low) for record in records]
+        return [(x, float(x[0]) if drive.rest == "first" else -low / (high - low)) for x in inputs]
+
+    def _element_columns(self, drive: _Drive, operator: Operator, kind: Envelope) -> np.ndarray:
+        """Plays or stops of one envelope."""
+        rows = []
+        for x, before in self._positions(drive):
+            rows.append(element_columns(envelope(kind, x), self.thresholds, envelope(kind, before), operator))
+        return self._weighted(np.concatenate(rows))
+
+    def _hardening(self, drive: _Drive, operator: Operator, path: int) -> _Term:
+        """Elements of the first envelope that fade with the path run."""
+        left = [fading(x, before, float(path)) for x, before in self._positions(drive)]
+        return _Term(np.concatenate(left)[self.used, None] * self._elements(drive, operator, _ALL[0]), free=True)
+
+    def _single_valued(self, drive: _Drive, operator: Operator, degree: int) -> _Term:
+        """The single-valued part: polynomials of different degree share no columns."""
+        x = np.concatenate([x for x, _ in self._positions(drive)])
+        columns = rising_columns(degree, x) if operator == "play" else legvander(2.0 * x - 1.0, degree)[:, 1:]
+        return _Term(self._weighted(columns), free=operator == "stop")
+
+    def _straight(self, drive: _Drive) -> _Term:
+        """A straight line over the input."""
+        x = np.concatenate([x for x, _ in self._positions(drive)])
+        return _Term(self._weighted(x[:, None]), free=True)
+
+    def _beside_plays(self, name: str, drive: _Drive) -> _Term:
+        """Creep, or a force of the rate: the output for a weight of one."""
+        kind, weight = _BESIDE[name]
+        data = self._lagged(drive)
+        part = kind().with_rest(drive.rest).start(list(data)).replace(**{weight: 1.0})
+        y = np.concatenate([output_of(part, record) for record in data])
+        return _Term(self._weighted(y[:, None]), free=name != "creep")

@@ -1,0 +1,142 @@
+"""Greedy search for the terms of a Prandtl-Ishlinskii model, judged on held-out samples.
+
+Plays or stops, one envelope or three, the degree of the single-valued part, a lag, creep, forces of the input's rate, hardening.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, get_args
+
+import numpy as np
+
+from hystfit.data.dataset import Dataset
+from hystfit.fitting.structure import Structure, build, output_of
+from hystfit.fitting.structure_columns import STEP_OF_LAGS, Terms
+from hystfit.inference.problem import check_fittable
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.dynamics import Delay
+from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
+from hystfit.models.registry import model_name
+from hystfit.models.series import Series
+from hystfit.outcome import Code, Note
+from hystfit.quality.baselines import rounding_error
+from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.quality.summary import delay_of, slow_lag_of
+
+_GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
+_CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
+_PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
+_FEWEST = 3  # plays, however few the samples are
+_LEVELS = 200  # inputs closer than this fraction of their range count as one
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """Result of the structure search.
+
+    Attributes:
+        model: started on the data, ready for `fit(..., start="model")`.
+        structure: its terms.
+        plays: number of thresholds.
+        score: root mean square error on left-out blocks, output units.
+        tried: number of candidates.
+        trail: each step taken, in words.
+    """
+
+    model: AbstractHysteresis
+    structure: Structure
+    plays: int
+    score: float
+    tried: int
+    trail: tuple[str, ...]
+
+    def notes(self) -> tuple[Note, ...]:
+        """The choice, and each step towards it."""
+        first = f"{model_name(self.model)} is the best of {self.tried} combinations of terms by cross-validation"
+        return tuple(Note(Code.CHOICE, text) for text in (first, *self.trail))
+
+
+def search_structure(data: Dataset, *, plays: int | None = None, spacing: int = 1) -> Found:
+    """Search for the terms of a model, also behind a pure delay where the records show one.
+
+    Args:
+        data: records.
+        plays: number of thresholds; by default the held-out error chooses it among those that the data can determine.
+        spacing: samples over which errors are correlated, see `held_out`.
+    """
+    check_fittable(PrandtlIshlinskii.of(1), data)
+    held = held_out(list(data), spacing)
+    found = _search(data, held, plays)
+    if not any(delay_of(record) for record in data):
+        return found
+    delay = Delay().start(list(data))
+    later = _search(data.map(lambda record: record.replace(u=output_of(delay, record))), held, plays)
+    if later.score >= _GAIN * found.score:
+        return found
+    parts = later.model.parts if isinstance(later.model, Series) else (later.model,)
+    return dataclasses.replace(later, model=Series(delay, *parts), tried=found.tried + later.tried)
+
+
+def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
+    """Greedy search from plays or stops with one envelope: repeat the single change that lowers the held-out error most."""
+    most = max_plays(data)
+    terms = Terms(data, min(_PLAYS, most) if plays is None else plays, held)
+    # Lags about one longer than those tried on all records.
+    options = terms.options(max(slow_lag_of(record) or 0.0 for record in data) if terms.timed else 0.0)
+    structure = min((Structure(operator, falls=terms.falls) for operator in get_args(Operator)), key=terms.score)
+    score, trail = terms.score(structure), list[str]()
+    # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on held-out cycles.
+    rounding = rounding_error(data)
+    while score > rounding:
+        best = _next(structure, score, terms, options)
+        if terms.score(best) >= _GAIN * score:
+            break
+        trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
+        structure, score = best, terms.score(best)
+    tried, chosen = len(terms.scores), terms.plays
+    for other in _OTHER_PLAYS if plays is None and score > rounding else ():
+        resized = Terms(data, other, held)
+        if other > most or other == terms.plays or not resized.served(structure):
+            continue
+        tried += 1
+        if resized.score(structure) < _GAIN * score:
+            trail.append(
+                _step(f"{other} instead of {chosen} {structure.operator}s", score, resized.score(structure), terms.span)
+            )
+            chosen, score = other, resized.score(structure)
+    return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
+
+
+def _next(structure: Structure, score: float, terms: Terms, options: dict[str, tuple[Any, ...]]) -> Structure:
+    """The structure with one change whose error is least; one with a finer lag where that is clearly better, or nothing else helps."""
+    # With other terms another lag may be the right one: a finer lag must not keep them out.
+    near = dataclasses.replace(structure, lag=round(structure.lag / STEP_OF_LAGS) * STEP_OF_LAGS)
+    changes = [
+        changed
+        for old in dict.fromkeys((structure, near))
+        for field, values in options.items()
+        for value in values
+        if value != getattr(old, field) and terms.served(changed := dataclasses.replace(old, **{field: value}))
+    ]
+    best = min(changes, key=terms.score, default=structure)
+    finer = dataclasses.replace(structure, lag=terms.lag_between(structure)) if structure.lag else structure
+    clearly = terms.score(finer) < _CLEARLY * score
+    return finer if clearly or terms.score(best) >= _GAIN * score else best
+
+
+def max_plays(data: Dataset) -> int:
+    """Number of thresholds that the samples and the distinct levels of the input can determine."""
+    samples = sum(int(record.used.sum()) for record in data)
+    inputs = np.concatenate([record.u[record.used] for record in data])
+    levels = np.unique(np.round(_LEVELS * inputs / (float(np.ptp(inputs)) or 1.0))).size
+    return max(_FEWEST, min(samples // 8, levels // 2, max(_OTHER_PLAYS)))
+
+
+def _step(change: str, before: float, after: float, span: float) -> str:
+    before, after = 100 * before / span, 100 * after / span
+    digits = max(0, 1 - int(np.floor(np.log10(after)))) if after > 0 else 2
+    return (
+        f"{change} reduced the cross-validation error by {100 * (1 - after / before):.0f} %, from {before:.{digits}f} to "
+        f"{after:.{digits}f} % of the range"
+    )
