@@ -125,7 +125,11 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "deg": (math.pi / 180, "rad", True), "rpm": (math.pi / 30, "rad/s", False), "in": (0.0254, "m", False),
     "ft": (0.3048, "m", False), "Angstrom": (1e-10, "m", False), "gf": (9.80665e-3, "N", True),
     "lbf": (4.4482216152605, "N", False), "kip": (4448.2216152605, "N", False), "psi": (6894.757293168, "Pa", False),
-    "ksi": (6894757.293168, "Pa", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+    "ksi": (6894757.293168, "Pa", False), "kpsi": (6894757.293168, "Pa", False), "mmHg": (133.322387415, "Pa", False),
+    "inHg": (3386.38815789, "Pa", False), "atm": (101325.0, "Pa", False), "dyn": (1e-5, "N", False),
+    "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
+    "ppm": (1e-6, "1", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+    "Vs": (1.0, "V*s", True),
 }  # fmt: skip
 _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "hr": "h", "inch": "in", "°": "deg", "°C": "degC", "°F": "degF",
@@ -137,10 +141,13 @@ _SPELLINGS = {
     "grams": "g", "gramme": "g", "henry": "H", "farad": "F", "weber": "Wb", "degree": "deg", "degrees": "deg", "radian": "rad",
     "radians": "rad", "inches": "in", "foot": "ft", "feet": "ft", "minute": "min", "minutes": "min", "hour": "h", "hours": "h",
     "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
-    "micron": "um", "microns": "um", "percent": "%",
+    "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T", "dyne": "dyn", "dynes": "dyn",
+    "ounce": "oz", "ounces": "oz", "usec": "us", "nsec": "ns", "KN": "kN", "KPa": "kPa", "Kpa": "kPa", "Mpa": "MPa",
+    "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V",
 }  # fmt: skip
 # Words before the name of a unit: "millitesla", "kiloamperes".
 _WORDS = {"pico": "p", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "kilo": "k", "mega": "M", "giga": "G"}
+_CAPITALS = frozenset({"mm", "cm", "in", "ft"})  # written so by test frames
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
 _QUANTITIES = {
     "time": "s", "frequency": "Hz", "voltage": "V", "electric field": "V/m", "field": "A/m", "current": "A",
@@ -159,16 +166,19 @@ _BY_SYMBOL = {
     r"emu/.*": "magnetization",
     r"m?Ah(/.*)?": "state of charge",
     r"m?bar|psi|[tT]orr|hPa": "pressure",
-    r".*strain|([mun]?m)/m?m": "strain",
+    r".*strain|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
 _MARKS = str.maketrans("\u00b5\u03bc\u2126\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu\u03a9**231-")
+# Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
+_HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
 
 
 def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
     plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", text.strip().translate(_MARKS))
-    plain = re.sub(r"[ _]+per[ _]+", "/", plain)
+    plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
+    plain = _HYPHEN.sub("*", re.sub(r"[ _]+per[ _]+", "/", plain))
     plain = re.sub(r"([A-Za-z]{3,})[ _]squared?\b", r"\1^2", plain)
     return re.sub(r"(?<=[A-Za-z0-9])_(?=[A-Za-z])", "*", plain) if "/" in plain or "_" in plain else plain
 
@@ -214,15 +224,19 @@ def _symbol(symbol: str) -> Unit | None:
 
 
 def _spelled(symbol: str) -> str:
-    """The symbol of a unit that is written as a word, in any case, with its prefix."""
+    """The symbol of a unit that is written as a word or in capital letters, with its prefix."""
     if symbol in _SYMBOLS or symbol in _SPELLINGS:
         return _SPELLINGS.get(symbol, symbol)
     word = symbol.lower()
-    if len(word) > 2 and word in _SPELLINGS:
-        return _SPELLINGS[word]
-    for prefix, mark in _WORDS.items():
-        if word.startswith(prefix) and word[len(prefix) :] in _SPELLINGS:
-            return mark + _SPELLINGS[word[len(prefix) :]]
+    if symbol.isupper() and word in _CAPITALS:
+        return word
+    if len(word) > 2 and (word in _SPELLINGS or word in _SYMBOLS):
+        return _SPELLINGS.get(word, word)
+    prefixes = [*_WORDS.items(), *((prefix, prefix) for prefix in _PREFIXES)]
+    for prefix, mark in prefixes:  # kilogauss, kGauss
+        rest = word[len(prefix) :] if (symbol if len(prefix) == 1 else word).startswith(prefix) else ""
+        if len(rest) > 2 and (rest in _SPELLINGS or rest in _SYMBOLS):
+            return mark + _SPELLINGS.get(rest, rest)
     return symbol
 
 

@@ -15,6 +15,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
+from hystfit.reading.column_names import column_unit
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, select_curves, shown, split_curves, text_of
@@ -275,8 +276,8 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             u=data["input"],
             y=data["output"],
             t=data.get("time"),
-            u_unit=table.units[choice.input],
-            y_unit=table.units[choice.output],
+            u_unit=column_unit(table.names[choice.input], table.units[choice.input]),
+            y_unit=column_unit(table.names[choice.output], table.units[choice.output]),
             t_unit=time_unit or "s",
             u_name=table.names[choice.input],
             y_name=table.names[choice.output],

@@ -14,6 +14,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Severity
+from hystfit.params.units import quantity
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
@@ -39,7 +40,7 @@ def with_throughput(table: Table) -> Table | None:
     if not table.named or table.part is not None or NAME in table.names:
         return None
     names = [re.sub(r"[\s_./-]+", " ", split_unit(name)[0]).strip(" .").lower() for name in table.names]
-    in_volts = lambda k: _is_number(table, k) and table.units[k] in ("V", "mV", "")
+    in_volts = lambda k: _is_number(table, k) and (not table.units[k] or quantity(table.units[k]) == "voltage")
     voltage = next((k for k, name in enumerate(names) if _OF_VOLTAGE.match(name) and in_volts(k)), None)
     found = None if voltage is None else _passed(table, names)
     if voltage is None or found is None or not np.ptp(found[0][np.isfinite(found[0])]) > 0:

@@ -1,4 +1,4 @@
-"""The physical quantity of a column, by its name and unit; `column_names.toml` holds the words that names are made of."""
+"""The physical quantity of a column, by its name and unit, and its role; `column_names.toml` holds the words that names are made of."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from hystfit.params.units import quantity
 from hystfit.reading.header import split_unit
 
 _VOCABULARY = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-_WORDS: dict[str, str] = {word: kind for kind, words in _VOCABULARY["words"].items() for word in words.split()}
+_WORDS, _ROLES = (
+    {word: kind for kind, words in _VOCABULARY[table].items() for word in words.split()} for table in ("words", "roles")
+)
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
@@ -37,16 +39,28 @@ def column_quantity(name: str, unit: str = "") -> str:
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)
-    for strong in ("temperature", "error", "status", "frequency"):  # the unit C alone would be a charge
+    for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
         if strong in kinds:
             return strong
-    for strong in ("index", "time", "input", "output"):
+    for strong in ("index", "time"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
     named = kinds[-1] if kinds else ""
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
     return by_unit or named or ("velocity" if base == "v" else "")
+
+
+def column_unit(name: str, unit: str) -> str:
+    """The unit of a column; degrees of a temperature that are written without their sign are named so."""
+    return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
+
+
+def column_role(name: str) -> str:
+    """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
+    base = split_unit(name)[0].strip()
+    roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
+    return roles.pop() if len(roles) == 1 else ""
 
 
 def is_channel(name: str) -> bool:

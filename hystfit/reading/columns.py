@@ -15,7 +15,7 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.column_names import column_quantity
+from hystfit.reading.column_names import column_quantity, column_role
 from hystfit.reading.header import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
@@ -137,7 +137,7 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
         return None
     matrices = {re.sub(r"\[\d+\]$", "", table.names[k]) for k in free}
     named = table.named and not (len(matrices) == 1 and {kinds[k] for k in free} <= {"", "index"})
-    known = any(kind not in ("", "index") for kind in kinds.values())
+    known = any(kind not in ("", "index") or column_role(table.names[k]) for k, kind in kinds.items())
     for k in free[:2]:
         steps = np.diff(table.columns[k])
         if named and table.names[k] != f"column {k}":
@@ -258,7 +258,7 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
 
 def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> None:
     """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F."""
-    first, *others = [k for k in free if kinds[k] == ""] or [-1]
+    first, *others = [k for k in free if kinds[k] == "" and not column_role(table.names[k])] or [-1]
     for k in others if len(others) > 1 else ():
         with np.errstate(all="ignore"):  # of numbers near the largest
             rate, column = np.gradient(table.columns[first]), table.columns[k]
@@ -269,5 +269,6 @@ def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> No
 
 
 def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:
-    reason = f"by its name or unit ({kinds[position]})" if kinds[position] else "by its position"
+    meaning = kinds[position] or (column_role(table.names[position]) if table.named else "")
+    reason = f"by its name or unit ({meaning})" if meaning else "by its position"
     return Note(Code.COLUMN_CHOICE, f"{role}: column {position}, {table.names[position]!r}, chosen {reason}")

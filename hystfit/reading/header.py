@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import quantity
+from hystfit.params.units import parse_unit, quantity
 from hystfit.reading import cells
 
 _BASE = (
@@ -23,7 +23,13 @@ _JOINED = re.compile(
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 _BARE_TIMES = frozenset({"ms", "us", "µs", "μs", "ns"})  # names of columns that are no more than the unit of time
-_NOT_SUFFIX = frozenset({"min", "h", "counts"})  # x_min is a minimum, not minutes
+_ARBITRARY = frozenset(
+    {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
+)  # units that are no quantity
+_NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names of columns besides units
+_NOT_SUFFIX = frozenset(
+    {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
+)  # x_min is a minimum, not minutes
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
@@ -37,6 +43,7 @@ _SETTINGS = (
     re.compile(r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=,;\t]|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"),
 )
 _MOST_METADATA = 40
+_WORD = 4  # letters from which a unit is written as a word
 _LONGEST_NAME = 200  # characters
 _LONGEST_SETTING = 1000  # characters of a line
 
@@ -46,8 +53,10 @@ _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the firs
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit as laboratories write them."""
-    return bool(_UNIT.fullmatch(text))
+    """Whether a text is a unit as laboratories write them, and not more likely a name."""
+    if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
+        return True
+    return len(text) > 1 and text.lower() not in _NAMES_TOO and (parse_unit(text) is not None or quantity(text) != "")
 
 
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
@@ -55,8 +64,8 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     name = name.strip().translate(_WIDE)
     if len(name) > _LONGEST_NAME:
         return name, ""
-    if name in _BARE_TIMES:
-        return name, name
+    if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):
+        return name, name  # Volts
     if name.endswith(("]", ")", ">")) and (start := max(name.rfind(mark) for mark in "[(<")) > 0:
         base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
         closed = not re.search(r"[\])>]", unit)
@@ -73,16 +82,22 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     # H_kA/m is H in kA/m; of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
     if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
         return match[1], match[2]
-    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)([^\s/,]+(?:/[^\s/,]+)?)", name)) and is_unit(
-        match[2]
-    ):
+    # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A.
+    if (match := re.fullmatch(r"(.*[^\W\d_]{2,}\.?) (\S{2,})", name)) and is_unit(match[2]):
+        if match[2] not in _NOT_SUFFIX and not _is_role(match[1], match[2], siblings):
+            return match[1], match[2]
+    # Moment / A m2, Force, kN, Field in kA/m
+    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
-        base, unit = match[1], match[2]
-        if unit == "in" and (base.lower() in _NEVER_INCH or f"{base}_out" in siblings):
-            return name, ""  # v_in is an input voltage
-        return base, unit
+        return (name, "") if _is_role(match[1], match[2], siblings) else (match[1], match[2])
     return name, ""
+
+
+def _is_role(base: str, unit: str, siblings: Sequence[str]) -> bool:
+    """Whether the "in" after a name is no inch: v_in is an input voltage, beside v_out."""
+    beside = any(f"{base}{mark}out".lower() == other.lower() for mark in "_ " for other in siblings)
+    return unit.lower() == "in" and (base.lower().split()[-1] in _NEVER_INCH or beside)
 
 
 def setting_of(line: str) -> tuple[str, str] | None:
@@ -116,7 +131,7 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
             while len(parts) > width and not parts[-1]:
                 parts.pop()
             if len(parts) == width and any(parts):
-                units = parts[0] == "%" and all(is_unit(part) or part in ("", "-", "1") for part in parts)
+                units = parts[0] in ("%", "#") and all(is_unit(part) or part in ("", "-", "1") for part in parts[1:])
                 if units or not re.fullmatch(_COMMENT, parts[0]):
                     return parts
     return None
@@ -136,7 +151,7 @@ def _cut(text: str, mark: str | None) -> list[str]:
 def _named(parts: list[str]) -> list[str]:
     """Names without the comment mark before the first, and without the commas that follow each where blanks separate them."""
     parts = [cells.clean(part) for part in parts]
-    if parts and parts[0] not in ("%", "*"):
+    if parts and parts[0] not in ("%", "*", "#"):
         parts[0] = _LEADING.sub("", parts[0], count=1).strip()
     for mark in (",", ";"):
         if len(parts) > 1 and all(part.endswith(mark) for part in parts[:-1]):
@@ -149,6 +164,50 @@ def _is_header(parts: list[str], decimal: str) -> bool:
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
         return False
     return not any("=" in part or part.endswith(":") for part in parts)  # those are settings
+
+
+def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list[str], list[str] | None, int]:
+    """Names, units (None where no line has them), and the number of lines that hold them.
+
+    Args:
+        rows: cells of the lines above the numbers, the nearest one first; bare: the same without brackets around a cell.
+    """
+    place = next((k for k, row in enumerate(bare) if _are_units(row, rows[k])), None)
+    if place is None and len(rows) > 1:  # a line of units beside words, such as "segments", has names above it
+        place = next(
+            (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not any(map(is_unit, bare[k + 1]))), None
+        )
+    units = None if place is None else [cell if is_unit(cell) else "" for cell in bare[place]]
+    if place == 0:
+        return (rows[1], units, 2) if len(rows) > 1 else (rows[0], units, 1)
+    if len(set(filter(None, rows[0]))) == len(list(filter(None, rows[0]))):
+        return rows[0], units if place == 1 else None, 1 + (place == 1)
+    if place is not None and place + 1 < len(rows):  # a third line below has how each was averaged
+        return rows[place + 1], units, place + 2
+    if len(rows) > 1 and len(set(rows[1])) == len(rows[1]):  # Force, Force under A, B
+        return [f"{one} {two}".strip() for one, two in zip(rows[1], rows[0], strict=True)], None, 2
+    return rows[0], units if place == 1 else None, 1 + (place == 1)
+
+
+def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> list[str]:
+    """Units in a line of the header that is called so ("Y_Unit_Label", "Vertical Units"), for the columns after the first."""
+    for line in reversed(above):
+        title, *units = (cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter))
+        if re.search("unit", title, re.IGNORECASE) and 1 < len(units) < width and all(map(is_unit, units)):
+            return ["", *units, *[""] * (width - 1 - len(units))]
+    return [""] * width
+
+
+def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
+    """Whether every cell of a line, given without and with its brackets, is a unit or nothing."""
+    nothing = ("", "-", "1", "#")
+    return all(is_unit(cell) or cell in nothing or cell != part for cell, part in zip(bare, parts, strict=True))
+
+
+def _mostly_units(bare: Sequence[str]) -> bool:
+    """Whether at least two cells of a line and half of those that are filled are units; the others are words such as "segments"."""
+    count = sum(map(is_unit, bare))
+    return count > 1 and 2 * count >= len(list(filter(None, bare)))
 
 
 def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> list[str]:
@@ -190,23 +249,8 @@ def read_header(
         [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
         for _, parts in headers
     ]
-    unit_row = [
-        all(is_unit(cell) or cell in ("", "-", "1") or cell != part for cell, part in zip(row, parts, strict=True))
-        for row, (_, parts) in zip(bare, headers, strict=True)
-    ]
-    used = 1
-    names, units = headers[0][1], [""] * width
-    if unit_row[0]:
-        units = ["" if cell in ("-", "1") else cell for cell in bare[0]]
-        if len(headers) > 1:
-            names, used = headers[1][1], 2
-    named = list(filter(None, names))
-    if len(set(named)) < len(named) and len(headers) > used:  # Force, Force under A, B
-        upper = headers[used][1]
-        if len(set(upper)) == width:
-            names, used = [f"{one} {two}".strip() for one, two in zip(upper, names, strict=True)], used + 1
-    elif len(headers) > used and unit_row[used] and not unit_row[0]:  # units above the names
-        units, used = bare[used], used + 1
+    names, of_row, used = _names_and_units([parts for _, parts in headers], bare)
+    units = of_row or [""] * width
     of_names = [split_unit(name, names)[1] for name in names]
     units = [unit or of_name for unit, of_name in zip(units, of_names, strict=True)]
     return names, units, used

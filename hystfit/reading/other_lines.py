@@ -11,7 +11,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import read_header, split_unit
+from hystfit.reading.header import read_header, split_unit, stated_units
 from hystfit.reading.number_block import Block, is_comment
 
 _BETWEEN = 3  # lines between the names and the numbers
@@ -74,6 +74,8 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     elif not used and first and text.lines[first - 1].strip():
         names, used = _uneven(text, block)
         units = [split_unit(name, names)[1] for name in names]
+    if not any(units):
+        units = stated_units(text.lines[:first], dialect.width, dialect.delimiter)
     return Header(names, units, used, apart=place > 0)
 
 

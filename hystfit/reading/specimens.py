@@ -1,4 +1,4 @@
-"""Tables of several specimens or tests below each other: a column of text that is constant over long runs divides and names the records."""
+"""Tables of several specimens, tests or conditions below each other: a column that is constant over long runs tells records apart."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PAUSE = 10.0  # step of a clock to the next record over its median step, up to 
 
 
 def divided(table: Table) -> Table | None:
-    """Specimens or tests below each other, told apart by a column of text, are a record each; None for other tables."""
+    """Specimens, tests or frequencies below each other, told apart by a column, are a record each; None for other tables."""
     if table.part is not None:
         return None
     best: tuple[tuple[int, int], int, np.ndarray] | None = None
@@ -56,15 +56,20 @@ def divided(table: Table) -> Table | None:
 
 
 def _labels(table: Table, position: int) -> np.ndarray | None:
-    """The text in a column, or the numbers of specimens or tests in it as text, shape (rows,); None for other columns."""
+    """The text in a column, or the numbers of specimens or tests or a frequency in it as text, shape (rows,); None for other columns."""
     values, name = table.columns[position], table.names[position]
     if position in table.labels:
         return table.labels[position]
-    if _rank(name) >= len(_OBJECTS) or not np.isfinite(values).all() or (values % 1).any():
+    numbered = _rank(name) < len(_OBJECTS) and not (values % 1).any()
+    if not np.isfinite(values).all() or not (numbered or _is_frequency(table, position)):
         return None
     title = split_unit(name)[0]
     distinct, back = np.unique(values, return_inverse=True)
-    return np.array([f"{title}={value:.0f}" for value in distinct])[back]
+    return np.array([f"{title}={value:g}" for value in distinct])[back]
+
+
+def _is_frequency(table: Table, position: int) -> bool:
+    return column_quantity(table.names[position], table.units[position]) == "frequency"
 
 
 def _rank(name: str) -> int:
@@ -78,6 +83,8 @@ def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bo
     name, rank = table.names[position], _rank(table.names[position])
     if rank < len(_OBJECTS):
         return True
+    if _is_frequency(table, position):
+        return not _clock_goes_on(table, changes)
     values = dict.fromkeys(table.labels[position].tolist())
     if any(words_of(value) & BRANCHES for value in values) or _clock_goes_on(table, changes):
         return False

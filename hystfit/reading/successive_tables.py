@@ -30,6 +30,7 @@ _SAMPLE = 100  # lines that show how the numbers are written
 _ABOVE = 8  # lines above the numbers that may hold the header
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
+_COMMON = 0.5  # share of the names of two tables that both have, above which they are records of one kind
 _NAMED = 6  # tables named in a note
 
 
@@ -50,12 +51,9 @@ def read_tables(text: TextFile) -> Table | None:
     if not _are_tables(text, pieces):
         return None
     tables = {k: table for k, piece in enumerate(pieces) if (table := _table(text, piece)) is not None}
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for k, table in tables.items():
-        groups.setdefault(tuple(sorted(table.names)), []).append(k)
-    if not groups:
+    if not tables:
         return None
-    chosen = max(groups.values(), key=lambda group: sum(tables[k].rows for k in group))
+    chosen = _alike(tables)
     rest = [piece for k, piece in enumerate(pieces) if k not in chosen]
     parts = [_part(text, pieces[k], tables[k]) for k in chosen]
     parts = _with_summary(text, _with_names(parts), rest)
@@ -73,6 +71,22 @@ def read_tables(text: TextFile) -> Table | None:
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)
     return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
+
+
+def _alike(tables: dict[int, Table]) -> list[int]:
+    """Which tables have most of their names in common with those that hold most rows; they keep the names that all of them have."""
+    groups: dict[frozenset[str], list[int]] = {}
+    for k, table in tables.items():
+        groups.setdefault(frozenset(table.names), []).append(k)
+    main = max(groups, key=lambda names: sum(tables[k].rows for k in groups[names]))
+    chosen = [k for k, table in tables.items() if len(main & {*table.names}) > _COMMON * len(main | {*table.names})]
+    common = frozenset.intersection(*(frozenset(tables[k].names) for k in chosen))
+    if len(common) < 2 or any(len(common) < len({*tables[k].names}) < len(tables[k].names) for k in chosen):
+        return groups[main]
+    for k in chosen:
+        if len(common) < len(tables[k].names):
+            tables[k] = tables[k].select([j for j, name in enumerate(tables[k].names) if name in common])
+    return chosen
 
 
 def _line_kinds(text: TextFile) -> np.ndarray:

@@ -77,8 +77,15 @@ def _branch(name: str) -> tuple[str, str]:
     if place is None and len(tokens) > 1 and tokens[-1] in numbers:
         place = len(tokens) - 1
     if place is None:
-        return " ".join(tokens), ""
+        return _glued(tokens)
     return " ".join(tokens[:place] + tokens[place + 1 :]), tokens[place]
+
+
+def _glued(tokens: Sequence[str]) -> tuple[str, str]:
+    """The same for a word at the end of another one, as in "Hup" and "Fielddec"."""
+    name = " ".join(tokens)
+    word = max((word for word in RISING | FALLING if name.endswith(word) and name != word), key=len, default="")
+    return name.removesuffix(word).strip(), word
 
 
 def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
@@ -185,5 +192,5 @@ def _without(name: str, word: str) -> str:
     return (
         name
         if not word
-        else re.sub(rf"[ _.-]?(?<![a-z]){word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-") or name
+        else re.sub(rf"[ _.-]?{word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-") or name
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 
 from hystfit.data.dataset import Dataset
-from hystfit.params.units import quantity
 from hystfit.reading.column_names import column_quantity
 
 
@@ -23,17 +22,11 @@ class LoopKind(enum.StrEnum):
     def of(cls, data: Dataset) -> LoopKind:
         """The kind of the records, by the units and names of their columns; `OTHER` where these tell of no other kind."""
         first = data[0]
-        u, y = _quantity(first.u_name, first.u_unit), _quantity(first.y_name, first.y_unit)
+        u, y = column_quantity(first.u_name, first.u_unit), column_quantity(first.y_name, first.y_unit)
         for kind, inputs, outputs in _LOOP_KINDS:
             if u in inputs and y in outputs:
                 return kind
         return cls.OTHER
-
-
-def _quantity(name: str, unit: str) -> str:
-    """Quantity of a column; that of its unit where the name tells only its role ("u", "output")."""
-    found = column_quantity(name, unit)
-    return quantity(unit) or found if found in ("input", "output") else found
 
 
 _FORCES, _PATHS = {"force", "stress"}, {"displacement", "strain"}
