@@ -11,8 +11,9 @@ from hystfit.data import Record
 
 from .hard import reading
 from .hard.dialects import case_of
+from .hard.layouts import ASKED, HALF, KINDS, RIGHT, SILENT, USELESS, layout_of, score, survey
 
-FILES, MUTATIONS = range(300), range(210)
+FILES, MUTATIONS, LAYOUTS = range(300), range(210), range(600)
 
 
 def test_generated_files_are_read_right_or_not_in_silence() -> None:
@@ -52,3 +53,12 @@ def test_wrong_reads_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     for record in (Record(case.u, case.y), Record(case.u[1:], case.y[1:], case.t[1:])):  # type: ignore[index]
         monkeypatch.setattr(reading, "read", lambda *_, record=record, **__: record)
         assert reading.outcome_of_file(seed, tmp_path)[0] == "wrong"
+
+
+def test_files_as_instruments_write_them_are_read_right() -> None:
+    """At least 98 of 100 without any option, none wrong in silence; the others name the remedy or leave a unit open."""
+    found = survey(LAYOUTS)
+    assert sum(found.total.values()) == len(LAYOUTS)
+    assert all(counts.total() for counts in found.counts.values())
+    assert [failure for failure in found.failures if failure[2] == SILENT] == []
+    assert found.total[RIGHT] >= 0.98 * len(LAYOUTS), found.table()
