@@ -11,7 +11,7 @@ from hystfit.data import Record
 
 from .hard import reading
 from .hard.dialects import case_of
-from .hard.layouts import ASKED, HALF, KINDS, RIGHT, SILENT, USELESS, layout_of, score, survey
+from .hard.layouts import RIGHT, SILENT, survey
 
 FILES, MUTATIONS, LAYOUTS = range(300), range(210), range(600)
 

@@ -3,9 +3,10 @@
     python -m tests.hard.reading --files 0:100000 --mutations 0:100000 [--out results.json]
     python -m tests.hard.reading --layouts 0:20000 [--keep DIR]
 
-Layouts are files as instruments write them, read without options (see `tests.hard.layouts`). Of the other parts, every seed makes one file. Its outcome is `right` (the numbers that were written), `refused` (HystfitError), `noted` (other numbers,
+Every seed makes one file. Its outcome is `right` (the numbers that were written), `refused` (HystfitError), `noted` (other numbers,
 and a note on missing or left-out values, or a warning), `wrong` (other numbers, in silence), `crashed` (any other exception) or
 `slow`. Mutated files have no known numbers: there, `read` stands for a valid record. With --out, seeds that were done are skipped.
+Layouts are files as instruments write them, read without options; `tests.hard.layouts.scorer` has their outcomes.
 """
 
 from __future__ import annotations

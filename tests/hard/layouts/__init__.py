@@ -1,6 +1,17 @@
 """Files as instruments and people write them, with what is right for each: `layout_of(seed)`."""
 
-from . import ferroelectrics, frames, magnetometers, nameless, piezo  # noqa: F401 - they register their kinds
+from . import (  # noqa: F401 - they register their kinds
+    branches,
+    documents,
+    electrics,
+    ferroelectrics,
+    frames,
+    magnetometers,
+    nameless,
+    piezo,
+    slow,
+    structures,
+)
 from .registry import KINDS, layout_of
 from .scorer import ASKED, HALF, RIGHT, SILENT, USELESS, score
 from .survey import survey

@@ -70,7 +70,7 @@ def _scored(layout: Layout, path: Path | list[Path]) -> tuple[str, str]:
     if outcome in (RIGHT, HALF):
         return outcome, wrong
     if _told(layout, data, notes):
-        return (RIGHT if layout.either_order else ASKED), f"{wrong}; {told}"
+        return (RIGHT if layout.either_order or layout.may_ask else ASKED), f"{wrong}; {told}"
     remedies = [options for note in notes for options in _remedies(note.text)]
     remedies += [dict([note.option]) for note in notes if note.option]
     if any(_reads_right(layout, path, options) for options in remedies):
@@ -90,8 +90,11 @@ def _of_refusal(layout: Layout, path: Any, message: str) -> tuple[str, str]:
         names = all(f"--{key}" in message or f"{key}=" in message for key in layout.answer)
         useful = names and _reads_right(layout, path, layout.answer)
         return (RIGHT if useful else USELESS), message
-    helps = any(_reads_right(layout, path, options) for options in _remedies(message))
-    return (ASKED if helps else USELESS), message
+    remedies = _remedies(message)
+    if layout.may_ask and layout.answer and all(f"--{key}" in message or f"{key}=" in message for key in layout.answer):
+        remedies.append(dict(layout.answer))
+    helps = any(_reads_right(layout, path, options) for options in remedies)
+    return (USELESS if not helps else RIGHT if layout.may_ask else ASKED), message
 
 
 def _remedies(message: str) -> list[dict[str, str]]:
@@ -115,14 +118,25 @@ def _reads_right(layout: Layout, path: Any, options: Mapping[str, Any]) -> bool:
 
 
 def _told(layout: Layout, data: Dataset, notes: Sequence[Note]) -> bool:
-    """Whether a warning is on the very matter that is wrong: columns exchanged, or units assumed."""
+    """Whether a warning is on the very matter that is wrong: columns exchanged, curves not divided, or units assumed."""
     codes = {note.code for note in notes}
-    exchanged = [tuple(Loop(l.y, l.u, l.y_unit, l.u_unit, l.t) for l in truth) for truth in layout.truths]
+    exchanged = [tuple(Loop(one.y, one.u, one.y_unit, one.u_unit, one.t) for one in truth) for truth in layout.truths]
     if Code.COLUMN_CHOICE in codes and _best(exchanged, data)[0] in (RIGHT, HALF):
         return True
-    bare = [tuple(Loop(l.u, l.y) for l in truth) for truth in layout.truths]
+    whole = [(_concatenated(truth),) for truth in layout.truths]
+    if Code.CURVES in codes and _best(whole, data)[0] in (RIGHT, HALF):
+        return True
+    bare = [tuple(Loop(one.u, one.y, slack=one.slack) for one in truth) for truth in layout.truths]
     without = [record.replace(u_unit="", y_unit="") for record in data]
     return Code.UNITS in codes and _best(bare, without)[0] in (RIGHT, HALF)
+
+
+def _concatenated(truth: Records) -> Loop:
+    """The records after each other as one."""
+    first = truth[0]
+    return Loop(
+        np.concatenate([one.u for one in truth]), np.concatenate([one.y for one in truth]), first.u_unit, first.y_unit
+    )
 
 
 def _of_data(layout: Layout, data: Iterable[Record]) -> tuple[str, str]:
@@ -154,7 +168,7 @@ def _of_record(truth: Loop, record: Record) -> tuple[str, str]:
         factor = _factor(read_unit, unit)
         if factor is None:
             return SILENT, f"{name} is in {read_unit!r} instead of {unit!r}"
-        if not _same(values * factor, true):
+        if not _same(values * factor, true, truth.slack if role == "u" else 0.0):
             return SILENT, f"{name} differs: {values[:3] * factor} for {true[:3]}"
         if unit and not _known(read_unit, unit):
             halves.append(f"{name} in {read_unit!r} instead of {unit!r}")
@@ -167,7 +181,8 @@ def _of_record(truth: Loop, record: Record) -> tuple[str, str]:
 
 def _known(unit: str, true: str) -> bool:
     """Whether the unit read is one that hystfit converts to the true one."""
-    return bool(unit) and conversion(unit, true) is not None
+    plain = [text.replace(".", "").replace("·", "").replace("µ", "u").replace(" ", "") for text in (unit, true)]
+    return plain[0] == plain[1] or (bool(unit) and conversion(unit, true) is not None)
 
 
 def _factor(unit: str, true: str) -> float | None:
@@ -178,7 +193,9 @@ def _factor(unit: str, true: str) -> float | None:
         return None
 
 
-def _same(values: np.ndarray, true: np.ndarray) -> bool:
+def _same(values: np.ndarray, true: np.ndarray, slack: float) -> bool:
+    if slack:
+        return bool(np.abs(values - values[0] - (true - true[0])).max() <= slack * np.ptp(true))
     size = float(np.nanmax(np.abs(true)))
     return bool(np.allclose(values, true, rtol=_EXACT, atol=_EXACT * size, equal_nan=True))
 

@@ -135,16 +135,16 @@ class Dialect:
 
 
 def spelled(draw: Draw, columns: Sequence[Column], dialect: Dialect) -> list[Column]:
-    """The columns with their units in one of the spellings that this dialect can hold."""
-    done = []
-    for column in columns:
-        choices = SPELLINGS.get(column.unit, (column.unit,))
+    """The columns with their units in one of the spellings that this dialect can hold, the same in all columns."""
+    chosen: dict[str, str] = {}
+    for unit in dict.fromkeys(column.unit for column in columns):
+        choices = SPELLINGS.get(unit, (unit,))
         if dialect.style in ("underscore", "slash", "comma", "in"):
-            choices = tuple(c for c in choices if c.isascii() and c.isalnum()) or (column.unit,)
+            choices = tuple(c for c in choices if c.isascii() and c.isalnum()) or (unit,)
         if dialect.delimiter.strip() == "":
             choices = tuple(c for c in choices if " " not in c)
-        done.append(column if column.spelled is not None else dataclasses.replace(column, spelled=draw.pick(*choices)))
-    return done
+        chosen[unit] = draw.pick(*choices)
+    return [c if c.spelled is not None else dataclasses.replace(c, spelled=chosen[c.unit]) for c in columns]
 
 
 def titles(columns: Sequence[Column], dialect: Dialect) -> list[str]:
@@ -155,7 +155,9 @@ def titles(columns: Sequence[Column], dialect: Dialect) -> list[str]:
     end = dialect.delimiter if dialect.trailing else ""
     if dialect.style in STYLES:
         form = STYLES[dialect.style]
-        return [dialect.lead + row(form.format(name=n, unit=u) if u else n for n, u in zip(names, units)) + end]
+        return [
+            dialect.lead + row(form.format(name=n, unit=u) if u else n for n, u in zip(names, units, strict=True)) + end
+        ]
     if dialect.style == "none":
         return [dialect.lead + row(names) + end]
     around = {"row in parentheses": "({})", "row in brackets": "[{}]"}.get(dialect.style, "{}")
