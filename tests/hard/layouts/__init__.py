@@ -8,6 +8,7 @@ from . import (  # noqa: F401 - they register their kinds
     frames,
     magnetometers,
     nameless,
+    offices,
     piezo,
     slow,
     structures,

@@ -62,7 +62,8 @@ def _side_by_side(draw: Draw, words: tuple[str, str], form: str, equal: bool) ->
     quantity = draw.pick(*_QUANTITIES)
     rising = draw.whole(60, 250)
     up, down = _branches(draw, rising, rising if equal else draw.whole(60, 250), quantity)
-    base = [_LONG[q] if draw.chance(0.0) or len(form) > 10 else q for q in (quantity[0], quantity[2])]
+    glued = form == "{base}{word}" and words[0].islower()
+    base = [quantity[0], quantity[2]] if glued or draw.chance(0.5) else [_LONG[quantity[0]], _LONG[quantity[2]]]
     named = lambda branch, word: [c.renamed(form.format(base=b, word=word)) for c, b in zip(branch, base, strict=True)]
     shown = _reversed(down) if equal and draw.chance(0.2) else down
     one, other = named(up, words[0]), named(shown, words[1])
@@ -86,7 +87,7 @@ def side_by_side(draw: Draw) -> Layout:
 
 @kind("branches with glued names")
 def glued(draw: Draw) -> Layout:
-    words = draw.pick(("up", "down"), ("Up", "Down"), ("UP", "DOWN"), ("asc", "desc"), ("inc", "dec"))
+    words = draw.pick(("up", "down"), ("Up", "Down"), ("asc", "desc"), ("inc", "dec"), ("Asc", "Desc"))
     return _side_by_side(draw, words, "{base}{word}", draw.chance(0.5))
 
 
@@ -140,7 +141,9 @@ def second_quadrant(draw: Draw) -> Layout:
         columns,
         Dialect(draw.pick(",", "\t", ";", "\t"), style=draw.pick("parentheses", "brackets", "row", "slash")),
     )
-    return Layout("", {draw.pick("N42.tab", "B(H).AlNiCo.tab", "demag.csv"): packed(draw, lines)}, truths)
+    return Layout(
+        "", {draw.pick("N42.tab", "B(H).AlNiCo.tab", "demag.csv"): packed(draw, lines)}, truths, may_ask=len(truths) > 1
+    )
 
 
 @kind("B-H data sheet")

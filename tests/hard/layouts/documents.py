@@ -1,4 +1,4 @@
-"""Tables that people write themselves: JSON, spreadsheets with decimal commas, tables with a % header, several specimens below each other."""
+"""Tables that people write themselves: JSON, spreadsheets with decimal commas, a % header, several specimens below each other."""
 
 from __future__ import annotations
 
@@ -80,7 +80,6 @@ def percent_header(draw: Draw) -> Layout:
     columns = [t, u, y] if draw.chance(0.7) else [u, y]
     gap = draw.pick("  ", "\t", " ")
     style = draw.pick("tight", "row", "underscore", "none")
-    unit = "" if style == "none" else None
     lines = draw.pick([], ["% exported from Matlab", "% 02-Mar-2020 14:05:11"]) + table(
         draw, columns, Dialect(gap, style=style, lead="% ")
     )

@@ -19,7 +19,7 @@ def aix_number(value: float) -> str:
 
 @kind("aixACCT tables")
 def aixacct(draw: Draw) -> Layout:
-    count, strain = draw.whole(1, 4), draw.chance(0.4)
+    count, strain, second = draw.whole(1, 4), draw.chance(0.4), draw.chance(0.5)
     lines, truth, summary = [], [], []
     for k in range(count):
         n, volts = draw.whole(100, 300), draw.size(1, 3000)
@@ -28,7 +28,7 @@ def aixacct(draw: Draw) -> Layout:
         t = Column("Time", np.linspace(0, draw.pick(1e-3, 1e-2, 1.0), n), "s", aix_number)
         v, p = Column("V+", u, "V", aix_number), Column("P1", y, "uC/cm2", aix_number)
         columns = [t, v, Column("V-", 0 * u, "V", aix_number), Column("I1", np.gradient(y), "A", aix_number), p]
-        columns += [Column("P2", y + 0.01 * np.ptp(y), "uC/cm2", aix_number)] if draw.chance(0.5) else []
+        columns += [Column("P2", y + 0.01 * np.ptp(y), "uC/cm2", aix_number)] if second else []
         columns += [Column("D1", 100 * np.abs(lagging(draw, u / volts)), "nm", aix_number)] if strain else []
         stated = [Column(c.name, c.values, c.unit, c.form, c.unit) for c in columns]
         lines += [

@@ -34,7 +34,7 @@ def mts(draw: Draw) -> Layout:
     columns = [clock, d, p]
     columns += [count] if draw.chance(0.5) else []
     columns = draw.pick(columns, [columns[0], columns[2], columns[1], *columns[3:]])
-    columns += [command] if draw.chance(0.0) else []
+    columns += [command] if draw.chance(0.2) else []
     dialect = Dialect("\t", style="row", trailing=draw.chance(0.3))
     lines = [
         "MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A",
@@ -99,7 +99,8 @@ def instron(draw: Draw) -> Layout:
     )
     above = ['"Test type","Cyclic"', '"Specimen label","S3"', '"Width","12.5","mm"', ""][: draw.pick(0, 4)]
     lines = [line.replace(",", dialect.delimiter) for line in above] + table(draw, columns, dialect)
-    return Layout("", {draw.pick("Specimen_RawData_1.csv", "is_cyclic.csv"): packed(draw, lines)}, truths)
+    files = {draw.pick("Specimen_RawData_1.csv", "is_cyclic.csv"): packed(draw, lines)}
+    return Layout("", files, truths, may_ask=len(truths) > 1)
 
 
 @kind("DMA of TA and Bose")
@@ -133,7 +134,7 @@ def laos(draw: Draw) -> Layout:
     stress = draw.noise(rubbing(draw, x, 0.7), 2e-3)
     size = draw.size(1, 500)
     rate = np.gradient(x, 2 * np.pi * cycles / n) * size / 100
-    t = Column("Time", np.arange(n) * 0.01, "s", ".4f", "[s]" if False else "s")
+    t = Column("Time", np.arange(n) * 0.01, "s", ".4f", "s")
     g = Column(draw.pick("Shear Strain", "Strain", "Raw strain"), size * x, "%", ".5g", "%")
     s = Column(draw.pick("Shear Stress", "Stress"), draw.size(1, 900) * stress, "Pa", ".5g", "Pa")
     r = Column("Shear Rate", rate, "1/s", ".5g", "1/s")

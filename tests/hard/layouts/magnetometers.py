@@ -334,3 +334,39 @@ def moke(draw: Draw) -> Layout:
     above = ["MOKE longitudinal", "Sample: Py 20 nm", "Averages: 16"] if draw.chance(0.5) else []
     lines = above + table(draw, columns, Dialect(draw.pick("\t", ",", ";"), style=style))
     return Layout("", {draw.pick("py20.txt", "loop_03.dat", "kerr.csv"): packed(draw, lines)}, loops(loop(h, y)))
+
+
+@kind("MicroMag irregular reversal curves")
+def micromag_segments(draw: Draw) -> Layout:
+    """Segments: hold at saturation, ramp without data, hold at the reversal field, and the measured sweep."""
+    large, small = draw.size(0.1, 1), 1e-6 * draw.size(0.01, 10)
+    parts, lines, truth, with_hold, last = [], [], [], [], 0
+    held = None
+    for field, moment in reversal_curves(draw, irregular=True, box=True):
+        moment = draw.noise(moment, 2e-3)
+        first = [
+            Column("Field", np.array([large]), "T", engineering),
+            Column("Moment", np.array([small]), "A*m^2", engineering),
+        ]
+        curve = [
+            Column("Field", field * large, "T", engineering),
+            Column("Moment", moment * small, "A*m^2", engineering),
+        ]
+        lines += rows(first, Dialect()) + rows(curve, Dialect())
+        back = curve[0].written[0]
+        top = curve[0].written[-1]
+        parts += [
+            (large, large, last + 1),
+            (large, back, last + 1),
+            (back, back, last + 2),
+            (back, top, last + 1 + field.size),
+        ]
+        parts += [(top, large, last + 1 + field.size)]
+        last += 1 + field.size
+        truth.append(loop(*curve))
+        held = first
+        with_hold.append(Loop(*(np.r_[a.written, b.written] for a, b in zip(held, curve, strict=True)), "T", "A*m^2"))
+    script = {"Number of segments": str(len(parts)), "Number of data": str(last)}
+    head = _sections(draw, "Hybrid SI", "Direct moment vs. field; Multiple segments", script)
+    head += _segments(parts) + _heading(("T", "A*m^2"), False, True)
+    return _micromag(draw, head + lines, draw.pick(".irforc", ".seg"), tuple(truth), tuple(with_hold))

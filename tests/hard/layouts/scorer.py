@@ -63,7 +63,9 @@ def _scored(layout: Layout, path: Path | list[Path]) -> tuple[str, str]:
         return _of_refusal(layout, path, str(error))
     outcome, wrong = _of_data(layout, data)
     notes = [note for record in data for note in record.notes if note.severity is not Severity.INFO]
-    told = "; ".join(dict.fromkeys(note.text for note in notes))
+    told = "; ".join(
+        dict.fromkeys([f"read {data[0].y_name!r} over {data[0].u_name!r}", *(note.text for note in notes)])
+    )
     if layout.ask:
         told_choice = any(note.code is Code.COLUMN_CHOICE for note in notes)
         return (RIGHT if told_choice else SILENT), f"read without the question: {wrong}; {told}"
@@ -182,11 +184,18 @@ def _of_record(truth: Loop, record: Record) -> tuple[str, str]:
 def _known(unit: str, true: str) -> bool:
     """Whether the unit read is one that hystfit converts to the true one."""
     plain = [text.replace(".", "").replace("·", "").replace("µ", "u").replace(" ", "") for text in (unit, true)]
-    return plain[0] == plain[1] or (bool(unit) and conversion(unit, true) is not None)
+    if plain[0] == plain[1]:
+        return True
+    return bool(unit) and (unit, true) != ("C", "degC") and conversion(unit, true) is not None
 
 
 def _factor(unit: str, true: str) -> float | None:
-    """Factor from the unit read to the true one, 1 where one of them is not known; None where they are at odds."""
+    """Factor from the unit read to the true one, 1 where one of them is not known; None where they are at odds.
+
+    "C" of a temperature is as in the file, and not known.
+    """
+    if (unit, true) == ("C", "degC"):
+        return 1.0
     try:
         return (conversion(unit, true) or 1.0) if unit and true else 1.0
     except HystfitError:
