@@ -63,8 +63,8 @@ experiments: setup  ## run every experiment, two at a time, and check its number
 mutations: setup  ## put faults into library and surrogates, and check that each makes an experiment fail (experiments/MUTATIONS.md)
 	$(BIN)/python experiments/mutations.py
 
-hard: setup  ## generated and damaged data files, 100 000 of each, damaged fits, killed saves, full disks, interrupts, NIST, random devices
-	$(BIN)/python -m tests.hard.reading --files 0:100000 --mutations 0:100000
+hard: setup  ## generated and damaged data files, 100 000 of each, 20 000 layouts of instruments, damaged fits, killed saves, full disks, interrupts, NIST, random devices
+	$(BIN)/python -m tests.hard.reading --files 0:100000 --mutations 0:100000 --layouts 0:20000
 	$(BIN)/python -m tests.hard.fits
 	$(BIN)/python -m tests.hard.faults
 	$(BIN)/python -m tests.hard.strd

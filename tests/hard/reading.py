@@ -1,10 +1,12 @@
 """Hard use of the file reader: a read is right, refused, or says what it left out.
 
     python -m tests.hard.reading --files 0:100000 --mutations 0:100000 [--out results.json]
+    python -m tests.hard.reading --layouts 0:20000 [--keep DIR]
 
 Every seed makes one file. Its outcome is `right` (the numbers that were written), `refused` (HystfitError), `noted` (other numbers,
 and a note on missing or left-out values, or a warning), `wrong` (other numbers, in silence), `crashed` (any other exception) or
 `slow`. Mutated files have no known numbers: there, `read` stands for a valid record. With --out, seeds that were done are skipped.
+Layouts are files as instruments write them, read without options; `tests.hard.layouts.scorer` has their outcomes.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from hystfit.outcome import Code, Severity
 from hystfit.reading import read
 
 from .dialects import Case, case_of
+from .layouts import SILENT, survey
 from .mutations import mutation_of
 
 SLOWEST = 5.0  # s
@@ -144,21 +147,36 @@ def seeds_of(text: str) -> range:
 def main() -> int:
     """Run the seeds of the command line; 1 where a file was read wrong in silence, crashed the reader or took too long."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=seeds_of, default=range(100_000))
-    parser.add_argument("--mutations", type=seeds_of, default=range(100_000))
+    parser.add_argument("--files", type=seeds_of)
+    parser.add_argument("--mutations", type=seeds_of)
+    parser.add_argument("--layouts", type=seeds_of)
+    parser.add_argument("--keep", type=Path, help="folder for the layouts that are not read right")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--show", type=int, default=10, help="number of bad files that are shown")
     options = parser.parse_args()
     faulthandler.enable()
     status = 0
     for part in RUNS:
-        counts, bad = run(part, getattr(options, part), options.out)
+        if (seeds := getattr(options, part)) is None:
+            continue
+        counts, bad = run(part, seeds, options.out)
         for line in bad[: options.show]:
             print(line)
         total = sum(counts.values())
         print(f"{part}: {total} in all, " + ", ".join(f"{counts[key]} {key}" for key in sorted(counts)))
         status |= bool(bad)
+    if options.layouts is not None:
+        status |= _layouts(options.layouts, options.keep, options.show)
     return status
+
+
+def _layouts(seeds: range, keep: Path | None, show: int) -> bool:
+    """Print the outcomes of the layouts of some seeds; whether one was wrong in silence."""
+    found = survey(seeds, keep)
+    for kind, seed, outcome, details in found.failures[:show]:
+        print(f"layout {seed}, {kind}: {outcome}: {details}")
+    print(found.table())
+    return found.total[SILENT] > 0
 
 
 if __name__ == "__main__":

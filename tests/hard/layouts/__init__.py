@@ -1,0 +1,21 @@
+"""Files as instruments and people write them, with what is right for each: `layout_of(seed)`."""
+
+from . import (  # noqa: F401 - they register their kinds
+    branches,
+    documents,
+    electrics,
+    ferroelectrics,
+    frames,
+    magnetometers,
+    nameless,
+    offices,
+    piezo,
+    slow,
+    structures,
+)
+from .registry import KINDS, layout_of
+from .scorer import ASKED, HALF, RIGHT, SILENT, USELESS, score
+from .survey import survey
+from .truth import Layout
+
+__all__ = ["ASKED", "HALF", "KINDS", "RIGHT", "SILENT", "USELESS", "Layout", "layout_of", "score", "survey"]

@@ -1,0 +1,180 @@
+"""Oscilloscopes and battery cyclers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .drawing import Draw
+from .physics import lagging, saturating, sine, triangle
+from .registry import kind
+from .truth import Layout, Loop, loops
+from .writing import Column, Dialect, loop, packed, table
+
+
+def _traces(draw: Draw, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Voltages of a clean sine that drives a device and of the bent wave of its sensor."""
+    u = sine(n, draw.whole(2, 5), draw.rng.uniform(0, 1))
+    return draw.size(0.5, 20) * draw.noise(u, 1e-3), draw.size(0.05, 5) * draw.noise(
+        saturating(draw, u, coercive=0.3), 4e-3
+    )
+
+
+def _scope(draw: Draw, head: list[str], names: tuple[str, str, str], lead: list[str], unit: str, name: str) -> Layout:
+    """A file of time and two channels, of which the first or the second is the drive."""
+    n = draw.whole(300, 1200)
+    u, y = _traces(draw, n)
+    step = draw.pick(1e-6, 4e-6, 2e-5, 1e-4)
+    first = draw.chance(0.7)
+    a, b = (u, y) if first else (y, u)
+    t = Column(names[0], (np.arange(n) - n // 2) * step, "", ".6e")
+    one, two = Column(names[1], a, unit, ".5g", ""), Column(names[2], b, unit, ".5g", "")
+    lines = head + table(draw, [t, one, two], Dialect(",", style="none", trailing=draw.chance(0.2)))
+    lines[len(head) + 1 : len(head) + 1] = lead
+    drive, sensor = (one, two) if first else (two, one)
+    answer = {"input": drive.name, "output": sensor.name}
+    return Layout("", {name: packed(draw, lines, ("utf-8",))}, loops(loop(drive, sensor)), may_ask=True, answer=answer)
+
+
+@kind("Tektronix CSV")
+def tektronix(draw: Draw) -> Layout:
+    head = [
+        "Model,MSO24",
+        "Firmware Version,1.28.7",
+        "",
+        "Waveform Type,ANALOG,",
+        "Point Format,Y,",
+        "Horizontal Units,s,",
+    ]
+    head += [
+        "Horizontal Scale,0.002,",
+        "Sample Interval,4e-06,",
+        "Record Length,1000,",
+        "Probe Attenuation,10,1",
+        "Vertical Units,V,V",
+        "Vertical Offset,0,0",
+        "",
+        "",
+    ]
+    return _scope(draw, head, ("TIME", "CH1", "CH2"), [], "V", draw.pick("tek0001ALL.csv", "T0012.CSV"))
+
+
+@kind("Rigol CSV")
+def rigol(draw: Draw) -> Layout:
+    style = draw.pick(("Time(s)", "CH1(V)", "CH2(V)"), ("Time(s)", "CH1V", "CH2V"), ("X", "CH1", "CH2"))
+    lead = ["Second,Volt,Volt"] if style[0] == "X" else []
+    return _scope(draw, [], style, lead, "V" if style[1] != "CH1V" else "", draw.pick("NewFile1.csv", "RigolDS0.csv"))
+
+
+@kind("LeCroy ASCII")
+def lecroy(draw: Draw) -> Layout:
+    head = [
+        "LECROYWS434,10001,Waveform",
+        "Segments,1,SegmentSize,1002",
+        "Segment,TrigTime,TimeSinceSegment1",
+        "#1,19-Oct-2020 15:21:54,0",
+    ]
+    return _scope(draw, head, ("Time", "C1", "C2"), [], "", draw.pick("C1C2Trace00000.txt", "Trace00003.csv"))
+
+
+def _cell(draw: Draw, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Charge [Ah] of cycles between empty and full, open-circuit voltage with a gap, and current [A]; shape (n,) each."""
+    cycles = draw.whole(1, 2)
+    state = triangle(n, cycles, 0.75)
+    charge = draw.size(0.5, 5) * (1 + state) / 2
+    lag = lagging(draw, state, 0.2)
+    volts = 3.3 + 0.25 * np.tanh(2 * lag) + 0.08 * np.sign(np.gradient(state)) + 0.1 * lag
+    return charge, draw.noise(volts, 2e-4), np.sign(np.gradient(state)) * charge.max() / 20
+
+
+def _throughput(charge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Charge that passed in and out, growing, from a state."""
+    steps = np.diff(charge, prepend=charge[0])
+    return np.cumsum(np.maximum(steps, 0)), np.cumsum(np.maximum(-steps, 0))
+
+
+@kind("Arbin cycler")
+def arbin(draw: Draw) -> Layout:
+    n = 2 * draw.whole(80, 300)
+    charge, volts, amps = _cell(draw, n)
+    into, out = (
+        Column(f"{way}_Capacity", q, "Ah", ".9g", "Ah")
+        for way, q in zip(("Charge", "Discharge"), _throughput(charge), strict=True)
+    )
+    v = Column("Voltage", volts, "V", ".9g", "V")
+    clock = Column("Test_Time", 60.0 * np.arange(n), "s", ".7g", "s")
+    columns = [
+        Column("Data_Point", 1.0 + np.arange(n), "", ".0f"),
+        clock,
+        Column("Step_Index", 1.0 + (amps < 0), "", ".0f"),
+    ]
+    columns += [Column("Cycle_Index", np.ones(n), "", ".0f"), Column("Current", amps, "A", ".6g", "A"), v, into, out]
+    columns += [
+        Column("Internal_Resistance", np.zeros(n), "Ohm", ".0f", "Ohm"),
+        Column("Is_FC_Data", np.zeros(n), "", ".0f"),
+    ][: draw.whole(0, 2)]
+    lines = table(draw, columns, Dialect(draw.pick(",", "\t"), style="tight"))
+    truth = Loop(into.written - out.written, v.written, "Ah", "V", slack=1e-6)
+    return Layout("", {draw.pick("A123_cell.csv", "Channel_1-008.csv"): packed(draw, lines)}, loops(truth))
+
+
+@kind("Maccor cycler")
+def maccor(draw: Draw) -> Layout:
+    n = 2 * draw.whole(80, 300)
+    charge, volts, amps = _cell(draw, n)
+    way = np.where(amps > 0, 1, -1)
+    number = np.cumsum(np.abs(np.diff(way, prepend=way[0])) > 0)
+    passed = np.abs(np.diff(charge, prepend=charge[0]))
+    capacity = np.concatenate([np.cumsum(passed[number == k]) for k in range(number[-1] + 1)])
+    q, v = Column("Amp-hr", capacity, "", ".9f"), Column("Volts", volts, "V", ".6f", "")
+    columns = [
+        Column("Rec#", 1.0 + np.arange(n), "", ".0f"),
+        Column("Cyc#", np.ones(n), "", ".0f"),
+        Column("Step", 1.0 + number, "", ".0f"),
+    ]
+    columns += [
+        Column("Test (Sec)", 60.0 * np.arange(n), "", ".2f"),
+        Column("Step (Sec)", 60.0 * np.arange(n), "", ".2f"),
+        q,
+    ]
+    columns += [
+        Column("Watt-hr", capacity * 3.3, "", ".9f"),
+        Column("Amps", np.abs(amps), "", ".6f"),
+        v,
+        Column("State", np.where(way > 0, "C", "D")),
+    ]
+    above = ["Today's Date\t03/02/2020\tDate of Test:\t02/25/2020\tFilename:\tcell7.074"] if draw.chance(0.7) else []
+    lines = above + table(draw, columns, Dialect("\t", style="none"))
+    truth = Loop(np.cumsum(way * passed), v.written, "Ah", "V", slack=5e-3)
+    return Layout(
+        "", {draw.pick("cell7.074.txt", "cell7.txt", "cell7.074"): packed(draw, lines, ("cp1252",))}, loops(truth)
+    )
+
+
+@kind("BioLogic .mpt")
+def biologic(draw: Draw) -> Layout:
+    n = 2 * draw.whole(80, 300)
+    charge, volts, amps = _cell(draw, n)
+    comma = draw.chance(0.3)
+    form = lambda v: f"{v:.15E}"
+    q, v = Column("(Q-Qo)/mA.h", 1e3 * (charge - charge[0]), "mAh", form, ""), Column("Ecell/V", volts, "V", form, "")
+    t = Column("time/s", 60.0 * np.arange(n), "", form)
+    columns = [
+        Column("mode", np.ones(n), "", ".0f"),
+        Column("ox/red", 1.0 * (amps > 0), "", ".0f"),
+        Column("error", np.zeros(n), "", ".0f"),
+        t,
+    ]
+    columns += (
+        [v, Column("<I>/mA", 1e3 * amps, "", form), q]
+        if draw.chance(0.5)
+        else [q, Column("control/V/mA", amps, "", form), v]
+    )
+    head = [
+        "EC-Lab ASCII FILE",
+        "Nb header lines : 6                         ",
+        "",
+        "Galvanostatic Cycling with Potential Limitation",
+        "",
+    ]
+    lines = head + table(draw, columns, Dialect("\t", "," if comma else ".", "none", trailing=True))
+    return Layout("", {draw.pick("GCPL_C20.mpt", "cell.mpt.txt"): packed(draw, lines, ("cp1252",))}, loops(loop(q, v)))
