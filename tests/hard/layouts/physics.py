@@ -28,6 +28,11 @@ def wave(draw: Draw, n: int, cycles: float, start: float = 0.0) -> np.ndarray:
     return draw.pick(triangle, sine)(n, cycles, start)
 
 
+def major_loop(n: int) -> np.ndarray:
+    """A triangle of amplitude 1 from the positive end down and up again, shape (n,)."""
+    return triangle(n, 1, start=0.25)
+
+
 def growing(n: int, cycles: int, least: float = 0.2) -> np.ndarray:
     """A triangle whose amplitude grows from cycle to cycle to 1, shape (n,)."""
     number = np.minimum(np.arange(n) * cycles // n, cycles - 1)
