@@ -12,6 +12,7 @@ import pytest
 from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
+from hystfit.params.units import conversion
 from hystfit.reading import read
 
 ANGLE = np.linspace(np.pi / 2, np.pi / 2 + 2 * np.pi, 81)
@@ -511,3 +512,91 @@ def test_json_lists_of_rows_and_of_records(tmp_path: Path) -> None:
         read(written(tmp_path, '{"a": 1}', "a.json"))
     with pytest.raises(DataError, match="begins as JSON"):
         read(written(tmp_path, '{"a": [1, 2', "a.json"))
+
+
+# Headers ------------------------------------------------------------------------------------------------------------------------
+
+T = np.arange(81) * 0.01
+HEADERS = {  # lines above time, an input in volts and an output in micrometers
+    "units beside words": "Elapsed Time,Drive Voltage,Axial Displacement\nsec,V,segments",
+    "averages below units": '"TS","Drive Voltage","Position"\n"sec","V","um"\n"","Avg","Avg"',
+    "units in a line called so": "Title\nY_Unit_Label,V,um\nDelta_X,0.01,0.01\nX_Value,Drive voltage,Position",
+    "names that are units": "Seconds,Volts,microns",
+    "units in words after a slash": "Time / Seconds,Voltage / Volt,Position / micron",
+    "units after a blank": "Time Sec,Piezo Voltage mV,Axial Position um",
+}
+
+
+@pytest.mark.parametrize("kind", HEADERS)
+def test_units_of_headers(kind: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{t:.2f},{u:.8f},{y:.8f}" for t, u, y in zip(T, FIELD, MOMENT, strict=True))
+    record = one(written(tmp_path, f"{HEADERS[kind]}\n{rows}\n"))
+    is_loop(record)
+    assert record.t is not None
+    input_unit = "mV" if "mV" in HEADERS[kind] else "V"
+    assert conversion(record.u_unit, input_unit) == 1.0
+    assert record.y_unit == "" if "segments" in HEADERS[kind] else conversion(record.y_unit, "um") == 1.0
+
+
+def test_degrees_without_their_sign_are_those_of_a_temperature(tmp_path: Path) -> None:
+    rows = "\n".join(f"{60 + 40 * u:.8f},{y:.8f}" for u, y in zip(FIELD, MOMENT, strict=True))
+    record = one(written(tmp_path, f"Temperature (C),Strain (%)\n{rows}\n"))
+    assert (record.u_unit, record.y_unit) == ("degC", "%")
+
+
+@pytest.mark.parametrize("words", [("up", "down"), ("inc", "dec")])
+def test_branches_whose_word_is_glued_to_the_name(words: tuple[str, str], tmp_path: Path) -> None:
+    """Hup, Mup, Hdown, Mdown: the rising branch first."""
+    up, down = slice(40, 81), slice(0, 41)
+    header = ",".join(f"{name}{word} {unit}" for word in words for name, unit in (("H", "[Oe]"), ("M", "[emu]")))
+    columns = (FIELD[up], MOMENT[up], FIELD[down], MOMENT[down])
+    rows = "\n".join(",".join(f"{v:.8f}" for v in row) for row in zip(*columns, strict=True))
+    is_loop(
+        one(written(tmp_path, f"{header}\n{rows}\n")),
+        np.concatenate([FIELD[up], FIELD[down]]),
+        np.concatenate([MOMENT[up], MOMENT[down]]),
+    )
+
+
+# Columns ------------------------------------------------------------------------------------------------------------------------
+
+RNG = np.random.default_rng(0)
+NOISE = RNG.standard_normal(81)
+COLUMNS = {  # names, and the columns: the output of a source is an input, a monitor and a condition are neither
+    "output of a source": ("Position (um),Output Voltage (V)", (MOMENT, FIELD)),
+    "monitor": ("Output Voltage (V),Monitor Output (V),Position (um)", (FIELD, 0.1 * FIELD + 1e-4 * NOISE, MOMENT)),
+    "held": ("Temperature (K),Field (Oe),Moment (emu)", (300 + 0.02 * NOISE, FIELD, MOMENT)),
+    "unrelated": ("Gauge pressure (kPa),Field (Oe),Signal,Detector", (1 + 0.5 * NOISE, FIELD, MOMENT, NOISE)),
+    "scans": ("Scan,Displacement (mm),Load (kN)", (np.arange(81.0), FIELD, MOMENT)),
+}
+
+
+@pytest.mark.parametrize("kind", COLUMNS)
+def test_columns_beside_the_loop_are_not_taken(kind: str, tmp_path: Path) -> None:
+    header, columns = COLUMNS[kind]
+    rows = "\n".join(",".join(f"{v:.8f}" for v in row) for row in zip(*columns, strict=True))
+    is_loop(one(written(tmp_path, f"{header}\n{rows}\n")))
+
+
+def test_frequencies_below_each_other_are_records(tmp_path: Path) -> None:
+    """Without a time that goes on from one to the next."""
+    loops = {50: 1.0, 100: 1.1, 400: 1.3}
+    rows = [f"{u:.8f},{scale * y:.8f},{f}" for f, scale in loops.items() for u, y in zip(FIELD, MOMENT, strict=True)]
+    data = read(written(tmp_path, "H (A/m),B (T),Frequency (Hz)\n" + "\n".join(rows) + "\n"))
+    assert [record.name for record in Dataset.of(data)] == [f"Frequency={f}" for f in loops]
+    for record, scale in zip(Dataset.of(data), loops.values(), strict=True):
+        is_loop(record, y=scale * MOMENT)
+
+
+def test_tables_of_nearly_the_same_columns_are_records_of_one_kind(tmp_path: Path) -> None:
+    """An instrument adds a column from the third measurement on."""
+    table = lambda names, *columns: (
+        f"{names}\n" + "".join("\t".join(f"{v:.8f}" for v in row) + "\n" for row in zip(*columns, strict=True))
+    )
+    plain = table("Time [s]\tV+ [V]\tI1 [A]\tP1 [uC/cm2]", T, FIELD, NOISE, MOMENT)
+    more = table("Time [s]\tV+ [V]\tI1 [A]\tP1 [uC/cm2]\tP2 [uC/cm2]", T, FIELD, NOISE, 3 * MOMENT, 2 * MOMENT)
+    twice = table("Time [s]\tV+ [V]\tI1 [A]\tP1 [uC/cm2]", T, FIELD, NOISE, 2 * MOMENT)
+    data = Dataset.of(read(written(tmp_path, f"Table 1\n{plain}\nTable 2\n{twice}\nTable 3\n{more}")))
+    assert len(data) == 3
+    for record, scale in zip(data, (1, 2, 3), strict=True):
+        is_loop(record, y=scale * MOMENT)

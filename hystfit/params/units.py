@@ -125,7 +125,7 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "deg": (math.pi / 180, "rad", True), "rpm": (math.pi / 30, "rad/s", False), "in": (0.0254, "m", False),
     "ft": (0.3048, "m", False), "Angstrom": (1e-10, "m", False), "gf": (9.80665e-3, "N", True),
     "lbf": (4.4482216152605, "N", False), "kip": (4448.2216152605, "N", False), "psi": (6894.757293168, "Pa", False),
-    "ksi": (6894757.293168, "Pa", False), "kpsi": (6894757.293168, "Pa", False), "mmHg": (133.322387415, "Pa", False),
+    "ksi": (6894757.293168, "Pa", False), "kpsi": (6894757.293168, "Pa", False), "mmHg": (101325 / 760, "Pa", False),
     "inHg": (3386.38815789, "Pa", False), "atm": (101325.0, "Pa", False), "dyn": (1e-5, "N", False),
     "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
     "ppm": (1e-6, "1", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
@@ -177,6 +177,7 @@ _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|
 def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
     plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", text.strip().translate(_MARKS))
+    plain = re.sub(r"[ _(]+STP\)?$", "", plain)  # of gas at standard temperature and pressure
     plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
     plain = _HYPHEN.sub("*", re.sub(r"[ _]+per[ _]+", "/", plain))
     plain = re.sub(r"([A-Za-z]{3,})[ _]squared?\b", r"\1^2", plain)

@@ -146,7 +146,7 @@ class _Evidence:
         points += self._of_role[i]["input"] + self._of_role[o]["output"] + self._of_signal[i] + self._of_signal[o]
         if not self.alone and kinds[i] == "temperature" and _extent(self.table.columns[i]) < _HEATED:
             points += _COLD
-        if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]):
+        if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not {i, o} <= self.equal:
             plain, bent = self._overtones[i], self._overtones[o]
             points += _CLEAN * (plain <= _PURE and bent > _PLAINER * plain)
             points += _COMMANDED * (self._roughness[o] > _NOISIER * self._roughness[i])
