@@ -59,6 +59,8 @@ def column_unit(name: str, unit: str) -> str:
 def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
     base = split_unit(name)[0].strip()
+    if base in _LETTERS:
+        return ""  # U is the symbol of a voltage, and u of an input
     roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
     return roles.pop() if len(roles) == 1 else ""
 

@@ -178,21 +178,25 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
             (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not any(map(is_unit, bare[k + 1]))), None
         )
     units = None if place is None else [cell if is_unit(cell) else "" for cell in bare[place]]
+    distinct = lambda row: len(set(filter(None, row))) == len(list(filter(None, row)))
     if place == 0:
-        return (rows[1], units, 2) if len(rows) > 1 else (rows[0], units, 1)
-    if len(set(filter(None, rows[0]))) == len(list(filter(None, rows[0]))):
-        return rows[0], units if place == 1 else None, 1 + (place == 1)
-    if place is not None and place + 1 < len(rows):  # a third line below has how each was averaged
-        return rows[place + 1], units, place + 2
-    if len(rows) > 1 and len(set(rows[1])) == len(rows[1]):  # Force, Force under A, B
-        return [f"{one} {two}".strip() for one, two in zip(rows[1], rows[0], strict=True)], None, 2
-    return rows[0], units if place == 1 else None, 1 + (place == 1)
+        of_names, used = min(1, len(rows) - 1), min(2, len(rows))
+    elif place is None or (place == 1 and distinct(rows[0])):  # units above the names
+        of_names, used = 0, 1 if place is None else 2
+    elif distinct(rows[0]) or place + 1 == len(rows):
+        of_names, used, units = 0, 1, None
+    else:  # a line below the units has how each was averaged
+        of_names, used = place + 1, place + 2
+    names = rows[of_names]
+    if not distinct(names) and used < len(rows) and len(set(rows[used])) == len(names):  # Force, Force under A, B
+        names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
+    return names, units, used
 
 
 def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> list[str]:
     """Units in a line of the header that is called so ("Y_Unit_Label", "Vertical Units"), for the columns after the first."""
     for line in reversed(above):
-        title, *units = (cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter))
+        title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
         if re.search("unit", title, re.IGNORECASE) and 1 < len(units) < width and all(map(is_unit, units)):
             return ["", *units, *[""] * (width - 1 - len(units))]
     return [""] * width
