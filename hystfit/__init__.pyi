@@ -39,6 +39,7 @@ from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
 from .models import Series as Series
 from .models import SignedPreisach as SignedPreisach
+from .models import Steel02 as Steel02
 from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach
 from .models import Viscous as Viscous

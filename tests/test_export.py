@@ -55,6 +55,11 @@ CASES = {
     "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
     "plays": (hf.PrandtlIshlinskii.of(6), -0.2, 1.2),
     "plays_negated": (hf.Series(hf.Negate(), hf.PrandtlIshlinskii.of(6)), -1.2, 0.2),
+    "steel_02": (
+        hf.Steel02(fy=1.0, E=4.0, b=0.05, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-3, offset=0.1),
+        -1.0,
+        1.0,
+    ),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),
@@ -119,7 +124,7 @@ def test_c_equals_python(name: str, tmp_path: Path) -> None:
 
 def _steepness(name: str) -> float:
     """Least slope over the mean slope, by which rounding of the output grows in the input."""
-    return 0.05 if name.startswith("stops") or name == "hardening" else 0.2
+    return 0.05 if name.startswith(("stops", "steel")) or name == "hardening" else 0.2
 
 
 def test_c_inverse_saturates_as_python_does(tmp_path: Path) -> None:
@@ -180,7 +185,8 @@ def sanitizers(tmp_path_factory: pytest.TempPathFactory) -> None:
 def test_inputs_that_are_no_numbers_leave_the_model_as_it_was(name: str, sanitizers: None, tmp_path: Path) -> None:
     """Under address and undefined-behavior sanitizers: NaN, infinite and extreme inputs among ordinary ones."""
     model, low, high = CASES[name]
-    _, source, harness = export_c(model, tmp_path)
+    limits = (low, high) if model.step_inverse().needs_limits else None
+    _, source, harness = export_c(model, tmp_path, limits=limits)
     program, u = tmp_path / "model", path(low, high)
     subprocess.run([GCC, *FLAGS, *SANITIZED, str(source), str(harness), "-o", str(program), "-lm"], check=True)  # type: ignore[list-item]
     plain = run(program, "f", float(u[0]), u, 0.002)[:, 0]

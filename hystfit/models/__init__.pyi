@@ -26,4 +26,5 @@ from .relaxation import Relaxation as Relaxation
 from .series import Series as Series
 from .simulation import Resume as Resume
 from .simulation import simulate as simulate
+from .steel02 import Steel02 as Steel02
 from .sum import Sum as Sum

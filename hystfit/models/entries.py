@@ -83,6 +83,12 @@ MODELS: dict[str, Entry] = {
         "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
         tried=("bouc-wen-force",),
     ),
+    "steel-02": Entry(
+        "steel02:Steel02",
+        "core",
+        "Steel02 (Menegotto-Pinto-Filippou) of steel, stress against strain, as in OpenSees; 8 parameters",
+        tried=("steel-02",),
+    ),
     "jiles-atherton": Entry(
         "jiles_atherton:JilesAtherton",
         "core",
