@@ -20,6 +20,7 @@ from .inference import priors as priors
 from .inference.problem import Problem as Problem
 from .models import AsymmetricBoucWen as AsymmetricBoucWen
 from .models import BoucWen as BoucWen
+from .models import BoucWenBaberNoori as BoucWenBaberNoori
 from .models import BoucWenForce as BoucWenForce
 from .models import BoucWenOscillator as BoucWenOscillator
 from .models import Delay as Delay
@@ -43,6 +44,7 @@ from .models import Steel02 as Steel02
 from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach
 from .models import Viscous as Viscous
+from .models import VoceChaboche as VoceChaboche
 from .models import simulate as simulate
 from .params.param import param as param
 from .params.space import ParameterSpace as ParameterSpace

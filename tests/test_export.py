@@ -55,11 +55,13 @@ CASES = {
     "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
     "plays": (hf.PrandtlIshlinskii.of(6), -0.2, 1.2),
     "plays_negated": (hf.Series(hf.Negate(), hf.PrandtlIshlinskii.of(6)), -1.2, 0.2),
+    "bouc_wen_baber_noori": (hf.BoucWenBaberNoori(kappa_x=0.5, dnu=0.05, deta=0.1, p=0.3, n=1.4, dpsi=0.02), -1.0, 1.0),
     "steel_02": (
         hf.Steel02(fy=1.0, E=4.0, b=0.05, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-3, offset=0.1),
         -1.0,
         1.0,
     ),
+    "voce_chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0), -1.0, 1.0),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),
@@ -124,7 +126,7 @@ def test_c_equals_python(name: str, tmp_path: Path) -> None:
 
 def _steepness(name: str) -> float:
     """Least slope over the mean slope, by which rounding of the output grows in the input."""
-    return 0.05 if name.startswith(("stops", "steel")) or name == "hardening" else 0.2
+    return 0.05 if name.startswith(("stops", "steel", "voce")) or name == "hardening" else 0.2
 
 
 def test_c_inverse_saturates_as_python_does(tmp_path: Path) -> None:

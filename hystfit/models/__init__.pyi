@@ -3,6 +3,7 @@
 from .base import AbstractHysteresis as AbstractHysteresis
 from .bouc_wen import BoucWen as BoucWen
 from .bouc_wen_asymmetric import AsymmetricBoucWen as AsymmetricBoucWen
+from .bouc_wen_degrading import BoucWenBaberNoori as BoucWenBaberNoori
 from .bouc_wen_force import BoucWenForce as BoucWenForce
 from .creep import LinearCreep as LinearCreep
 from .creep import LogCreep as LogCreep
@@ -28,3 +29,4 @@ from .simulation import Resume as Resume
 from .simulation import simulate as simulate
 from .steel02 import Steel02 as Steel02
 from .sum import Sum as Sum
+from .voce_chaboche import VoceChaboche as VoceChaboche
