@@ -38,6 +38,7 @@ from .models import Preisach as Preisach
 from .models import Relaxation as Relaxation
 from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
+from .models import SelfSimilarStops as SelfSimilarStops
 from .models import Series as Series
 from .models import SignedPreisach as SignedPreisach
 from .models import Steel02 as Steel02

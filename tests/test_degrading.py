@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,9 +57,10 @@ def test_baber_noori_follows_the_published_equations() -> None:
     u = cycles((1.0, 3.0, 6.0, 6.0, 4.0), 100)
     expected = published(u, 20)
     model = hf.BoucWenBaberNoori(**WALL, **PINCH)
-    error = lambda substeps: np.abs(
-        np.asarray(hf.simulate(hf.BoucWenBaberNoori(**WALL, **PINCH, substeps=substeps), u)[0]) - expected
-    ).max() / np.ptp(expected)
+    error = lambda substeps: (
+        np.abs(np.asarray(hf.simulate(hf.BoucWenBaberNoori(**WALL, **PINCH, substeps=substeps), u)[0]) - expected).max()
+        / np.ptp(expected)
+    )
     assert error(2) < 4e-3
     assert error(8) < 0.12 * error(2)  # second order
     assert model.advice(10 * u)
@@ -106,3 +109,90 @@ def test_baber_noori_finds_its_parameters() -> None:
 def test_at_least_one_substep() -> None:
     with pytest.raises(ModelError):
         hf.BoucWenBaberNoori(substeps=0)
+
+
+# -- self-similar stops ------------------------------------------------------------------------------------------------------
+
+
+def weighted(peaks: int) -> hf.SelfSimilarStops:
+    rng, model = np.random.default_rng(peaks), hf.SelfSimilarStops.of(peaks)
+    values = {name: rng.normal(size=getattr(model, name).shape) for name in ("w", "c", "fading")}
+    return dataclasses.replace(model, **values, peaks=np.geomspace(1.0, 6.0, peaks), floor=0.1, offset=0.2)
+
+
+def scaled_stops(model: hf.SelfSimilarStops, u: np.ndarray) -> np.ndarray:
+    """The definition, sample by sample."""
+    knots, r = np.log(np.asarray(model.peaks)), np.asarray(model.r)
+    w, c, fading = np.asarray(model.w), np.asarray(model.c), np.asarray(model.fading)
+    plays, peak, path, before, out = np.zeros(r.size), float(model.floor), 0.0, 0.0, []
+    for now in u:
+        old, peak = peak, max(peak, abs(now))
+        v = now / peak
+        path = path * (old / peak) ** 8 + abs(now - before) / peak
+        for j in range(r.size):
+            if plays[j] < v - r[j]:
+                plays[j] = v - r[j]
+            if plays[j] > v + r[j]:
+                plays[j] = v + r[j]
+        y = float(model.offset)
+        for b in range(knots.size):  # a function that is 1 at its own knot and 0 at the others, between them linear
+            share = np.interp(np.log(peak), knots, np.eye(knots.size)[b])
+            y += share * (np.dot(w[b], v - plays) + c[b] @ [v, v**3, v**5])
+        left = peak / np.exp(knots[-1]) * np.exp(-path / float(model.decay))
+        y += left * (np.dot(fading[: r.size], v - plays) + fading[r.size :] @ [v, v**3, v**5])
+        before = now
+        out.append(y)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("peaks", [2, 4])
+def test_self_similar_stops_follow_their_definition(peaks: int) -> None:
+    u = np.append(cycles((0.05, 1.0, 3.0, 6.0, 6.0, 4.0), 50), [7.0, 7.0, -2.0])
+    model = weighted(peaks)
+    expected = scaled_stops(model, u)
+    np.testing.assert_allclose(np.asarray(hf.simulate(model, u)[0]), expected, atol=1e-11)
+    np.testing.assert_allclose(model.free_run(u), expected, atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-6.0, 6.0), min_size=8, max_size=8), st.floats(0.01, 100.0))
+def test_a_scaled_history_gives_the_same_loop(corners: list[float], factor: float) -> None:
+    """One peak and no fading: input, peaks and floor times a factor leave the output as it was; a mirrored input mirrors it."""
+    u = np.interp(np.linspace(0, 8, 121), np.arange(9), np.append(0.0, corners))
+    plain = dataclasses.replace(weighted(1), offset=0.0, fading=np.zeros(10))
+    larger = dataclasses.replace(plain, peaks=factor * np.asarray(plain.peaks), floor=factor * 0.1)
+    y = np.asarray(hf.simulate(plain, u)[0])
+    np.testing.assert_allclose(np.asarray(hf.simulate(larger, factor * u)[0]), y, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(hf.simulate(plain, -u)[0]), -y, atol=1e-12)
+
+
+def test_self_similar_stops_describe_peak_oriented_damage_where_plain_stops_cannot() -> None:
+    """A degrading, pinched element of another law: fitted on the first cycles and on all, beside stops that do not scale."""
+    u = cycles((1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.5, 4.5, 6.0, 6.0), 80)
+    y = np.asarray(hf.simulate(hf.BoucWenBaberNoori(**{**WALL, "deta": 0.1}, **PINCH), u)[0])
+    record = hf.Record(u=u, y=y)
+    scaled, plain = hf.fit("self-similar-stops", record), hf.fit("prandtl-ishlinskii-stop", record)
+    assert scaled.train.nrmse_percent < 0.5 * plain.train.nrmse_percent
+    assert scaled.usable
+
+
+def test_weights_of_self_similar_stops_are_found() -> None:
+    truth = weighted(2)
+    u = np.append(cycles((0.5, 1.0, 1.5, 2.0, 3.0, 3.0, 4.5, 5.0, 6.0, 4.0), 100), [6.0])
+    clean = np.asarray(hf.simulate(truth, u)[0])
+    y = clean + np.random.default_rng(0).normal(0, 0.002 * np.ptp(clean), u.size)
+    empty = {name: np.zeros(getattr(truth, name).shape) for name in ("w", "c", "fading", "offset")}
+    model = hf.fit(dataclasses.replace(truth, **empty), hf.Record(u=u, y=y), start="model").model
+    unseen = cycles((0.7, 2.5, 5.5, 3.5), 60)
+    expected = np.asarray(hf.simulate(truth, unseen)[0])
+    error = np.asarray(hf.simulate(model, unseen)[0]) - expected
+    assert np.std(error) < 0.01 * np.ptp(expected)
+
+
+def test_bad_shapes_of_self_similar_stops() -> None:
+    with pytest.raises(ModelError):
+        hf.SelfSimilarStops.of(0)
+    with pytest.raises(ModelError):
+        hf.SelfSimilarStops(w=np.ones((2, 7)), c=np.ones((1, 3)))
+    with pytest.raises(ModelError):
+        hf.SelfSimilarStops(w=np.ones((1, 7)), c=np.ones((1, 3)), fading=np.ones(3))

@@ -1,8 +1,10 @@
 """Exported C code: compiles without a warning and gives Python's numbers, forward and inverse."""
 
+import dataclasses
 import itertools
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -86,12 +88,12 @@ CASES = {
 }
 
 
-def build(model: hf.models.AbstractHysteresis, folder: Path, **options: object) -> Path:
+def build(model: hf.models.AbstractHysteresis, folder: Path, flags: Sequence[str] = (), **options: object) -> Path:
     _, source, harness = export_c(model, folder, **options)
     if GCC is None:
         pytest.skip("no C compiler: install gcc to test the exported code")
     program = folder / "model"
-    subprocess.run([GCC, *FLAGS, str(source), str(harness), "-o", str(program), "-lm"], check=True)
+    subprocess.run([GCC, *FLAGS, *flags, str(source), str(harness), "-o", str(program), "-lm"], check=True)
     return program
 
 
@@ -244,6 +246,19 @@ def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path
     found = run(program, "f", float(u[0]), u, 0.02)[:, 0]
     assert np.abs(found - expected).max() <= 1e-12 * np.ptp(expected)
     assert subprocess.run([str(program), "i"], input="0.0", capture_output=True, text=True).returncode == 2
+
+
+@pytest.mark.parametrize("peaks", [1, 3])
+def test_self_similar_stops_are_exported_forward_only(peaks: int, sanitizers: None, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    model = hf.SelfSimilarStops.of(peaks, fading=peaks > 1)
+    weights = {name: rng.normal(size=getattr(model, name).shape) for name in ("w", "c", "fading")}
+    model = dataclasses.replace(model, **weights, offset=0.3)
+    program, u = build(model, tmp_path, flags=SANITIZED), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u)[0])
+    assert np.abs(run(program, "f", float(u[0]), u, 0.0)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)
+    with pytest.raises(ModelError, match="no inverse"):
+        model.step_inverse()
 
 
 @pytest.mark.parametrize(

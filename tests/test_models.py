@@ -66,6 +66,17 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         hystfit.BoucWenBaberNoori(kappa_x=0.2, beta=0.6, n=1.4, dnu=0.05, deta=0.1, p=0.3, dpsi=0.02, offset=0.1),
         {},
     ),
+    "self-similar": (
+        hystfit.SelfSimilarStops(
+            w=np.linspace(0.1, 0.5, 14).reshape(2, 7),
+            c=np.linspace(0.5, -0.2, 6).reshape(2, 3),
+            fading=np.linspace(0.2, -0.1, 10),
+            peaks=(0.3, 0.9),
+            floor=0.07,
+            offset=0.1,
+        ),
+        dict(kinked=["r"]),
+    ),
     "steel-02": (
         hystfit.Steel02(fy=1.0, E=4.0, b=0.05, cR2=0.2, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-4, offset=0.1),
         dict(flat=["deadband"]),

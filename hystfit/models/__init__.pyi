@@ -24,6 +24,7 @@ from .preisach.tabulated import TabulatedPreisach as TabulatedPreisach
 from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
 from .relaxation import Relaxation as Relaxation
+from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
 from .simulation import Resume as Resume
 from .simulation import simulate as simulate

@@ -124,7 +124,9 @@ class BoucWenBaberNoori(AbstractHysteresis):
         stiffness = lambda m: m.kappa_x + m.kappa_w / m.zy
         return (
             Derived("k", "y/u", "initial stiffness", stiffness),
-            Derived("alpha", "1", "slope after yielding over the initial stiffness", lambda m: m.kappa_x / stiffness(m)),
+            Derived(
+                "alpha", "1", "slope after yielding over the initial stiffness", lambda m: m.kappa_x / stiffness(m)
+            ),
         )
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
@@ -156,7 +158,9 @@ class BoucWenBaberNoori(AbstractHysteresis):
         zy, n, dnu, deta, zs = np.array(list(itertools.product(*_GRID))).T
         zy = zy * half
         energy = path / zy  # of a plastic path with w = 1
-        grid = np.column_stack([zy, n, np.minimum(dnu / energy, 0.2), np.minimum(deta / energy, 0.7), zs, _PINCHED / energy])
+        grid = np.column_stack(
+            [zy, n, np.minimum(dnu / energy, 0.2), np.minimum(deta / energy, 0.7), zs, _PINCHED / energy]
+        )
         grid[:, 5] = np.clip(grid[:, 5], 0.002, 4.0)
         plain = BoucWenBaberNoori()
         runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(record.u))) for record in short]

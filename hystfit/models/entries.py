@@ -89,6 +89,12 @@ MODELS: dict[str, Entry] = {
         "Bouc-Wen that loses strength and stiffness and pinches (walls, joints); 12 parameters",
         tried=("bouc-wen-baber-noori",),
     ),
+    "self-similar-stops": Entry(
+        "self_similar:SelfSimilarStops.of",
+        "core",
+        "weighted stops that scale with the largest input so far: degrading and pinched loops; convex solve",
+        tried=("self-similar-stops",),
+    ),
     "steel-02": Entry(
         "steel02:Steel02",
         "core",

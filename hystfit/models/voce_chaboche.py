@@ -26,7 +26,11 @@ from hystfit.quality.needs import Needs
 
 _NEWTON = 8  # steps that the plastic strain of one sample takes at most, from zero, to rounding
 _SOFTEST = 0.02  # least slope of the yield condition, as a fraction of E: below it, the law itself softens faster than it unloads
-_GRID = ((0.003, 0.01, 0.03, 0.1), (0.0, 0.5), (10.0, 100.0, 600.0))  # yield strain / half range, Q / sy0, g * half range
+_GRID = (
+    (0.003, 0.01, 0.03, 0.1),
+    (0.0, 0.5),
+    (10.0, 100.0, 600.0),
+)  # yield strain / half range, Q / sy0, g * half range
 
 
 class VoceChaboche(AbstractHysteresis):
@@ -72,7 +76,9 @@ class VoceChaboche(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         if hasattr(self.S, "shape") and hasattr(self.g, "shape") and self.S.shape[-1:] != self.g.shape[-1:]:
-            raise ModelError(f"S and g must have one value for each backstress, got shapes {self.S.shape}, {self.g.shape}")
+            raise ModelError(
+                f"S and g must have one value for each backstress, got shapes {self.S.shape}, {self.g.shape}"
+            )
 
     @classmethod
     def of(cls, backstresses: int = 2) -> VoceChaboche:
