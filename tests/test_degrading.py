@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def published(u: np.ndarray, parts: int) -> np.ndarray:
         return h * (1 - nu * (beta * np.sign(z * s) + gamma) * abs(z) ** n) / eta
 
     z, energy, force = 0.0, 0.0, [0.0]
-    for before, after in zip(u[:-1], u[1:], strict=True):
+    for before, after in itertools.pairwise(u):
         du = (after - before) / parts
         for _ in range(parts):
             middle = z + 0.5 * du * slope(z, energy, np.sign(du))
