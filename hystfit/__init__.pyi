@@ -23,6 +23,7 @@ from .models import BoucWen as BoucWen
 from .models import BoucWenBaberNoori as BoucWenBaberNoori
 from .models import BoucWenForce as BoucWenForce
 from .models import BoucWenOscillator as BoucWenOscillator
+from .models import Damper as Damper
 from .models import Delay as Delay
 from .models import Duhem as Duhem
 from .models import JilesAtherton as JilesAtherton

@@ -248,6 +248,14 @@ def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path
     assert subprocess.run([str(program), "i"], input="0.0", capture_output=True, text=True).returncode == 2
 
 
+def test_a_damper_is_exported_forward_only(sanitizers: None, tmp_path: Path) -> None:
+    terms = {"spring": (0.5, 0.1, -0.2, 0.1), "bent": (0.1, 0.02, -0.1), "coupling": (0.1, -0.2, 0.3, 0.1)}
+    model = hf.Damper(**terms, tau=0.004, half=1.1, speed=9.0, center=0.2, offset=0.3)
+    program, u = build(model, tmp_path, flags=SANITIZED), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u, 0.002)[0])
+    assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)
+
+
 @pytest.mark.parametrize("peaks", [1, 3])
 def test_self_similar_stops_are_exported_forward_only(peaks: int, sanitizers: None, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)

@@ -77,6 +77,12 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         ),
         dict(kinked=["r"]),
     ),
+    "damper": (
+        hystfit.Damper(
+            spring=(0.5, 0.1, -0.2, 0.1), bent=(0.1, 0.02, -0.1), coupling=(0.1, -0.2, 0.3, 0.1), half=1.1, speed=9.0
+        ),
+        {},
+    ),
     "steel-02": (
         hystfit.Steel02(fy=1.0, E=4.0, b=0.05, cR2=0.2, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-4, offset=0.1),
         dict(flat=["deadband"]),

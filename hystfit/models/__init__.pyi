@@ -7,6 +7,7 @@ from .bouc_wen_degrading import BoucWenBaberNoori as BoucWenBaberNoori
 from .bouc_wen_force import BoucWenForce as BoucWenForce
 from .creep import LinearCreep as LinearCreep
 from .creep import LogCreep as LogCreep
+from .damper import Damper as Damper
 from .duhem import Duhem as Duhem
 from .dynamics import Delay as Delay
 from .dynamics import Lag as Lag

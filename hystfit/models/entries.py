@@ -95,6 +95,12 @@ MODELS: dict[str, Entry] = {
         "weighted stops that scale with the largest input so far: degrading and pinched loops; convex solve",
         tried=("self-similar-stops",),
     ),
+    "damper": Entry(
+        "damper:Damper",
+        "core",
+        "damper: spring, valves, friction, yield force, forces that lag the velocity; convex solve; needs time",
+        tried=("damper", "negate+damper"),
+    ),
     "steel-02": Entry(
         "steel02:Steel02",
         "core",
