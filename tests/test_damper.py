@@ -44,7 +44,9 @@ def plain(model: hf.Damper, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
         y = float(model.offset) + np.dot(model.spring, [x, x**2, x**3, x**5]) + float(model.viscous) * w
         y += np.dot(model.bent, [w * abs(w), w**3, w**2])
         y += np.dot(model.coupling, [x * abs(w), x * w, x * x * w, x * x * abs(w)])
-        y += sum(a * math.tanh(w / s) for a, s in zip(np.asarray(model.saturating), _BENDS, strict=True))
+        low, high = np.asarray(model.saturating)
+        share = np.interp(x, [-1, 1], [0, 1])
+        y += sum(((1 - share) * a + share * b) * math.tanh(w / s) for a, b, s in zip(low, high, _BENDS, strict=True))
         y += np.dot(model.friction, x - np.array(p)) + np.dot(model.lagging, w - np.array(q))
         out.append(y)
     return np.array(out)

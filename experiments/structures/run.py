@@ -1,4 +1,4 @@
-"""Structural loops: steel coupons with known parameters, measured steel, walls and a fastener that degrade.
+"""Structural loops: steel coupons with known parameters, measured steel, walls and a fastener that degrade, dampers.
 
     python experiments/structures/run.py [--quick] [--out FOLDER]
 
@@ -9,9 +9,11 @@ RESULTS.md here. Exit status: see experiments/common.py.
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import sys
+from datetime import datetime
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -138,6 +140,30 @@ def fastener(results: Results) -> list:
     return [["fastener", fit.name, fit.train.nrmse_percent, None, fit.status]]
 
 
+def dampers(results: Results) -> list:
+    """A racing damper in sample, and a magnetorheological damper fitted on 6 s and predicted for 9 s more."""
+    rows = []
+    if (path := folder(results, "racing damper", "wild/damper_s5_n10_50psi.csv")) is not None:
+        with path.open(encoding="utf-8") as file:
+            lines = list(csv.DictReader(file))
+        t = np.array([datetime.fromisoformat(line["Timestamp"]).timestamp() for line in lines])
+        u, y = (np.array([float(line[name]) for line in lines]) for name in ("Displacement (mm)", "Force (N)"))
+        record = hf.Record(u=u, y=y, t=t - t[0], u_unit="mm", y_unit="N", t_unit="s")
+        fit = hf.fit("negate+damper", record) if results.quick else hf.compare(record).winner
+        results.add("racing damper: in sample", fit.train.nrmse_percent)
+        rows.append(["racing damper", fit.name, fit.train.nrmse_percent, None, fit.status])
+    if (loaded := results.load("MR damper", "mr_labcontrol/4.1")) is not None:
+        train, test = loaded[0].window(None, 6.0), loaded[0].window(6.0, 15.0)
+        fit = hf.fit("damper", train)
+        ahead = results.add("MR damper: damper, held out", fit.metrics(test).nrmse_percent)
+        rows.append(["MR damper", fit.name, fit.train.nrmse_percent, ahead, fit.status])
+        if not results.quick:
+            best = hf.compare(train).winner
+            ahead = results.add("MR damper: best, held out", best.metrics(test).nrmse_percent)
+            rows.append(["MR damper", best.name, best.train.nrmse_percent, ahead, best.status])
+    return rows
+
+
 def page(results: Results, tables: dict[str, str]) -> str:
     """The results as a page."""
     head = f"# Structural loops\n\nMade by `python experiments/structures/run.py`, hystfit {hf.__version__}.\n"
@@ -153,6 +179,7 @@ def main() -> None:
         "Coupons with known parameters: errors in percent": table(["coupon", *NAMES, "status"], coupons(results)),
         "Measured steel": table(HEAD, steel(results)),
         "Degrading loops": table(HEAD, [*walls(results), *fastener(results)]),
+        "Dampers": table(HEAD, dampers(results)),
     }
     text = page(results, tables)
     (results.out / "RESULTS.md").write_text(text, encoding="utf-8")

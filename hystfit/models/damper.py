@@ -36,11 +36,13 @@ class Damper(AbstractHysteresis):
     """Force of a damper in displacement and velocity (hydraulic, gas-charged, magnetorheological, friction):
 
         y = offset + sum spring_k x^k + viscous w + b1 w |w| + b2 w^3 + b3 w^2 + c1 x |w| + c2 x w + c3 x^2 w + c4 x^2 |w|
-              + sum saturating_j tanh(w / s_j) + sum friction_j (x - p_j) + sum lagging_j (w - q_j)
+              + sum over e, j of saturating[e, j] g_e(x) tanh(w / s_j)
+              + sum friction_j (x - p_j) + sum lagging_j (w - q_j)
         p_j <- clip(p_j, x - r_j, x + r_j),   q_j <- clip(q_j, w - h_j, w + h_j)
 
     x = (u - center) / half is the displacement, w the velocity over `speed` behind a first-order lag `tau`. The powers of x are a
     mechanical or gas spring; those of w and their products with x the valves, whose force may depend on the direction and on the place.
+    g_0 falls from 1 to 0 over the stroke and g_1 rises.
     Saturating forces are the yield force of a magnetorheological damper, stops of x friction and the elasticity before it slips. Stops of
     w are forces that differ between rising and falling speed: the compressibility of the fluid and the inertia of a valve. `viscous`,
     `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve.
@@ -59,13 +61,13 @@ class Damper(AbstractHysteresis):
     coupling: Float[Array, " products"] = param(
         (0.0,) * 4, unit="y", linear=True, doc="forces x |w|, x w, x^2 w and x^2 |w|"
     )
-    saturating: Float[Array, " bends"] = param(
-        (0.05,) * len(_BENDS),
+    saturating: Float[Array, "ends bends"] = param(
+        ((0.05,) * len(_BENDS),) * 2,
         bounds=(0.0, np.inf),
         unit="y",
         scale=0.1,
         linear=True,
-        doc="forces that saturate in the velocity",
+        doc="forces that saturate in the velocity, at the lower and the upper end of the stroke",
     )
     friction: Float[Array, " strokes"] = param(
         (0.05,) * len(_STROKES), bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the stops of x"
@@ -81,17 +83,17 @@ class Damper(AbstractHysteresis):
 
     def __check_init__(self) -> None:
         wanted = {
-            "spring": 4,
-            "bent": 3,
-            "coupling": 4,
-            "saturating": len(_BENDS),
-            "friction": len(_STROKES),
-            "lagging": len(_LAGS),
+            "spring": (4,),
+            "bent": (3,),
+            "coupling": (4,),
+            "saturating": (2, len(_BENDS)),
+            "friction": (len(_STROKES),),
+            "lagging": (len(_LAGS),),
         }
-        for name, count in wanted.items():
+        for name, shape in wanted.items():
             value = getattr(self, name)
-            if hasattr(value, "shape") and value.shape[-1:] != (count,):
-                raise ModelError(f"{name} must have {count} values, got shape {value.shape}")
+            if hasattr(value, "shape") and value.shape[-len(shape) :] != shape:
+                raise ModelError(f"{name} must have shape {shape}, got {value.shape}")
 
     def init(self, u0: Scalar) -> State:
         """State at rest on u0: the plays of x and of w, and w, shape (29,)."""
@@ -108,7 +110,8 @@ class Damper(AbstractHysteresis):
         y = self.offset + jnp.dot(self.spring, x ** jnp.asarray(_SPRING)) + self.viscous * w
         y += self.bent @ jnp.stack([w * jnp.abs(w), w**3, w**2])
         y += self.coupling @ jnp.stack([x * jnp.abs(w), x * w, x**2 * w, x**2 * jnp.abs(w)])
-        y += jnp.dot(self.saturating, jnp.tanh(w / jnp.asarray(_BENDS)))
+        part = jnp.clip(0.5 * (1.0 + x), 0.0, 1.0)
+        y += jnp.dot((1.0 - part) * self.saturating[0] + part * self.saturating[1], jnp.tanh(w / jnp.asarray(_BENDS)))
         y += jnp.dot(self.friction, x - p) + jnp.dot(self.lagging, w - q)
         return jnp.concatenate([p, q, w[None]]), y
 
@@ -122,13 +125,14 @@ class Damper(AbstractHysteresis):
         """Columns of all weights at once."""
         u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
         x, w = (u - float(self.center)) / float(self.half), self._velocity(u, dt)[:, None]
-        one, size = x[:, None], np.abs(w)
+        one, size, bends = x[:, None], np.abs(w), np.tanh(w / np.asarray(_BENDS))
+        part = np.clip(0.5 * (1.0 + one), 0.0, 1.0)
         columns = {
             "spring": one ** np.asarray(_SPRING),
             "viscous": w,
             "bent": np.hstack([w * size, w**3, w**2]),
             "coupling": np.hstack([one * size, one * w, one**2 * w, one**2 * size]),
-            "saturating": np.tanh(w / np.asarray(_BENDS)),
+            "saturating": np.hstack([(1.0 - part) * bends, part * bends]),
             "friction": one - play_columns(x, np.asarray(_STROKES), x[0]),
             "lagging": w - play_columns(w[:, 0], np.asarray(_LAGS), 0.0),
             "offset": np.ones((u.size, 1)),

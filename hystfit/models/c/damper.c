@@ -15,6 +15,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
 {
     const int end = @M@_STROKES + @M@_LAGS;
     const double x = (u1 - @M@_CENTER) / @M@_HALF;
+    const double part = fmax(0, fmin(1, 0.5 * (1 + x)));
     double w = s[end], size, y;
     int j;
     if (dt > 0) {
@@ -26,7 +27,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     y += w * (@M@_VISCOUS + @f@_bent[0] * size + @f@_bent[1] * w * w + @f@_bent[2] * w);
     y += x * (@f@_coupling[0] * size + @f@_coupling[1] * w + x * (@f@_coupling[2] * w + @f@_coupling[3] * size));
     for (j = 0; j < @M@_BENDS; j++)
-        y += @f@_saturating[j] * tanh(w / @f@_bends[j]);
+        y += ((1 - part) * @f@_saturating[j] + part * @f@_saturating[@M@_BENDS + j]) * tanh(w / @f@_bends[j]);
     for (j = 0; j < @M@_STROKES; j++) {
         const double play = @f@_follow(s[j], x, @f@_strokes[j]);
         y += @f@_friction[j] * (x - play);
