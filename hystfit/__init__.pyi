@@ -20,8 +20,10 @@ from .inference import priors as priors
 from .inference.problem import Problem as Problem
 from .models import AsymmetricBoucWen as AsymmetricBoucWen
 from .models import BoucWen as BoucWen
+from .models import BoucWenBaberNoori as BoucWenBaberNoori
 from .models import BoucWenForce as BoucWenForce
 from .models import BoucWenOscillator as BoucWenOscillator
+from .models import Damper as Damper
 from .models import Delay as Delay
 from .models import Duhem as Duhem
 from .models import JilesAtherton as JilesAtherton
@@ -37,11 +39,14 @@ from .models import Preisach as Preisach
 from .models import Relaxation as Relaxation
 from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
+from .models import SelfSimilarStops as SelfSimilarStops
 from .models import Series as Series
 from .models import SignedPreisach as SignedPreisach
+from .models import Steel02 as Steel02
 from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach
 from .models import Viscous as Viscous
+from .models import VoceChaboche as VoceChaboche
 from .models import simulate as simulate
 from .params.param import param as param
 from .params.space import ParameterSpace as ParameterSpace

@@ -1,8 +1,10 @@
 """Exported C code: compiles without a warning and gives Python's numbers, forward and inverse."""
 
+import dataclasses
 import itertools
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -55,6 +57,13 @@ CASES = {
     "duhem_exact": (hf.Duhem(**SMOOTH, scheme="exact"), -1.0, 1.0),
     "plays": (hf.PrandtlIshlinskii.of(6), -0.2, 1.2),
     "plays_negated": (hf.Series(hf.Negate(), hf.PrandtlIshlinskii.of(6)), -1.2, 0.2),
+    "bouc_wen_baber_noori": (hf.BoucWenBaberNoori(kappa_x=0.5, dnu=0.05, deta=0.1, p=0.3, n=1.4, dpsi=0.02), -1.0, 1.0),
+    "steel_02": (
+        hf.Steel02(fy=1.0, E=4.0, b=0.05, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-3, offset=0.1),
+        -1.0,
+        1.0,
+    ),
+    "voce_chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0), -1.0, 1.0),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),
@@ -79,12 +88,12 @@ CASES = {
 }
 
 
-def build(model: hf.models.AbstractHysteresis, folder: Path, **options: object) -> Path:
+def build(model: hf.models.AbstractHysteresis, folder: Path, flags: Sequence[str] = (), **options: object) -> Path:
     _, source, harness = export_c(model, folder, **options)
     if GCC is None:
         pytest.skip("no C compiler: install gcc to test the exported code")
     program = folder / "model"
-    subprocess.run([GCC, *FLAGS, str(source), str(harness), "-o", str(program), "-lm"], check=True)
+    subprocess.run([GCC, *FLAGS, *flags, str(source), str(harness), "-o", str(program), "-lm"], check=True)
     return program
 
 
@@ -119,7 +128,7 @@ def test_c_equals_python(name: str, tmp_path: Path) -> None:
 
 def _steepness(name: str) -> float:
     """Least slope over the mean slope, by which rounding of the output grows in the input."""
-    return 0.05 if name.startswith("stops") or name == "hardening" else 0.2
+    return 0.05 if name.startswith(("stops", "steel", "voce")) or name == "hardening" else 0.2
 
 
 def test_c_inverse_saturates_as_python_does(tmp_path: Path) -> None:
@@ -180,7 +189,8 @@ def sanitizers(tmp_path_factory: pytest.TempPathFactory) -> None:
 def test_inputs_that_are_no_numbers_leave_the_model_as_it_was(name: str, sanitizers: None, tmp_path: Path) -> None:
     """Under address and undefined-behavior sanitizers: NaN, infinite and extreme inputs among ordinary ones."""
     model, low, high = CASES[name]
-    _, source, harness = export_c(model, tmp_path)
+    limits = (low, high) if model.step_inverse().needs_limits else None
+    _, source, harness = export_c(model, tmp_path, limits=limits)
     program, u = tmp_path / "model", path(low, high)
     subprocess.run([GCC, *FLAGS, *SANITIZED, str(source), str(harness), "-o", str(program), "-lm"], check=True)  # type: ignore[list-item]
     plain = run(program, "f", float(u[0]), u, 0.002)[:, 0]
@@ -236,6 +246,27 @@ def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path
     found = run(program, "f", float(u[0]), u, 0.02)[:, 0]
     assert np.abs(found - expected).max() <= 1e-12 * np.ptp(expected)
     assert subprocess.run([str(program), "i"], input="0.0", capture_output=True, text=True).returncode == 2
+
+
+def test_a_damper_is_exported_forward_only(sanitizers: None, tmp_path: Path) -> None:
+    terms = {"spring": (0.5, 0.1, -0.2, 0.1), "bent": (0.1, 0.02, -0.1), "coupling": (0.1, -0.2, 0.3, 0.1)}
+    model = hf.Damper(**terms, tau=0.004, half=1.1, speed=9.0, center=0.2, offset=0.3)
+    program, u = build(model, tmp_path, flags=SANITIZED), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u, 0.002)[0])
+    assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)
+
+
+@pytest.mark.parametrize("peaks", [1, 3])
+def test_self_similar_stops_are_exported_forward_only(peaks: int, sanitizers: None, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    model = hf.SelfSimilarStops.of(peaks, fading=peaks > 1)
+    weights = {name: rng.normal(size=getattr(model, name).shape) for name in ("w", "c", "fading")}
+    model = dataclasses.replace(model, **weights, offset=0.3)
+    program, u = build(model, tmp_path, flags=SANITIZED), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u)[0])
+    assert np.abs(run(program, "f", float(u[0]), u, 0.0)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)
+    with pytest.raises(ModelError, match="no inverse"):
+        model.step_inverse()
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,35 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "duhem, explicit": (Duhem(**CURVES, scheme="explicit"), {}),
     "duhem, exact": (Duhem(**CURVES, scheme="exact"), {}),
     "force": (hystfit.BoucWenForce(kappa_x=0.4, kappa_w=1.0, rho=2.0, sigma=0.9, n=2.0, w0=0.1), {}),
+    "degrading": (
+        hystfit.BoucWenBaberNoori(kappa_x=0.2, beta=0.6, n=1.4, dnu=0.05, deta=0.1, p=0.3, dpsi=0.02, offset=0.1),
+        {},
+    ),
+    "self-similar": (
+        hystfit.SelfSimilarStops(
+            w=np.linspace(0.1, 0.5, 14).reshape(2, 7),
+            c=np.linspace(0.5, -0.2, 6).reshape(2, 3),
+            fading=np.linspace(0.2, -0.1, 10),
+            peaks=(0.3, 0.9),
+            floor=0.07,
+            offset=0.1,
+        ),
+        dict(kinked=["r"]),
+    ),
+    "damper": (
+        hystfit.Damper(
+            spring=(0.5, 0.1, -0.2, 0.1), bent=(0.1, 0.02, -0.1), coupling=(0.1, -0.2, 0.3, 0.1), half=1.1, speed=9.0
+        ),
+        {},
+    ),
+    "steel-02": (
+        hystfit.Steel02(fy=1.0, E=4.0, b=0.05, cR2=0.2, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-4, offset=0.1),
+        dict(flat=["deadband"]),
+    ),
+    "voce-chaboche": (
+        hystfit.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0, S=(0.3, 0.1), g=(2.0, 20.0), offset=0.1),
+        {},
+    ),
     "jiles-atherton": (
         hystfit.JilesAtherton(Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1),
         {},

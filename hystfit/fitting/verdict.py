@@ -163,7 +163,7 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
 
 
 def _damaged(fitted: Fitted) -> list[Note]:
-    """A warning where the device degrades, which no model describes."""
+    """A warning where the device degrades, and the model does not."""
     if not _degrading(fitted):
         return []
     text = f"{_damage(fitted)}: the model has no term for it (see hystfit check)"
@@ -178,7 +178,8 @@ def _damage(fitted: Fitted) -> str:
 
 
 def _degrading(fitted: Fitted) -> bool:
-    return fitted.thorough and any(quality.degrading for quality in fitted.qualities)
+    """Whether the records show damage that the model has no term for."""
+    return fitted.thorough and not fitted.model.degrades and any(quality.degrading for quality in fitted.qualities)
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:

@@ -3,9 +3,11 @@
 from .base import AbstractHysteresis as AbstractHysteresis
 from .bouc_wen import BoucWen as BoucWen
 from .bouc_wen_asymmetric import AsymmetricBoucWen as AsymmetricBoucWen
+from .bouc_wen_degrading import BoucWenBaberNoori as BoucWenBaberNoori
 from .bouc_wen_force import BoucWenForce as BoucWenForce
 from .creep import LinearCreep as LinearCreep
 from .creep import LogCreep as LogCreep
+from .damper import Damper as Damper
 from .duhem import Duhem as Duhem
 from .dynamics import Delay as Delay
 from .dynamics import Lag as Lag
@@ -23,7 +25,10 @@ from .preisach.tabulated import TabulatedPreisach as TabulatedPreisach
 from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
 from .relaxation import Relaxation as Relaxation
+from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
 from .simulation import Resume as Resume
 from .simulation import simulate as simulate
+from .steel02 import Steel02 as Steel02
 from .sum import Sum as Sum
+from .voce_chaboche import VoceChaboche as VoceChaboche

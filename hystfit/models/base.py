@@ -79,6 +79,11 @@ class AbstractHysteresis(AbstractDynamics):
         """Whether the loop changes with the path that the input has run, so that a new device differs from a used one."""
         return False
 
+    @property
+    def degrades(self) -> bool:
+        """Whether the model describes loops that lose strength or stiffness."""
+        return self.needs is not None and self.needs.damage
+
     # -- optional: fitting ---------------------------------------------------------------------------------------------------
 
     def start(self, records: Sequence[Record]) -> AbstractHysteresis:

@@ -83,6 +83,36 @@ MODELS: dict[str, Entry] = {
         "Bouc-Wen of a yielding element, force against displacement (dampers, steel); 6 parameters",
         tried=("bouc-wen-force",),
     ),
+    "bouc-wen-baber-noori": Entry(
+        "bouc_wen_degrading:BoucWenBaberNoori",
+        "core",
+        "Bouc-Wen that loses strength and stiffness and pinches (walls, joints); 12 parameters",
+        tried=("bouc-wen-baber-noori",),
+    ),
+    "self-similar-stops": Entry(
+        "self_similar:SelfSimilarStops.of",
+        "core",
+        "weighted stops that scale with the largest input so far: degrading and pinched loops; convex solve",
+        tried=("self-similar-stops",),
+    ),
+    "damper": Entry(
+        "damper:Damper",
+        "core",
+        "damper: spring, valves, friction, yield force, forces that lag the velocity; convex solve; needs time",
+        tried=("damper", "negate+damper"),
+    ),
+    "steel-02": Entry(
+        "steel02:Steel02",
+        "core",
+        "Steel02 (Menegotto-Pinto-Filippou) of steel, stress against strain, as in OpenSees; 8 parameters",
+        tried=("steel-02",),
+    ),
+    "voce-chaboche": Entry(
+        "voce_chaboche:VoceChaboche.of",
+        "core",
+        "updated Voce-Chaboche of steel, stress against strain: yield plateau, isotropic hardening, backstresses",
+        tried=("voce-chaboche",),
+    ),
     "jiles-atherton": Entry(
         "jiles_atherton:JilesAtherton",
         "core",

@@ -180,7 +180,7 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
     if needs.loop and facts.charges:
         reasons.append("the output is the current that charges the device: the model describes its integral over time")
-    if needs.loop and facts.degrading:
+    if needs.loop and facts.degrading and not needs.damage:
         reasons.append(
             "the loop loses stiffness or strength (damage or backlash): the model has no terms for degradation or pinching"
         )

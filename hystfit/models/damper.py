@@ -1,0 +1,188 @@
+"""A damper: forces of displacement and velocity, friction, and a force that lags the velocity, by one convex solve."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
+from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.play_columns import play_columns
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import drive
+from hystfit.models.starting import input_range, output_range, sampling_interval
+from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.param import leaves_of, param
+from hystfit.quality.needs import Needs
+
+# Of stops of the displacement and of the velocity, over half the stroke and the speed; and of the bends of saturating forces.
+_STROKES = tuple(np.geomspace(0.005, 1.2, 16))
+_LAGS = tuple(np.geomspace(0.005, 0.9, 12))
+_BENDS = tuple(np.geomspace(0.01, 1.0, 8))
+_SPRING = (1, 2, 3, 5)
+_DELAY = 3.0  # sampling intervals: time constant of the velocity from which a fit starts
+_TYPICAL = 0.99  # quantile of the speeds that counts as the largest
+
+
+class Damper(AbstractHysteresis):
+    """Force of a damper in displacement and velocity (hydraulic, gas-charged, magnetorheological, friction):
+
+        y = offset + sum spring_k x^k + viscous w + b1 w |w| + b2 w^3 + b3 w^2 + c1 x |w| + c2 x w + c3 x^2 w + c4 x^2 |w|
+              + sum over e, j of saturating[e, j] g_e(x) tanh(w / s_j)
+              + sum friction_j (x - p_j) + sum lagging_j (w - q_j)
+        p_j <- clip(p_j, x - r_j, x + r_j),   q_j <- clip(q_j, w - h_j, w + h_j)
+
+    x = (u - center) / half is the displacement, w the velocity over `speed` behind a first-order lag `tau`. The powers of x are a
+    mechanical or gas spring; those of w and their products with x the valves, whose force may depend on the direction and on the place.
+    g_0 falls from 1 to 0 over the stroke and g_1 rises.
+    Saturating forces are the yield force of a magnetorheological damper, stops of x friction and the elasticity before it slips. Stops of
+    w are forces that differ between rising and falling speed: the compressibility of the fluid and the inertia of a valve. `viscous`,
+    `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve.
+    """
+
+    rate_independent: ClassVar[bool] = False
+    has_fast_run: ClassVar[bool] = True
+    estimator: ClassVar[str] = "convex"
+    needs: ClassVar[Needs] = Needs(time=True, direction="clockwise", regularized=True)
+
+    spring: Float[Array, " powers"] = param(
+        (0.0,) * 4, unit="y", linear=True, doc="force of the displacement: powers 1, 2, 3, 5 of x"
+    )
+    viscous: Scalar = param(0.1, bounds=(0.0, np.inf), unit="y", linear=True, doc="force proportional to the velocity")
+    bent: Float[Array, " powers"] = param((0.0,) * 3, unit="y", linear=True, doc="forces w |w|, w^3 and w^2")
+    coupling: Float[Array, " products"] = param(
+        (0.0,) * 4, unit="y", linear=True, doc="forces x |w|, x w, x^2 w and x^2 |w|"
+    )
+    saturating: Float[Array, "ends bends"] = param(
+        ((0.05,) * len(_BENDS),) * 2,
+        bounds=(0.0, np.inf),
+        unit="y",
+        scale=0.1,
+        linear=True,
+        doc="forces that saturate in the velocity, at the lower and the upper end of the stroke",
+    )
+    friction: Float[Array, " strokes"] = param(
+        (0.05,) * len(_STROKES), bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the stops of x"
+    )
+    lagging: Float[Array, " lags"] = param(
+        (0.05,) * len(_LAGS), bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the stops of w"
+    )
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the force")
+    tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="lag of the velocity")
+    center: Scalar = param(0.0, unit="u", fixed=True, doc="displacement where x = 0")
+    half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the stroke")
+    speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="velocity where w = 1")
+
+    def __check_init__(self) -> None:
+        wanted = {
+            "spring": (4,),
+            "bent": (3,),
+            "coupling": (4,),
+            "saturating": (2, len(_BENDS)),
+            "friction": (len(_STROKES),),
+            "lagging": (len(_LAGS),),
+        }
+        for name, shape in wanted.items():
+            value = getattr(self, name)
+            if hasattr(value, "shape") and value.shape[-len(shape) :] != shape:
+                raise ModelError(f"{name} must have shape {shape}, got {value.shape}")
+
+    def init(self, u0: Scalar) -> State:
+        """State at rest on u0: the plays of x and of w, and w, shape (29,)."""
+        x = (u0 - self.center) / self.half
+        return jnp.concatenate([jnp.full(len(_STROKES), 1.0) * x, jnp.zeros(len(_LAGS) + 1) * u0])
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """One sample: the velocity, the plays, and the sum of all forces."""
+        rate = (u1 - u0) / jnp.where(dt > 0, dt, 1.0) / self.speed
+        left = jnp.exp(-dt / self.tau)
+        w = jnp.where(dt > 0, left * state[-1] + (1.0 - left) * rate, state[-1])
+        x = (u1 - self.center) / self.half
+        p, q = _follow(state[: len(_STROKES)], x, _STROKES), _follow(state[len(_STROKES) : -1], w, _LAGS)
+        y = self.offset + jnp.dot(self.spring, x ** jnp.asarray(_SPRING)) + self.viscous * w
+        y += self.bent @ jnp.stack([w * jnp.abs(w), w**3, w**2])
+        y += self.coupling @ jnp.stack([x * jnp.abs(w), x * w, x**2 * w, x**2 * jnp.abs(w)])
+        part = jnp.clip(0.5 * (1.0 + x), 0.0, 1.0)
+        y += jnp.dot((1.0 - part) * self.saturating[0] + part * self.saturating[1], jnp.tanh(w / jnp.asarray(_BENDS)))
+        y += jnp.dot(self.friction, x - p) + jnp.dot(self.lagging, w - q)
+        return jnp.concatenate([p, q, w[None]]), y
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """By columns, without a program to compile."""
+        design = self.design_matrix(*drive(self, u, dt))
+        weights = {leaf.index: np.ravel(getattr(self, leaf.path[-1])) for leaf in leaves_of(self)}
+        return np.sum([block.columns @ weights[block.leaf] for block in design.blocks], axis=0)
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """Columns of all weights at once."""
+        u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
+        x, w = (u - float(self.center)) / float(self.half), self._velocity(u, dt)[:, None]
+        one, size, bends = x[:, None], np.abs(w), np.tanh(w / np.asarray(_BENDS))
+        part = np.clip(0.5 * (1.0 + one), 0.0, 1.0)
+        columns = {
+            "spring": one ** np.asarray(_SPRING),
+            "viscous": w,
+            "bent": np.hstack([w * size, w**3, w**2]),
+            "coupling": np.hstack([one * size, one * w, one**2 * w, one**2 * size]),
+            "saturating": np.hstack([(1.0 - part) * bends, part * bends]),
+            "friction": one - play_columns(x, np.asarray(_STROKES), x[0]),
+            "lagging": w - play_columns(w[:, 0], np.asarray(_LAGS), 0.0),
+            "offset": np.ones((u.size, 1)),
+        }
+        blocks = [
+            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
+        ]
+        return DesignMatrix(tuple(blocks), np.zeros(u.size), np.arange(u.size))
+
+    def _velocity(self, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        """w at every sample, shape (T,)."""
+        left = np.where(dt > 0, np.exp(-dt / float(self.tau)), 1.0)
+        driven = (1.0 - left) * np.diff(u, prepend=u[0]) / np.where(dt > 0, dt, 1.0) / float(self.speed)
+        w, last = np.empty(u.size), 0.0
+        for k, (kept, added) in enumerate(zip(left.tolist(), driven.tolist(), strict=True)):
+            w[k] = last = kept * last + added
+        return w
+
+    def start(self, records: Sequence[Record]) -> Damper:
+        """Stroke and speed from the records, and a lag of a few samples; the weights follow from a linear solve."""
+        place, out, interval = input_range(records), output_range(records), sampling_interval(records)
+        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
+        speed = float(np.quantile(rates, _TYPICAL)) if rates.size else 0.0
+        ranges = {"center": place.center, "half": place.half, "speed": speed or 1.0, "tau": _DELAY * interval}
+        return dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """Refused.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(
+            "a damper has no inverse: its force depends on the velocity, and its spring may have either sign"
+        )
+
+    def c_part(self) -> CPart:
+        """The same step in C."""
+        numbers = {
+            name.upper(): getattr(self, name) for name in ("viscous", "offset", "tau", "center", "half", "speed")
+        }
+        numbers |= {"STROKES": len(_STROKES), "LAGS": len(_LAGS), "BENDS": len(_BENDS)}
+        arrays = {
+            name: getattr(self, name) for name in ("spring", "bent", "coupling", "saturating", "friction", "lagging")
+        }
+        arrays |= {"strokes": np.array(_STROKES), "lags": np.array(_LAGS), "bends": np.array(_BENDS)}
+        return CPart(template("damper.c"), len(_STROKES) + len(_LAGS) + 1, numbers, arrays)
+
+
+def _follow(plays: Array, at: Scalar, widths: tuple[float, ...]) -> Array:
+    """Plays of these half widths, dragged to a new position."""
+    r = jnp.asarray(widths)
+    return jnp.maximum(at - r, jnp.minimum(at + r, plays))

@@ -1,0 +1,181 @@
+"""The updated Voce-Chaboche law of steel (Hartloper, de Castro e Sousa and Lignos 2021), with an exact step for any strain increment."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
+from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import run
+from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.params.host_arrays import compiled
+from hystfit.params.param import param
+from hystfit.quality.needs import Needs
+
+_NEWTON = 8  # steps that the plastic strain of one sample takes at most, from zero, to rounding
+_SOFTEST = 0.02  # least slope of the yield condition, as a fraction of E: below it, the law itself softens faster than it unloads
+_GRID = (
+    (0.003, 0.01, 0.03, 0.1),
+    (0.0, 0.5),
+    (10.0, 100.0, 600.0),
+)  # yield strain / half range, Q / sy0, g * half range
+
+
+class VoceChaboche(AbstractHysteresis):
+    """Stress of steel against its strain, with isotropic hardening, an initial yield plateau and K backstresses:
+
+        sig = E (u - ep),   |sig - sum a_k| <= sy(p),   p = integral of |dep|
+        sy(p) = sy0 + Q (1 - exp(-b p)) - D (1 - exp(-a p)),   da_k = g_k (s S_k - a_k) dp
+
+    S_k = C_k / g_k is the largest value of a backstress and g_k the rate with which it is reached; C_k and g_k are those of the
+    literature. D lowers the yield stress over the first plastic strains and so makes the plateau. A sample solves the yield condition for
+    its plastic strain, with backstresses that are exact for any increment: the sampling has no effect on the stress. Derivatives follow
+    from the implicit function theorem. Fits may swap the backstresses, which differ by their rates alone.
+
+    The device rests without stress at zero strain before the record; the output is offset + sig.
+
+    Raises:
+        ModelError: S and g of different shapes.
+
+    Source: Hartloper, de Castro e Sousa and Lignos (2021), Journal of Structural Engineering 147, 04021028.
+    """
+
+    rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2,
+        symmetry="symmetric",
+        direction="clockwise",
+        too_few="isotropic hardening (Q, b) and backstresses (S, g) trade off",
+    )
+
+    E: Scalar = param(10.0, bounds=(0.0, np.inf), unit="y/u", scale=10.0, doc="elastic modulus")
+    sy0: Scalar = param(0.5, bounds=(0.0, np.inf), unit="y", scale=0.5, doc="initial yield stress")
+    Q: Scalar = param(0.1, bounds=(0.0, np.inf), unit="y", scale=0.1, doc="isotropic hardening at saturation")
+    b: Scalar = param(5.0, bounds=(0.0, np.inf), unit="1/u", scale=1.0, doc="rate of the isotropic hardening")
+    D: Scalar = param(0.05, bounds=(0.0, np.inf), unit="y", scale=0.1, doc="loss of the initial yield stress")
+    a: Scalar = param(20.0, bounds=(0.0, np.inf), unit="1/u", scale=10.0, doc="rate of that loss")
+    S: Float[Array, " backstresses"] = param(
+        (0.2, 0.2), bounds=(0.0, np.inf), unit="y", scale=0.2, vector=True, doc="largest value of each backstress"
+    )
+    g: Float[Array, " backstresses"] = param(
+        (3.0, 30.0), bounds=(0.0, np.inf), unit="1/u", scale=10.0, vector=True, doc="rate of each backstress"
+    )
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+
+    def __check_init__(self) -> None:
+        if hasattr(self.S, "shape") and hasattr(self.g, "shape") and self.S.shape[-1:] != self.g.shape[-1:]:
+            raise ModelError(
+                f"S and g must have one value for each backstress, got shapes {self.S.shape}, {self.g.shape}"
+            )
+
+    @classmethod
+    def of(cls, backstresses: int = 2) -> VoceChaboche:
+        """A model with this many backstresses.
+
+        Args:
+            backstresses: their number.
+
+        Raises:
+            ModelError: fewer than one.
+        """
+        if backstresses < 1:
+            raise ModelError(f"at least one backstress is needed, got {backstresses}")
+        return cls(S=np.full(backstresses, 0.4 / backstresses), g=np.geomspace(3.0, 30.0, backstresses))
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        return {"backstresses": int(self.S.shape[-1])}
+
+    def init(self, u0: Scalar) -> State:
+        """State after loading from zero strain to u0: plastic strain, its path and the backstresses, shape (2 + K,)."""
+        rest = jnp.zeros(2 + self.S.size, u0.dtype) + 0.0 * u0
+        return self._moved(rest, u0)
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """One sample: elastic, or the plastic strain that meets the yield condition."""
+        new = self._moved(state, u1)
+        return new, self.offset + self.E * (u1 - new[0])
+
+    def _moved(self, state: State, u1: Scalar) -> State:
+        """The state at the strain u1."""
+        back = state[2:]
+        trial = self.E * (u1 - state[0])
+        s = jnp.where(trial < jnp.sum(back), -1.0, 1.0)
+        dp = self._plastic(s * trial, s * back, state[1])
+        moved = s * self.S - (s * self.S - back) * jnp.exp(-self.g * dp)
+        return jnp.concatenate([jnp.stack([state[0] + s * dp, state[1] + dp]), moved])
+
+    def _plastic(self, trial: Scalar, back: Array, p: Scalar) -> Scalar:
+        """The increment dp >= 0 at which the yield condition is met, with all signs in the direction of the stress."""
+        still, *constants = jax.tree.map(jax.lax.stop_gradient, (self, trial, back, p))
+
+        def newton(_: Any, dp: Scalar) -> Scalar:
+            excess, slope = still._condition(*constants, dp)
+            return jnp.maximum(dp - excess / slope, 0.0)
+
+        solved = jax.lax.fori_loop(0, _NEWTON, newton, jnp.zeros_like(trial))
+        # One more step, with derivatives of the excess alone, is the implicit function theorem.
+        excess, slope = self._condition(trial, back, p, solved)
+        yields = trial - jnp.sum(back) > self._yield(p)
+        return jnp.where(yields, solved - excess / jax.lax.stop_gradient(slope), 0.0)
+
+    def _condition(self, trial: Scalar, back: Array, p: Scalar, dp: Scalar) -> tuple[Scalar, Scalar]:
+        """Stress beyond the yield surface after an increment dp, and its derivative in dp, kept below that of `_SOFTEST`."""
+        left = (self.S - back) * jnp.exp(-self.g * dp)
+        excess = trial - self.E * dp - jnp.sum(self.S - left) - self._yield(p + dp)
+        rates = self.D * self.a * jnp.exp(-self.a * (p + dp)) - self.Q * self.b * jnp.exp(-self.b * (p + dp))
+        return excess, jnp.minimum(-self.E - jnp.sum(self.g * left) + rates, -_SOFTEST * self.E)
+
+    def _yield(self, p: Scalar) -> Scalar:
+        return self.sy0 - self.Q * jnp.expm1(-self.b * p) + self.D * jnp.expm1(-self.a * p)
+
+    def c_part(self) -> CPart:
+        """The same Newton steps in C."""
+        numbers = {name.upper(): getattr(self, name) for name in ("E", "sy0", "Q", "D", "offset")}
+        numbers |= {"RATE_Q": self.b, "RATE_D": self.a, "SOFTEST": _SOFTEST, "NEWTON": _NEWTON, "K": int(self.S.size)}
+        return CPart(template("voce_chaboche.c"), 2 + int(self.S.size), numbers, {"S": self.S, "g": self.g})
+
+    def start(self, records: Sequence[Record]) -> VoceChaboche:
+        """The best of a grid over yield strain, isotropic hardening and rate, with the stresses scaled by least squares."""
+        half, short = input_range(records).half, thinned(records, 400)
+        ey, Q, g = np.array(list(itertools.product(*_GRID))).T
+        grid = np.column_stack([1.0 / (ey * half), Q, g / half])
+        plain = VoceChaboche(S=self.S, g=self.g)
+        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(half), jnp.asarray(r.u))) for r in short]
+        columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
+        _, y = used_samples(short)
+        offsets = offset_columns(short)
+        best = best_column(offsets, columns, y)
+        theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
+        sy0 = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
+        unit = _on_grid(plain, grid[best], np.asarray(half))
+        scaled = {name: sy0 * np.asarray(getattr(unit, name)) for name in ("E", "sy0", "Q", "D", "S")}
+        rates = {name: np.asarray(getattr(unit, name)) for name in ("b", "a", "g")}
+        return dataclasses.replace(self, **scaled, **rates, offset=theta[1])
+
+
+def _on_grid(plain: VoceChaboche, row: Any, half: Any) -> VoceChaboche:
+    """A model with sy0 = 1 and (E, Q, middle rate) of a row of the grid; rates of backstresses a factor of 10 apart."""
+    count = plain.S.shape[-1]
+    spread = 10.0 ** (np.arange(count) - 0.5 * (count - 1))
+    values = (row[0], 1.0, row[1] + 1e-3, 1.0 / half, 0.1, 50.0 / half, np.full(count, 0.6 / count), row[2] * spread)
+    where = lambda m: (m.E, m.sy0, m.Q, m.b, m.D, m.a, m.S, m.g)
+    return eqx.tree_at(where, plain, tuple(jnp.asarray(value, plain.E.dtype) for value in values))
+
+
+@compiled
+def _over_grid(plain: VoceChaboche, grid: Float[Array, "n 3"], half: Scalar, u: Signal) -> Float[Array, "n T"]:
+    """Stress of the models of a grid, shape (grid, T)."""
+    return jax.vmap(lambda row: run(_on_grid(plain, row, half), u, jnp.zeros_like(u))[0])(grid)
