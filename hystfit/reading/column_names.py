@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
+from importlib.resources import files
 
 from hystfit.params.units import quantity
 from hystfit.reading.header import split_unit
 
-_VOCABULARY = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_VOCABULARY = tomllib.loads((files("hystfit.reading") / "column_names.toml").read_text(encoding="utf-8"))
 _WORDS: dict[str, str] = {word: kind for kind, words in _VOCABULARY["words"].items() for word in words.split()}
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
