@@ -13,7 +13,7 @@ from hystfit.batch.journal import Journal
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source, sources_of, units_of
 from hystfit.batch.work import Work, fit_sources
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
@@ -23,10 +23,11 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-_TOGETHER = 16  # loops in one task, where each takes milliseconds
+_TOGETHER = 128  # loops in one task, where each takes milliseconds
 _ROWS = "rows.jsonl"
 
 
+@verb
 def fit_many(
     model: AbstractHysteresis | type[AbstractHysteresis] | str,
     loops: Iterable[str | Path | Record] | str | Path,
@@ -40,8 +41,9 @@ def fit_many(
 ) -> Fits:
     """Fit one model to each of many loops, each on its own, with the estimates, errors and verdicts of `hystfit.fit`.
 
-    Levenberg-Marquardt runs for many loops of similar length in one compiled program. A loop that does not converge there, ends on a
-    bound, or has a model with another estimator is fitted as `hystfit.fit` does it. A loop that cannot be read or fitted is a row
+    Levenberg-Marquardt runs for many loops of similar length in one compiled program, and loops over one input are judged together
+    where their fit is beyond doubt. A loop that does not converge there, ends on a bound, or has a model with another estimator is
+    fitted as `hystfit.fit` does it. A loop that cannot be read or fitted is a row
     with the reason. All loops are converted to the units of the first one that can be read.
 
     Args:
@@ -60,7 +62,6 @@ def fit_many(
     Raises:
         HystfitError: settings that no loop can be fitted with, no loops, the same loop twice, or a folder that holds another batch.
     """
-    require_x64()
     if workers < 1:
         raise ParameterError(f"workers must be at least 1, got {workers}")
     work = Work.of(model, options, reading or {})
