@@ -6,7 +6,7 @@ import dataclasses
 
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
-from hystfit.fitting.structure import Structure
+from hystfit.fitting.structure import Structure, falls
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
@@ -52,9 +52,12 @@ def candidates(data: Dataset) -> Candidates:
         return Candidates(curves or (SEARCH,))
     timed = all(record.t is not None for record in data)
     able = {n: m for n, m in models.items() if not m.from_saturation and (timed or m.rate_independent)}
-    closed = (SEARCH, *(name for name, model in able.items() if model.estimator in ("preisach", "convex")))
+    # Signed weights need no negation.
+    before = lambda model: "negate+" if falls(data) and model.has_inverse else ""
+    closed = {name: before(model) + name for name, model in able.items() if model.estimator in ("preisach", "convex")}
     resonant = tuple(name for name, model in able.items() if _resonates(name, model))
-    return Candidates(closed, tuple(name for name in able if name not in (*closed, *resonant)), resonant)
+    others = tuple(name for name in able if name not in (*closed, *resonant))
+    return Candidates((SEARCH, *closed.values()), others, resonant)
 
 
 def _drives(model: AbstractHysteresis, data: Dataset) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
@@ -29,7 +28,7 @@ from hystfit.runs.threads import Workers
 @verb
 def compare(
     data: Any,
-    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto", "quick"] | None = None,
+    models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto"] | None = None,
     *,
     left_out: LeftOut = "auto",
     purpose: Purpose = "prediction",
@@ -50,10 +49,10 @@ def compare(
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") tries every family that the records can drive, "quick" those of them whose weights follow from a linear
-            solve. Both stop models that cannot win: their fit errs more than the best model does in cross-validation, or their first
-            fit errs one and a half times as much. A first fit starts from two points and is judged on the fitted samples; that of a
-            model with elements has its default size and is judged by cross-validation.
+            None (or "auto") tries every family that the records can drive, and stops those that cannot win: their fit errs more than
+            the best model does in cross-validation, or their first fit errs one and a half times as much. A first fit starts from two
+            points and is judged on the fitted samples; that of a model with elements has its default size and is judged by
+            cross-validation.
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -74,10 +73,8 @@ def compare(
     data = records_of(data)
     if left_out == "future" and not turns_back(data):
         raise ModelError("reversal curves have no order in time: use left_out='auto'")
-    named = _named(models) if models and models not in ("auto", "quick") else {}
+    named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named)) if named else candidates(data)
-    if models == "quick":
-        chosen = dataclasses.replace(chosen, iterated=(), resonant=())
     data = without_faults(data)
     run = ComparisonRun(data, left_out, purpose, options, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:

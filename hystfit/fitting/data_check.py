@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from typing import Any
 
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
-from hystfit.fitting.compare import compare
+from hystfit.fitting.screening import best_screened, screen
+from hystfit.fitting.verdict import POOR
 from hystfit.models.registry import judged, judged_as
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code
+from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import Verdict
+from hystfit.quality.held_out import held_out
 from hystfit.reading.in_memory import records_of
+from hystfit.results.accuracy import is_noise, is_single_valued_error
 
 _INTEGRATED = ("integrate", "true")  # option that reads a current as the charge, of which the loop is made
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
@@ -44,10 +47,13 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
 
 def _advice(records: Dataset) -> Advice | None:
     """The best of the models with a closed form; None where none of them describes a loop."""
-    with contextlib.suppress(HystfitError):
-        found = compare(records, "quick", progress=lambda *_: None)
-        best = found.rows[0]
-        if found.winner.status not in (Status.NO_LOOP, Status.POOR) and best.score_percent is not None:
-            reason = f"cross-validation error {best.score_percent:.2g} % of the range; it {found.scheme.tested}"
-            return Advice(best.name, reason)
-    return None
+    try:
+        baselines = Baselines.of(records)
+        best = best_screened(screen(records))
+    except HystfitError:
+        return None
+    percent = 100 * best.error / baselines.span
+    if is_single_valued_error(best.error, baselines) or (percent > POOR and not is_noise(best.error, baselines)):
+        return None
+    reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
+    return Advice(best.name, reason)

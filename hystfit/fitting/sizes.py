@@ -68,7 +68,9 @@ class SizeSearch:
             self._progress(name)
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
-                self._scores[name] = left_out_score(problem, problem.space.vector(problem.model), _COARSE)
+                self._scores[name] = left_out_score(
+                    problem, problem.space.vector(problem.model), _COARSE, refitted=False
+                )
             except (HystfitError, np.linalg.LinAlgError):
                 self._scores[name] = float("inf")
         return self._scores[name]

@@ -92,12 +92,14 @@ class SmoothWeights(AbstractEstimator):
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
-def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
+def left_out_score(
+    problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS, *, refitted: bool = True
+) -> float:
     """Root mean square error on the held-out groups that choose the smoothness, output units.
 
-    The weights in x are solved for; `smoothness` has two or more strengths.
+    The weights in x are solved for; `smoothness` has two or more strengths; `refitted` as for `fit_smooth`.
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
-    error = fit_smooth(now.system, smoothness, fixed=now.fixed).error
+    error = fit_smooth(now.system, smoothness, fixed=now.fixed, refitted=refitted).error
     assert error is not None
     return error * now.system.size

@@ -111,6 +111,11 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
     return Series(*before, model) if before else model
 
 
+def falls(data: Dataset) -> bool:
+    """Whether the output falls as the input rises."""
+    return bool(sum(np.cov(record.u[record.used], record.y[record.used])[0, 1] for record in data) < 0)
+
+
 def interval_of(data: Dataset) -> float:
     """Sampling interval, 0 without time."""
     return data.sampling_interval or 0.0

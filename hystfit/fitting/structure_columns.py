@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.convex import LinearSystem, fit_ridge
-from hystfit.fitting.structure import Structure, interval_of, output_of
+from hystfit.fitting.structure import Structure, falls, interval_of, output_of
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
@@ -67,8 +67,7 @@ class Terms:
         self.thresholds = np.asarray(PrandtlIshlinskii.of(plays).r)
         self.timed = interval_of(data) > 0 and all(record.t is not None for record in data)
         self.span = output_range(data).width
-        slopes = (np.cov(record.u[record.used], record.y[record.used])[0, 1] for record in data)
-        self.falls = bool(sum(slopes) < 0)  # the output falls as the input rises
+        self.falls = falls(data)
         self.used = np.concatenate([record.used for record in data])
         self.weight = np.concatenate([record.weight for record in data])[self.used]
         self.samples = self.weight.size

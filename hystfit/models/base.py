@@ -75,6 +75,11 @@ class AbstractHysteresis(AbstractDynamics):
         return False
 
     @property
+    def has_inverse(self) -> bool:
+        """Whether its kind has an inverse; that of one model also depends on its parameters, see `obstacle`."""
+        return not self.delays
+
+    @property
     def hardens(self) -> bool:
         """Whether the loop changes with the path that the input has run, so that a new device differs from a used one."""
         return False

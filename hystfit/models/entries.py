@@ -129,7 +129,7 @@ MODELS: dict[str, Entry] = {
         "core",
         "Preisach with cells; weights >= 0 and smooth by a convex solve",
         preset={"n": 30, "spacing": "quantile"},
-        tried=("preisach", "negate+preisach"),
+        tried=("preisach",),
     ),
     "preisach-magnetic": Entry(
         "preisach.model:Preisach.of",

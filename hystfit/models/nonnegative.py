@@ -34,6 +34,49 @@ def solve_nonnegative(
             return _by_root(A, b, bounded)
 
 
+def solve_several(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> np.ndarray:
+    """Solutions of several small problems with the same bounds, pivoted side by side: the calls take longer than their arithmetic.
+
+    Args:
+        A: positive definite, shape (K, p, p).
+        b: shape (K, p).
+        bounded: which unknowns are >= 0, shape (p,), bool.
+
+    Returns:
+        Shape (K, p).
+    """
+    found, active, waiting = np.zeros_like(b), np.tile(~bounded, (len(b), 1)), np.arange(len(b))
+    fewest, patience, unit = np.full(len(b), b.shape[1] + 1), np.full(len(b), _PATIENCE), np.eye(b.shape[1])
+    for _ in range(_LIMIT):
+        on, some, right = active[waiting], A[waiting], b[waiting]
+        try:
+            w = np.linalg.solve(np.where(on[:, :, None] & on[:, None, :], some, unit), (right * on)[..., None])
+        except np.linalg.LinAlgError:  # positive definite but for rounding
+            break
+        wrong = _wrong(w[..., 0], (some @ w)[..., 0] - right, right, bounded, on)
+        found[waiting] = np.where(bounded, np.maximum(w[..., 0], 0.0), w[..., 0])
+        count = wrong.sum(axis=1)
+        better = count < fewest[waiting]
+        patience[waiting] = np.where(better, _PATIENCE, patience[waiting] - 1)
+        fewest[waiting] = np.minimum(count, fewest[waiting])
+        alone = patience[waiting] < 0  # Murty's rule: one at a time always ends
+        wrong &= ~alone[:, None] | (np.cumsum(wrong[:, ::-1], axis=1)[:, ::-1] == 1)
+        active[waiting] = on ^ wrong
+        waiting = waiting[count > 0]
+        if not waiting.size:
+            return found
+    for k in waiting:
+        found[k], _ = solve_nonnegative(A[k], b[k], bounded, active[k])
+    return found
+
+
+def _wrong(w: np.ndarray, dual: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> np.ndarray:
+    """Unknowns on the wrong side: negative, or held at zero against the gradient; of one problem (p,) or several (K, p)."""
+    slack = 1e-13 * np.abs(w).max(axis=-1, initial=0.0, keepdims=True)
+    steep = -1e-11 * np.abs(b).max(axis=-1, initial=1e-300, keepdims=True)
+    return bounded & np.where(active, w < -slack, dual < steep)
+
+
 @functools.cache
 def _blas() -> ThreadpoolController:
     # numpy and scipy bring a pool of threads each, which wait for each other where small products and factors alternate.
@@ -44,8 +87,7 @@ def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray
     fewest, patience = b.size + 1, _PATIENCE
     for left in range(_LIMIT, 0, -1):
         w, dual = _solve_on(A, b, active)
-        slack = 1e-13 * float(np.abs(w).max(initial=0.0))
-        wrong = bounded & np.where(active, w < -slack, dual < -1e-11 * np.abs(b).max(initial=1e-300))
+        wrong = _wrong(w, dual, b, bounded, active)
         count = int(wrong.sum())
         if count == 0:
             return np.where(bounded, np.maximum(w, 0.0), w), active

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -180,12 +181,13 @@ class ParameterSpace:
                     sources.append((number, k, record if several else None))
         self.names, self.infos = tuple(names), tuple(infos)
         self.sources = tuple(sources)
-        self.units = tuple(self.scales.label(info.unit) for info in infos)
+        label, size = functools.cache(self.scales.label), functools.cache(self.scales.size)  # of hundreds of weights
+        self.units = tuple(label(info.unit) for info in infos)
         bounds = np.array([info.bounds for info in infos], dtype=float).reshape(-1, 2)
         finite = np.isfinite(bounds)
         kinds = np.where(finite.all(1), BOTH, np.where(finite[:, 0], LOWER, np.where(finite[:, 1], UPPER, REAL)))
         self.lower, self.upper, self.kinds = bounds[:, 0], bounds[:, 1], kinds
-        self.scale = np.array([info.scale * self.scales.size(info.unit) for info in infos])
+        self.scale = np.array([info.scale * size(info.unit) for info in infos])
         dtype = jnp.result_type(float)
         self.coordinates = Coordinates(
             leaves=tuple(flat),

@@ -18,6 +18,7 @@ class SignedPreisach(Preisach):
     The output need not rise with the input, because cells of negative mass switch against it.
     """
 
+    has_inverse: ClassVar[bool] = False
     needs: ClassVar[None] = None  # as `Preisach`, which `check` judges
 
     w: Float[Array, " cells"] = param(

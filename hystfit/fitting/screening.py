@@ -1,0 +1,51 @@
+"""A quick look at the families with a closed form: their errors on held-out samples, without the fit or the verdict of any."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+
+from hystfit.data.dataset import Dataset
+from hystfit.fitting.candidates import candidates
+from hystfit.fitting.fit_setup import without_faults
+from hystfit.fitting.sizes import SizeSearch
+from hystfit.fitting.structure_search import search_structure
+from hystfit.fitting.thinning import thinned
+from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.params.param import leaves_of
+
+
+@dataclasses.dataclass(frozen=True)
+class Screened:
+    """A model with its root mean square error on held-out samples [y].
+
+    Attributes:
+        name: expression that makes it.
+        error: infinite for a model that cannot be solved for.
+        weights: number of its weights.
+        inverse: whether it has one.
+    """
+
+    name: str
+    error: float
+    weights: int
+    inverse: bool
+
+
+def screen(data: Dataset) -> Iterator[Screened]:
+    """Score the families with a closed form, on thinned records and with few of their choices."""
+    data = without_faults(data)
+    short = thinned(data)  # not for the search, whose terms may depend on the rate
+    for name in candidates(data).closed:
+        if name == SEARCH:
+            found = search_structure(data)
+            model, error = found.model, found.score
+        elif (first := SizeSearch(short).first(make_model(name))) is not None:
+            model, error = first
+        weights = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
+        yield Screened(model_name(model), error, weights, model.has_inverse)
+
+
+def best_screened(models: Iterable[Screened]) -> Screened:
+    """The model to try first: the least error."""
+    return min(models, key=lambda one: one.error * (1.0 if one.inverse else 1.5))
