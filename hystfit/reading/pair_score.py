@@ -40,7 +40,8 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
             ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
-            ("induction", "magnetization"), ("pressure", "displacement"), ("voltage", "force"), ("current", "force"), ("field", "voltage"),
+            ("induction", "magnetization"), ("pressure", "displacement"), ("voltage", "force"), ("current", "force"),
+            *itertools.product(["field", "induction"], ["voltage", "displacement", "strain", ""]),
             ("displacement", "moment"),
         ],
         3.0,
