@@ -20,7 +20,7 @@ from hystfit.reading.raw_table import Table
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 1.0, "": 0.8, "temperature": -1.0,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "temperature": -1.0,
 }  # fmt: skip
 _RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "force": 2.0,
@@ -41,7 +41,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
             ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
             ("induction", "magnetization"), ("pressure", "displacement"), ("voltage", "force"), ("current", "force"),
-            *itertools.product(["field", "induction"], ["voltage", "displacement", "strain", ""]),
+            *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
             ("displacement", "moment"),
         ],
         3.0,
