@@ -46,6 +46,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         ],
         3.0,
     )
+    | {("induction", "voltage"): 1.5}
     | dict.fromkeys(itertools.product(["temperature"], ["displacement", "strain", "force", "stress", "current", ""]), 3.0)
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
@@ -62,7 +63,7 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-# Points of a pair that is proportional: a second sensor of the input. Loops of piezo actuators, the narrowest, leave 0.001 to 0.02 of the
+# Points of a pair of one quantity that is proportional: a second sensor of the input. Loops of piezo actuators, the narrowest, leave 0.001 to 0.02 of the
 # variance to their hysteresis.
 _COPY, _PROPORTIONAL = -3.0, 2e-4
 _MOST_SAMPLES, _BINS, _PER_BIN = 4000, 24, 15  # samples that are looked at, intervals of the input, and samples of each
@@ -144,10 +145,11 @@ class _Evidence:
             _DRIVE.get(kinds[i], _SELDOM) + _RESPONSE.get(kinds[o], _SELDOM) + _PAIRS.get((kinds[i], kinds[o]), 0.0)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
-        points += self._of_role[i]["input"] + self._of_role[o]["output"] + self._of_signal[i] + self._of_signal[o]
+        points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         if not self.alone and kinds[i] == "temperature" and _extent(self.table.columns[i]) < _HEATED:
             points += _COLD
-        if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not {i, o} <= self.equal:
+        told = {i, o} <= self.equal or self._stated[i] or self._stated[o]
+        if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
             plain, bent = self._overtones[i], self._overtones[o]
             points += _CLEAN * (plain <= _PURE and bent > _PLAINER * plain)
             points += _COMMANDED * (self._roughness[o] > _NOISIER * self._roughness[i])
@@ -162,7 +164,8 @@ class _Evidence:
             if {reading.input, reading.output} <= self.equal:  # how they are related does not tell which drives
                 return 0.0
             u, y = columns[reading.input], columns[reading.output]
-            return _UNRELATED * max(0.0, 1.0 - _explained(u, y) / _RELATED) + _COPY * _proportional(u, y)
+            same = self.kinds[reading.input] == self.kinds[reading.output]
+            return _UNRELATED * max(0.0, 1.0 - _explained(u, y) / _RELATED) + _COPY * (same and _proportional(u, y))
 
         return [
             dataclasses.replace(
@@ -172,11 +175,14 @@ class _Evidence:
         ]
 
     @functools.cached_property
-    def _of_role(self) -> dict[int, dict[str, float]]:
-        """Points of each column as input and as output, by the role that its name states."""
-        stated = {k: column_role(name) if self.table.named else "" for k, name in enumerate(self.table.names)}
-        points = lambda k, role: 0.0 if not stated[k] else _STATED if stated[k] == role else _CONTRARY
-        return {k: {role: points(k, role) for role in ("input", "output")} for k in stated}
+    def _stated(self) -> dict[int, str]:
+        """The role that the name of each column states."""
+        return {k: column_role(name) if self.table.named else "" for k, name in enumerate(self.table.names)}
+
+    def _of_role(self, position: int, role: str) -> float:
+        """Points of a column in a role, by the one that its name states."""
+        stated = self._stated[position]
+        return 0.0 if not stated else _STATED if stated == role else _CONTRARY
 
     @functools.cached_property
     def _of_signal(self) -> _ByColumn:
