@@ -63,10 +63,10 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-# Points of a pair of one quantity that is proportional: a second sensor of the input. Loops of piezo actuators, the narrowest, leave 0.001 to 0.02 of the
-# variance to their hysteresis.
+# Points of a pair of one quantity that is proportional: a second sensor of the input. Loops of piezo actuators, the narrowest, leave 0.001 to
+# 0.02 of the variance to their hysteresis.
 _COPY, _PROPORTIONAL = -3.0, 2e-4
-_MOST_SAMPLES, _BINS, _PER_BIN = 4000, 24, 15  # samples that are looked at, intervals of the input, and samples of each
+_MOST_SAMPLES, _FEWEST = 4000, 15  # samples that are looked at, and below which nothing is said of a relation
 # Points of a column whose range is a small part of its size, in units that have an origin: a condition held constant, such as 300.02 K.
 _HELD, _SMALL = -2.5, 0.01
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
@@ -248,27 +248,25 @@ def _is_held(values: np.ndarray) -> bool:
 
 
 def _explained(u: np.ndarray, y: np.ndarray) -> float:
-    """Part of the variance of an output that its mean over intervals of the input, rising and falling apart, explains."""
+    """Part of the variance of an output that its input explains: that which samples of neighboring inputs have in common.
+
+    Samples of a rising and of a falling input are compared apart (von Neumann's ratio of each, in the order of the input).
+    """
     both = np.flatnonzero(np.isfinite(u) & np.isfinite(y))
     both = both[:: max(1, both.size // _MOST_SAMPLES)]
     u, y = u[both], y[both]
-    bins = min(_BINS, u.size // _PER_BIN)
-    if bins < 2 or np.ptp(u) == 0 or np.ptp(y) == 0:
+    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
-    group = np.minimum((bins * ((u - u.min()) / np.ptp(u))).astype(int), bins - 1) + bins * (np.gradient(u) > 0)
     y = (y - y.mean()) / np.ptp(y)
-    count = np.bincount(group, minlength=2 * bins)
-    total = np.bincount(group, y, minlength=2 * bins)
-    mean = total / np.maximum(count, 1)
-    left, freedom = float(np.sum((y - mean[group]) ** 2)), y.size - np.count_nonzero(count)
-    return float(np.clip(1.0 - left / freedom * (y.size - 1) / float(np.sum(y**2)), 0.0, 1.0))
+    order = np.lexsort((u, np.gradient(u) > 0))
+    return float(np.clip(1.0 - 0.5 * np.sum(np.diff(y[order]) ** 2) / np.sum(y**2), 0.0, 1.0))
 
 
 def _proportional(u: np.ndarray, y: np.ndarray) -> bool:
     """Whether a straight line leaves nearly nothing of an output."""
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
-    if u.size < _PER_BIN or np.ptp(u) == 0 or np.ptp(y) == 0:
+    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return False
     u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
     return float(1.0 - (u @ y) ** 2 / ((u @ u) * (y @ y))) < _PROPORTIONAL
