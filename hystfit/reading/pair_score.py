@@ -63,10 +63,10 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-# Points of a pair of one quantity that is proportional: a second sensor of the input. Loops of piezo actuators, the narrowest, leave 0.001 to
-# 0.02 of the variance to their hysteresis.
+# Points of a pair of one quantity that is proportional: a second sensor of the input. The narrowest loops, those of piezo actuators,
+# leave 0.001 to 0.02 of the variance to their hysteresis.
 _COPY, _PROPORTIONAL = -3.0, 2e-4
-_MOST_SAMPLES, _FEWEST = 4000, 15  # samples that are looked at, and below which nothing is said of a relation
+_MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 # Points of a column whose range is a small part of its size, in units that have an origin: a condition held constant, such as 300.02 K.
 _HELD, _SMALL = -2.5, 0.01
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
@@ -257,9 +257,18 @@ def _explained(u: np.ndarray, y: np.ndarray) -> float:
     u, y = u[both], y[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
+    if _crossings(y) > 2 * _crossings(u) + 1:  # twice for a butterfly, and once for the end of a record
+        return 0.0
     y = (y - y.mean()) / np.ptp(y)
     order = np.lexsort((u, np.gradient(u) > 0))
     return float(np.clip(1.0 - 0.5 * np.sum(np.diff(y[order]) ** 2) / np.sum(y**2), 0.0, 1.0))
+
+
+def _crossings(values: np.ndarray) -> int:
+    """How often a column passes from the lower quarter of its range to the upper one or back."""
+    place = (values - values.min()) / np.ptp(values)
+    ends = place[(place < 0.25) | (place > 0.75)] > 0.5
+    return int(np.count_nonzero(ends[1:] != ends[:-1]))
 
 
 def _proportional(u: np.ndarray, y: np.ndarray) -> bool:
