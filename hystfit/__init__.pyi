@@ -54,6 +54,7 @@ from .reading import datasets as datasets
 from .reading.read import read as read
 from .reading.read import read_csv as read_csv
 from .results import plots as plots
+from .results.force_loops import force_loops as force_loops
 from .results.loop_values import quantities as quantities
 from .results.result import FitResult as FitResult
 from .results.saved import load_fit as load_fit
