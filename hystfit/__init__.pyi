@@ -36,6 +36,7 @@ from .models import Offset as Offset
 from .models import ParametricPreisach as ParametricPreisach
 from .models import PrandtlIshlinskii as PrandtlIshlinskii
 from .models import Preisach as Preisach
+from .models import RateShift as RateShift
 from .models import Relaxation as Relaxation
 from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
@@ -45,6 +46,7 @@ from .models import SignedPreisach as SignedPreisach
 from .models import Steel02 as Steel02
 from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach
+from .models import Viscoelastic as Viscoelastic
 from .models import Viscous as Viscous
 from .models import VoceChaboche as VoceChaboche
 from .models import simulate as simulate
