@@ -36,6 +36,7 @@ from .models import Offset as Offset
 from .models import ParametricPreisach as ParametricPreisach
 from .models import PrandtlIshlinskii as PrandtlIshlinskii
 from .models import Preisach as Preisach
+from .models import RateDependentPlays as RateDependentPlays
 from .models import RateShift as RateShift
 from .models import Relaxation as Relaxation
 from .models import SaturatingRate as SaturatingRate

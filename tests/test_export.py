@@ -65,6 +65,7 @@ CASES = {
     ),
     "voce_chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0), -1.0, 1.0),
     "viscoelastic": (hf.Sum(PIEZO, hf.Viscoelastic(g=(0.03, 0.02), tau=(0.01, 0.1))), -20.0, 120.0),
+    "rate_plays": (hf.RateDependentPlays.of(6), -0.2, 1.2),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),

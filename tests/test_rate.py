@@ -106,3 +106,57 @@ def test_a_shift_is_that_of_the_rate_of_the_sample_before() -> None:
     np.testing.assert_allclose(v, u - shift, atol=1e-14)
     with pytest.raises(ModelError, match="no stable inverse"):
         hf.RateShift().step_inverse()
+
+
+# -- plays whose thresholds grow with the rate -------------------------------------------------------------------------------
+
+PIEZO = {"w": (3.0, 2.0, 4.0), "r": (0.02, 0.08, 0.2), "gain": 20.0, "tau": 0.002, "high": 10.0, "speed": 3000.0}
+
+
+def driven(frequency: float, noise: float = 0.0, seed: int = 0) -> hf.Record:
+    """Cycles of two amplitudes at one frequency, from the definition in a plain loop."""
+    t = np.arange(500) / 125 / frequency
+    u = 5.0 - np.cos(2 * np.pi * frequency * t) * np.where(t * frequency < 2, 5.0, 2.5)
+    y = plays_of_the_rate(u, np.diff(t, prepend=0.0), kappa=0.1)
+    return hf.Record(u=u, y=y + noise * np.random.default_rng(seed).normal(size=y.size), t=t, name=f"{frequency:g} Hz")
+
+
+def plays_of_the_rate(u: np.ndarray, dt: np.ndarray, kappa: float) -> np.ndarray:
+    low, high = 0.0, PIEZO["high"]
+    p, q, last, out = [(u[0] - low) / (high - low)] * 3, 0.0, 0.0, []
+    for k, now in enumerate(u):
+        if dt[k] > 0:
+            q += (1 - math.exp(-dt[k] / PIEZO["tau"])) * (last - q)
+            last = abs(now - u[k - 1]) / dt[k] / PIEZO["speed"] if k else 0.0
+        x = (now - low) / (high - low)
+        p = [min(max(old, x - r - kappa * q), x + r + kappa * q) for old, r in zip(p, PIEZO["r"], strict=True)]
+        out.append(PIEZO["gain"] * x + sum(w * play for w, play in zip(PIEZO["w"], p, strict=True)))
+    return np.array(out)
+
+
+def test_plays_of_the_rate_follow_their_definition_and_invert_exactly() -> None:
+    model = hf.RateDependentPlays(**PIEZO, kappa=0.1)
+    record = driven(100.0)
+    np.testing.assert_allclose(np.asarray(hf.simulate(model, record.u, record.dt)[0]), record.y, atol=1e-12)
+    inverse = hf.invert(model, record.y, dt=record.dt, limits=(-5.0, 15.0))
+    np.testing.assert_allclose(inverse.u, record.u, atol=1e-12 * 10.0)
+
+
+def test_noise_is_hardly_enlarged_by_the_inverse() -> None:
+    """0.1 % of the output's range in, at most twice that in the input."""
+    model, record = hf.RateDependentPlays(**PIEZO, kappa=0.1), driven(100.0)
+    noise = 1e-3 * np.ptp(record.y) * np.random.default_rng(0).normal(size=record.y.size)
+    inverse = hf.invert(model, record.y + noise, dt=record.dt, limits=(-5.0, 15.0))
+    assert np.std(np.asarray(inverse.u) - record.u) < 2e-3 * np.ptp(record.u)
+
+
+def test_kappa_is_found_at_three_rates_and_static_plays_err() -> None:
+    records = [driven(f, noise=0.06, seed=k) for k, f in enumerate((1.0, 20.0, 100.0))]
+    template = hf.RateDependentPlays(**{**PIEZO, "w": (1.0, 1.0, 1.0), "gain": 1.0}, kappa=0.01)
+    fit = hf.fit(template, records, start="model")
+    assert float(fit.model.kappa) == pytest.approx(0.1, rel=0.05)
+    static = hf.fit("prandtl-ishlinskii", records)
+    assert static.train.rmse > 3 * fit.train.rmse
+    assert fit.train.rmse < 1.05 * 0.06
+    found = hf.fit("rate-dependent-plays", records)  # thresholds of its own
+    assert found.metrics(driven(50.0)).rmse < 0.5 * static.metrics(driven(50.0)).rmse

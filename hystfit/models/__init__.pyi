@@ -24,6 +24,7 @@ from .preisach.signed import SignedPreisach as SignedPreisach
 from .preisach.tabulated import TabulatedPreisach as TabulatedPreisach
 from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
+from .rate_plays import RateDependentPlays as RateDependentPlays
 from .rate_shift import RateShift as RateShift
 from .relaxation import Relaxation as Relaxation
 from .self_similar import SelfSimilarStops as SelfSimilarStops

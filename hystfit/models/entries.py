@@ -200,6 +200,12 @@ MODELS: dict[str, Entry] = {
         lambda model: model.hardening.size > 0,
         preset={"degree": 3, "operator": "stop", "hardening": 3},
     ),
+    "rate-dependent-plays": Entry(
+        "rate_plays:RateDependentPlays.of",
+        "core",
+        "weighted plays whose thresholds grow with the rate; exact inverse; convex solve; needs time and several rates",
+        tried=("rate-dependent-plays",),
+    ),
     "negate": Entry(
         "negate:Negate", "before", "the input with the opposite sign: outputs that fall as the input rises"
     ),
