@@ -37,6 +37,8 @@ from .models import Offset as Offset
 from .models import ParametricPreisach as ParametricPreisach
 from .models import PrandtlIshlinskii as PrandtlIshlinskii
 from .models import Preisach as Preisach
+from .models import RateDependentPlays as RateDependentPlays
+from .models import RateShift as RateShift
 from .models import Relaxation as Relaxation
 from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
@@ -46,6 +48,7 @@ from .models import SignedPreisach as SignedPreisach
 from .models import Steel02 as Steel02
 from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach
+from .models import Viscoelastic as Viscoelastic
 from .models import Viscous as Viscous
 from .models import VoceChaboche as VoceChaboche
 from .models import simulate as simulate
@@ -55,6 +58,7 @@ from .reading import datasets as datasets
 from .reading.read import read as read
 from .reading.read import read_csv as read_csv
 from .results import plots as plots
+from .results.force_loops import force_loops as force_loops
 from .results.loop_values import quantities as quantities
 from .results.result import FitResult as FitResult
 from .results.saved import load_fit as load_fit

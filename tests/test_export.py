@@ -64,6 +64,8 @@ CASES = {
         1.0,
     ),
     "voce_chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0), -1.0, 1.0),
+    "viscoelastic": (hf.Sum(PIEZO, hf.Viscoelastic(g=(0.03, 0.02), tau=(0.01, 0.1))), -20.0, 120.0),
+    "rate_plays": (hf.RateDependentPlays.of(6), -0.2, 1.2),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
     "hardening": (HARDENING, 0.0, 1.0),
@@ -276,8 +278,9 @@ def test_self_similar_stops_are_exported_forward_only(peaks: int, sanitizers: No
         hf.Series(hf.Delay(lag=2.3), CELLS),
         hf.Series(hf.Delay(lag=0.4), CELLS),
         hf.Series(hf.Delay(lag=9.0), CELLS),
+        hf.Series(hf.RateShift(c=0.05, q0=2.0), CELLS),
     ],
-    ids=["resonance", "delay", "part of a sample", "longest delay"],
+    ids=["resonance", "delay", "part of a sample", "longest delay", "shift by the rate"],
 )
 def test_a_late_response_is_exported_forward_only(model: hf.Series, tmp_path: Path) -> None:
     assert model.obstacle("export") is None

@@ -83,6 +83,12 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         ),
         {},
     ),
+    "viscoelastic": (hystfit.Viscoelastic(g=(0.3, 0.2, 0.5), tau=(0.01, 0.1, 1.0)), {}),
+    "rate shift": (hystfit.RateShift(c=0.1, q0=2.0), {}),
+    "rate-dependent plays": (
+        hystfit.RateDependentPlays(w=(0.2, 0.1, 0.4), r=(0.05, 0.17, 0.33), kappa=0.02, tau=0.03, low=-1.1, speed=30.0),
+        dict(kinked=["r", "kappa", "tau", "low", "high", "speed"]),
+    ),
     "steel-02": (
         hystfit.Steel02(fy=1.0, E=4.0, b=0.05, cR2=0.2, a1=0.03, a3=0.05, sigInit=0.1, deadband=1e-4, offset=0.1),
         dict(flat=["deadband"]),

@@ -203,27 +203,36 @@ def export(
     c: Path | None = None,
     s_function: bool = False,
     mat: Path | None = None,
+    opensees: Path | None = None,
+    tag: int = 1,
     name: str = "hysteresis",
     limits: Limits = None,
     trust: Trust = False,
 ) -> int:
-    """Write a fitted model and its inverse as C99 with fixed memory, and a test program; or the fit as a MATLAB file.
+    """Write a fitted model and its inverse as C99 with fixed memory, and a test program; the fit as a MATLAB file or for OpenSees.
 
     Args:
         c: folder for the C files.
         s_function: with --c, also a level-2 C MEX S-function of the model for Simulink.
         mat: .mat file for parameters, errors and predictions.
+        opensees: folder for the uniaxialMaterial line (Tcl and openseespy) and the covariance.
+        tag: of the material.
         name: prefix of files and functions.
     """
     from hystfit.control.export import export_c
+    from hystfit.control.opensees import export_opensees
 
-    if c is None and (mat is None or s_function):
-        other = "" if s_function else ", or a MATLAB file: --mat FILE"
+    if c is None and ((mat is None and opensees is None) or s_function):
+        other = "" if s_function else ", a MATLAB file: --mat FILE, or a folder for OpenSees: --opensees FOLDER"
         raise DataError(f"name the folder for the C code: --c FOLDER{other}")
     span = input_limits(limits)
     result = open_fit(fitdir, Output(out=c), trust)
     if mat is not None:
         print(f"Written to {result.save_mat(mat)}")
+    if opensees is not None:
+        files = export_opensees(result, opensees, name=name, tag=tag)
+        print(written(opensees, [file.name for file in files]).lstrip())
+        print(files[0].read_text(encoding="utf-8").splitlines()[-1])
     if c is None:
         return 0
     files = export_c(result, c, name=name, limits=span, s_function=s_function)

@@ -24,6 +24,8 @@ from .preisach.signed import SignedPreisach as SignedPreisach
 from .preisach.tabulated import TabulatedPreisach as TabulatedPreisach
 from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
+from .rate_plays import RateDependentPlays as RateDependentPlays
+from .rate_shift import RateShift as RateShift
 from .relaxation import Relaxation as Relaxation
 from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
@@ -31,4 +33,5 @@ from .simulation import Resume as Resume
 from .simulation import simulate as simulate
 from .steel02 import Steel02 as Steel02
 from .sum import Sum as Sum
+from .viscoelastic import Viscoelastic as Viscoelastic
 from .voce_chaboche import VoceChaboche as VoceChaboche

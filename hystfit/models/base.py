@@ -22,6 +22,7 @@ from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.simulation import AbstractDynamics, drive, run
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.models.uniaxial_material import UniaxialMaterial
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
@@ -261,6 +262,14 @@ class AbstractHysteresis(AbstractDynamics):
             ModelError: the model has no C code.
         """
         raise ModelError(f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)")
+
+    def uniaxial_material(self) -> UniaxialMaterial:
+        """The model as a material of OpenSees.
+
+        Raises:
+            ModelError: there is no such material, or it lacks a term of the model.
+        """
+        raise ModelError(f"OpenSees has no uniaxialMaterial like {type(self).__name__}")
 
 
 class Derived(NamedTuple):

@@ -22,6 +22,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -140,6 +141,35 @@ class BoucWenBaberNoori(AbstractHysteresis):
             f"{_TRUSTED * self.substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
             "the model's name)",
         )
+
+    def uniaxial_material(self) -> UniaxialMaterial:
+        """`BoucWen` of OpenSees, which degrades, or `BWBN`, which pinches; the energy there is that here times kappa_w zy.
+
+        Raises:
+            ModelError: a model that degrades and pinches, for which there is no material, or a stiffness that is not positive.
+        """
+        v = {
+            name: float(getattr(self, name))
+            for name in ("zy", "n", "beta", "dnu", "deta", "zs", "p", "q", "psi", "dpsi", "lam")
+        }
+        hysteretic = float(self.kappa_w) / v["zy"]
+        k, unit = float(self.kappa_x) + hysteretic, float(self.kappa_w) * v["zy"]
+        if not (hysteretic > 0 and k > 0):
+            raise ModelError("the materials of OpenSees need a positive stiffness, and kappa_w is not positive")
+        if v["zs"] > 0 and (v["dnu"] > 0 or v["deta"] > 0):
+            raise ModelError(
+                "OpenSees has no Bouc-Wen material that degrades and pinches: BoucWen has no pinching, BWBN no degradation; fit with "
+                "zs fixed at 0, or with dnu and deta fixed at 0"
+            )
+        tolerance, steps, notes = bouc_wen_notes(v["n"], v["zy"])
+        scale = v["zy"] ** -v["n"]
+        first = (float(self.kappa_x) / k, k, v["n"], (1.0 - v["beta"]) * scale, v["beta"] * scale, 1.0)
+        lost = lost_constants(offset=float(self.offset))
+        if v["zs"] == 0:
+            loss = (0.0, v["dnu"] / unit, v["deta"] / unit)
+            return UniaxialMaterial("BoucWen", (*first, *loss, tolerance, steps), lost, notes)
+        slip = (v["q"], v["zs"], v["p"] / unit, v["zy"] * v["psi"], v["zy"] * v["dpsi"] / unit, v["lam"])
+        return UniaxialMaterial("BWBN", (*first, *slip, tolerance, steps), lost, notes)
 
     def c_part(self) -> CPart:
         """The substeps of `step`."""

@@ -21,6 +21,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -106,6 +107,24 @@ class BoucWenForce(AbstractHysteresis):
         """One state; the substeps of `step`."""
         names = ("kappa_x", "kappa_w", "rho", "sigma", "n", "w0", "offset", "substeps")
         return CPart(template("bouc_wen_force.c"), 1, {name.upper(): getattr(self, name) for name in names})
+
+    def uniaxial_material(self) -> UniaxialMaterial:
+        """`BoucWen` of OpenSees: initial stiffness k, ratio alpha, beta and gamma of the displacement z = w / rho.
+
+        Raises:
+            ModelError: a stiffness that is not positive.
+        """
+        zy, n, sigma = 1.0 / float(self.rho), float(self.n), float(self.sigma)
+        hysteretic = float(self.kappa_w) / zy
+        k = float(self.kappa_x) + hysteretic
+        if not (hysteretic > 0 and k > 0):
+            raise ModelError("BoucWen of OpenSees needs a positive stiffness, and kappa_w is not positive")
+        tolerance, steps, notes = bouc_wen_notes(n, zy)
+        shape = (n, (1.0 - sigma) * zy**-n, sigma * zy**-n, 1.0)
+        lost = lost_constants(offset=float(self.offset), w0=float(self.w0))
+        return UniaxialMaterial(
+            "BoucWen", (float(self.kappa_x) / k, k, *shape, 0.0, 0.0, 0.0, tolerance, steps), lost, notes
+        )
 
     def start(self, records: Sequence[Record]) -> BoucWenForce:
         """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""

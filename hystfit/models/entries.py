@@ -200,11 +200,23 @@ MODELS: dict[str, Entry] = {
         lambda model: model.hardening.size > 0,
         preset={"degree": 3, "operator": "stop", "hardening": 3},
     ),
+    "rate-dependent-plays": Entry(
+        "rate_plays:RateDependentPlays.of",
+        "core",
+        "weighted plays whose thresholds grow with the rate; exact inverse; convex solve; needs time and several rates",
+        tried=("rate-dependent-plays",),
+    ),
     "negate": Entry(
         "negate:Negate", "before", "the input with the opposite sign: outputs that fall as the input rises"
     ),
     "delay": Entry("dynamics:Delay", "before", "pure delay of the input, in samples"),
     "lag": Entry("dynamics:Lag", "before", "two first-order lags of the input (amplifier, sensor); needs time"),
+    "rate-shift": Entry(
+        "rate_shift:RateShift",
+        "before",
+        "a field that lags by the logarithm of the rate: coercivity that grows with frequency; needs time",
+        tried=("rate-shift+preisach",),
+    ),
     "creep": Entry("creep:LinearCreep", "beside", "logarithmic creep of the input, added to the output; needs time"),
     "log-creep": Entry(
         "creep:LogCreep",
@@ -217,6 +229,12 @@ MODELS: dict[str, Entry] = {
         "beside",
         "force proportional to the rate of the input; needs time",
         tried=("bouc-wen-force+viscous",),
+    ),
+    "viscoelastic": Entry(
+        "viscoelastic:Viscoelastic.of",
+        "beside",
+        "Maxwell elements with log-spaced relaxation times (elastomers, bearings); convex solve; needs time",
+        tried=("linear+viscoelastic", "prandtl-ishlinskii-stop+viscoelastic"),
     ),
     "saturating-rate": Entry("rate:SaturatingRate", "beside", "force that saturates in the input's rate; needs time"),
     "offset": Entry("offset:Offset", "beside", "a constant for each record"),

@@ -19,6 +19,7 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.loops import branches
@@ -137,6 +138,15 @@ class Steel02(AbstractHysteresis):
             f"after {int(short.sum())} partial unloadings by less than the yield strain the law overshoots the branch that was left, "
             "as that of OpenSees does: stresses after them are too high",
         )
+
+    def uniaxial_material(self) -> UniaxialMaterial:
+        """`Steel02`, with a2 = a4 = 1."""
+        value = {
+            name: float(getattr(self, name)) for name in ("fy", "E", "b", "R0", "cR1", "cR2", "a1", "a3", "sigInit")
+        }
+        knee = (value.pop("a1"), 1.0, value.pop("a3"), 1.0, value.pop("sigInit"))
+        notes = ("after a partial unloading the law overshoots the branch that was left",)
+        return UniaxialMaterial("Steel02", (*value.values(), *knee), lost_constants(offset=float(self.offset)), notes)
 
     def c_part(self) -> CPart:
         """The same step in C."""

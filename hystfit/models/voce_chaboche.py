@@ -20,11 +20,13 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
 from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _NEWTON = 8  # steps that the plastic strain of one sample takes at most, from zero, to rounding
+_MOST = 8  # backstresses of the material of OpenSees
 _SOFTEST = 0.02  # least slope of the yield condition, as a fraction of E: below it, the law itself softens faster than it unloads
 _GRID = (
     (0.003, 0.01, 0.03, 0.1),
@@ -140,6 +142,20 @@ class VoceChaboche(AbstractHysteresis):
 
     def _yield(self, p: Scalar) -> Scalar:
         return self.sy0 - self.Q * jnp.expm1(-self.b * p) + self.D * jnp.expm1(-self.a * p)
+
+    def uniaxial_material(self) -> UniaxialMaterial:
+        """`UVCuniaxial`, with C_k = S_k g_k, and the rates in rising order.
+
+        Raises:
+            ModelError: more backstresses than the material takes.
+        """
+        if self.S.size > _MOST:
+            raise ModelError(f"UVCuniaxial has at most {_MOST} backstresses, and the model has {self.S.size}")
+        first = tuple(float(getattr(self, name)) for name in ("E", "sy0", "Q", "b", "D", "a"))
+        g, S = np.asarray(self.g), np.asarray(self.S)
+        pairs = tuple(float(value) for k in np.argsort(g) for value in (S[k] * g[k], g[k]))
+        lost = lost_constants(offset=float(self.offset))
+        return UniaxialMaterial("UVCuniaxial", (*first, int(g.size), *pairs), lost)
 
     def c_part(self) -> CPart:
         """The same Newton steps in C."""

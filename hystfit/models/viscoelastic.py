@@ -1,0 +1,130 @@
+"""A chain of Maxwell elements with log-spaced relaxation times: elastomers, bearings, adhesives, added to a spring or a hysteresis."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
+from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.starting import input_range, output_range, sampling_interval
+from hystfit.params.param import leaves_of, param
+from hystfit.quality.needs import Needs
+
+_BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
+_MODES = 16  # two a decade over eight decades
+
+
+class Viscoelastic(AbstractHysteresis):
+    """Sum of Maxwell elements, springs in series with dashpots:  y = sum g_i q_i,   dq_i/dt = du/dt - q_i / tau_i.
+
+    The relaxation times are fixed and evenly spaced on a logarithmic scale, the stiffnesses g_i >= 0 follow from a linear solve: the
+    element is passive. It describes any relaxation that is slower than exponential, such as a power of time. A single g_i is not
+    determined by data, its neighbors take over from it: read `modulus`. The step is exact for an input that is straight between samples.
+    Add a spring (`linear`), and stops for filled elastomers.
+    """
+
+    rate_independent: ClassVar[bool] = False
+    estimator: ClassVar[str] = "convex"
+    needs: ClassVar[Needs] = Needs(loop=False, time=True, regularized=True)
+
+    g: Float[Array, " modes"] = param(
+        (0.1,) * _MODES,
+        bounds=(0.0, np.inf),
+        unit="y/u",
+        scale=0.1,
+        linear=True,
+        vector=True,
+        doc="stiffness of each element",
+    )
+    tau: Float[Array, " modes"] = param(
+        tuple(np.geomspace(1e-3, 1e3, _MODES)),
+        bounds=(0.0, np.inf),
+        unit="s",
+        fixed=True,
+        vector=True,
+        doc="relaxation times",
+    )
+
+    def __check_init__(self) -> None:
+        if hasattr(self.g, "shape") and hasattr(self.tau, "shape") and self.g.shape[-1:] != self.tau.shape[-1:]:
+            raise ModelError(
+                f"g and tau must have one value for each element, got shapes {self.g.shape}, {self.tau.shape}"
+            )
+
+    @classmethod
+    def of(cls, modes: int = _MODES) -> Viscoelastic:
+        """A chain of this many elements; take two for each decade of time.
+
+        Args:
+            modes: their number.
+
+        Raises:
+            ModelError: fewer than one.
+        """
+        if modes < 1:
+            raise ModelError(f"at least one element is needed, got {modes}")
+        return cls(g=np.full(modes, 0.1), tau=np.geomspace(1e-3, 1e3, modes))
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        return {"modes": int(self.tau.shape[-1])}
+
+    def init(self, u0: Scalar) -> State:
+        """State: extensions of the springs, relaxed at u0, shape (modes,)."""
+        return jnp.zeros(self.tau.size) * u0
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """The exact answer to a ramp from u0 to u1."""
+        passed = dt / self.tau
+        left = jnp.exp(-passed)
+        share = jnp.where(passed > 0, -jnp.expm1(-passed) / jnp.where(passed > 0, passed, 1.0), 1.0)
+        new = left * state + share * (u1 - u0)
+        return new, jnp.dot(self.g, new)
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """Extensions of all springs."""
+        u, dt, tau = np.asarray(u, dtype=float), np.asarray(dt, dtype=float), np.asarray(self.tau)
+        steps, inverse = np.unique(dt, return_inverse=True)
+        passed = steps[:, None] / tau
+        left, share = np.exp(-passed), np.where(passed > 0, -np.expm1(-passed) / np.where(passed > 0, passed, 1.0), 1.0)
+        columns, now = np.empty((u.size, tau.size)), np.zeros(tau.size)
+        for k, (at, du) in enumerate(zip(inverse.ravel().tolist(), np.diff(u, prepend=u[0]).tolist(), strict=True)):
+            columns[k] = now = left[at] * now + share[at] * du
+        leaf = next(leaf for leaf in leaves_of(self) if leaf.path[-1] == "g")
+        return DesignMatrix((Block(leaf.index, leaf.info, columns),), np.zeros(u.size), np.arange(u.size))
+
+    def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
+        """Complex stiffness G' + i G'' of the chain at frequencies.
+
+        Args:
+            frequency: shape (F,) [Hz].
+        """
+        turn = 2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float))[:, None] * np.asarray(self.tau)
+        return (turn / (1.0 + turn)) @ np.asarray(self.g)
+
+    def start(self, records: Sequence[Record]) -> Viscoelastic:
+        """Relaxation times from a tenth of the shortest interval to ten times the longest record."""
+        shortest = min(sampling_interval([record]) for record in records)
+        longest = max([float(np.sum(record.dt)) for record in records] + [shortest])
+        tau = np.geomspace(shortest / _BEYOND, longest * _BEYOND, self.tau.shape[-1])
+        g = np.full(tau.shape, 0.2 * output_range(records).half / input_range(records).half / tau.size)
+        return dataclasses.replace(self, g=g, tau=tau)
+
+    def c_part(self) -> CPart:
+        """The same step in C."""
+        return CPart(
+            template("viscoelastic.c"),
+            int(self.tau.size),
+            {"MODES": int(self.tau.size)},
+            {"g": self.g, "tau": self.tau},
+        )
