@@ -215,7 +215,7 @@ class SmoothFit:
     Attributes:
         weights: all p weights, in output units; fixed ones as given.
         smoothness: strength of the penalty, relative to the number of samples.
-        left_out: root mean square error on held-out groups, in parts of the output's range, for each strength tried.
+        left_out: root mean square error on held-out groups, in parts of the output's range, for each strength; infinite for those not tried.
         error: the same for the strength chosen and weights inside their bounds; None where there was no choice.
         rss: sum of squared residuals, output units.
         cost: the same with the penalty added.
@@ -288,12 +288,13 @@ class _Trials:
         self._positive: np.ndarray | None = None
 
     def left_out(self, strengths: Sequence[float], *, refitted: bool) -> list[float]:
-        """The error on held-out groups with each strength, until it has tripled: stiffer weights only make it larger."""
-        errors: list[float] = []
-        for strength in strengths:
-            errors.append(self.error(strength, refitted=refitted))
-            if errors[-1] > 3 * min(errors):
-                break
+        """The error on held-out groups with each strength, from the middle one to either side until it grows; infinite beyond."""
+        errors, middle = [np.inf] * len(strengths), len(strengths) // 2
+        for way in (range(middle, -1, -1), range(middle + 1, len(strengths))):
+            for k in way:
+                errors[k] = self.error(strengths[k], refitted=refitted)
+                if errors[k] > _EQUAL * min(errors):
+                    break
         return errors
 
     def error(self, strength: float, *, refitted: bool) -> float:
