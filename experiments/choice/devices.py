@@ -6,6 +6,7 @@ Every device has random parameters, a straight line of either sign beside its hy
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -133,7 +134,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Device]] = {
 def path(turns: Sequence[float], step: float) -> np.ndarray:
     """A smooth input through turning points, with about `step` from sample to sample where it is fastest."""
     parts = [np.array([turns[0]])]
-    for one, other in zip(turns[:-1], turns[1:], strict=True):
+    for one, other in itertools.pairwise(turns):
         count = max(8, int(np.ceil(np.pi / 2 * abs(other - one) / step)))
         parts.append(one + (other - one) * 0.5 * (1 - np.cos(np.pi * np.arange(1, count + 1) / count)))
     return np.concatenate(parts)
@@ -195,7 +196,8 @@ def case(number: int) -> Case:
     noise = 10 ** rng.uniform(*np.log10(NOISE))
 
     def run(turns: Sequence[float], level: float, name: str, weight: int = 0) -> hf.Record:
-        start = path([1.0, turns[0]], step) if turns[0] != 1.0 else np.array([1.0])
+        # The device has run through a loop of this record's size.
+        start = np.array([1.0]) if turns[0] == 1.0 else path([1.0, turns[0], -turns[0], turns[0]], step)
         u = path(turns, step)
         y = device(np.concatenate([before, start, u[1:]]))[-u.size :] + 0.5 * line * span * u
         y = y + level * span * rng.normal(size=u.size)

@@ -172,9 +172,15 @@ class ComparisonRun:
         """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""
         if held_out(list(self.data)).scheme is not Scheme.SCATTERED:
             return 1
-        least = min((one.first for one in waiting if one.first is not None), key=lambda first: first.error, default=None)
+        least = min(
+            (one.first for one in waiting if one.first is not None), key=lambda first: first.error, default=None
+        )
         best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
-        if least is not None and least.model is not None and (best is None or 100 * least.error < _score(best) * self._span):
+        if (
+            least is not None
+            and least.model is not None
+            and (best is None or 100 * least.error < _score(best) * self._span)
+        ):
             fit = solve_model(least.model, self.data, self.options).unjudged()
         elif best is not None:
             fit = self.fits[best.asked]
@@ -318,6 +324,7 @@ class ComparisonRun:
             status=result.status,
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=obstacles,
+            effective=one.solved.estimate.effective or float(len(result.free_names)),
         )
 
     def _first_fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
