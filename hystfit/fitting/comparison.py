@@ -25,6 +25,7 @@ class Row:
         score_percent: error on left-out data, in percent of the output's range; None where it is not known.
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
+        effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
         seconds: what fit and validation took.
         status: of the fit, or "failed".
         note: why it was left out or stopped early.
@@ -43,6 +44,7 @@ class Row:
     note: str = ""
     bic: float | None = None
     obstacles: dict[str, str] | None = None
+    effective: float | None = None
 
     @property
     def fitted(self) -> bool:

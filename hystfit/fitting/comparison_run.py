@@ -24,14 +24,13 @@ from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.structure import Structure, structure_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
+from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note, Status
-from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import Scheme, correlation_length, held_out
 from hystfit.quality.summary import dynamics_of
-from hystfit.results.accuracy import is_noise
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
@@ -41,6 +40,7 @@ EQUAL = 1.02  # errors on left-out data up to this times the smallest do not tel
 _HOPELESS = 1.5  # a model whose first fit errs this much more than the best on held-out data is not validated
 _WAVE = 2  # models that are validated side by side before their errors may stop others
 
+_WHITE = "the residuals of the best model are noise"
 _FIRST_STARTS = 2  # starting points of that fit
 
 
@@ -68,11 +68,19 @@ class ShownProgress:
             self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
 
 
+def _score(row: Row) -> float:
+    """Error on held-out data [percent of range]; infinite where it is not known."""
+    return np.inf if row.score_percent is None else row.score_percent
+
+
 class _First(NamedTuple):
-    """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters."""
+    """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
+
+    `model` has the best of these elements.
+    """
 
     error: float
-    sized: bool
+    model: AbstractHysteresis | None = None
     parameters: int | None = None
 
 
@@ -106,7 +114,7 @@ class Candidate:
 def _contenders(waiting: Sequence[Candidate]) -> list[Candidate]:
     """The models to validate next, because they may stop the others: those with the best first fits, of models with elements first."""
     firsts = [(one, one.first) for one in waiting if one.first is not None]
-    ordered = sorted(firsts, key=lambda pair: (not pair[1].sized, pair[1].error))
+    ordered = sorted(firsts, key=lambda pair: (pair[1].model is None, pair[1].error))
     return [one for one, _ in ordered[:_WAVE]]
 
 
@@ -128,55 +136,58 @@ class ComparisonRun:
         self.errors: list[Exception] = []
 
     def search(self, chosen: Candidates, shown: ShownProgress, workers: Workers) -> None:
-        """Run the candidates in order: closed forms, then those that iterate, those with a resonance first where the records show one."""
+        """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.
+
+        White residuals end it: what other models would describe better is noise.
+        """
         if self.named:
             self.run(chosen.names, shown, workers)
             return
-        self.run(chosen.closed, shown, workers)
-        if (spacing := self._spacing()) > 1:
-            self._rescore(spacing, shown, workers)
+        first, *others = chosen.closed
+        self.run((first,), shown, workers)
+        if self._is_white():
+            self._skip((*others, *chosen.iterated, *chosen.resonant), _WHITE)
+            return
+        waiting = self._looked_at(others, shown, workers)
+        if (spacing := self._spacing(waiting)) > 1:  # the errors of all must be those on the same samples
+            self.options = dataclasses.replace(self.options, spacing=spacing)
+            self.rows, self.fits, self.errors = [], {}, []
+            self.run((first,), shown, workers)
+            waiting = self._looked_at(others, shown, workers)
+        self._finish(waiting, shown, workers)
         search = self.fits.get(SEARCH)
         chosen = chosen.beside(*(structure_of(search.model) if search else (Structure(), False)))
-        rings = not self._is_noise() and self._rings()
-        first, last = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
-        self.run((*chosen.closed, *first), shown, workers)
-        if rings and self._resonance_needed():
-            self._skip(last, "a resonance is needed")
-        elif self._is_noise():
-            self._skip(last, "the residuals of the best model are noise")
+        self.run(chosen.closed, shown, workers)
+        rings = self._rings()
+        steps = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
+        for number, names in enumerate(steps):
+            if self._is_white():
+                self._skip(names, _WHITE)
+            elif rings and number and self._resonance_needed():
+                self._skip(names, "a resonance is needed")
+            else:
+                self.run(names, shown, workers)
+
+    def _spacing(self, waiting: Sequence[Candidate]) -> int:
+        """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""
+        if held_out(list(self.data)).scheme is not Scheme.SCATTERED:
+            return 1
+        least = min(
+            (one.first for one in waiting if one.first is not None), key=lambda first: first.error, default=None
+        )
+        best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
+        if (
+            least is not None
+            and least.model is not None
+            and (best is None or 100 * least.error < _score(best) * self._span)
+        ):
+            fit = solve_model(least.model, self.data, self.options).unjudged()
+        elif best is not None:
+            fit = self.fits[best.asked]
         else:
-            self.run(last, shown, workers)
-
-    def _rescore(self, spacing: int, shown: ShownProgress, workers: Workers) -> None:
-        """Fit and validate the models so far again, with runs of samples held out: the errors of all must be those on the same samples."""
-        self.options = dataclasses.replace(self.options, spacing=spacing)
-        rows = {row.asked: row for row in self.rows if row.score_percent is not None}
-        seconds = {name: row.seconds for name, row in rows.items()}
-        before, self.rows = dict(self.fits), [row for row in self.rows if row.asked not in seconds]
-
-        def again(one: Candidate, progress: Callable[[str], object]) -> None:
-            fit = before[one.name]
-            one.choices = tuple(note for note in fit.notes if note.code is Code.CHOICE)
-            one.solved = solve_model(fit.name, self.data, self.options)
-            self._validate(one, progress)
-
-        candidates = [Candidate(name, seconds=spent) for name, spent in seconds.items()]
-        self._each(again, candidates, shown, workers)
-        for one in candidates:
-            if one.failure is not None:  # the first fit remains
-                one.row, one.failure = rows[one.name], None
-        self._keep_finished(candidates, shown)
-
-    def _spacing(self) -> int:
-        """Samples over which the residuals of the best model are correlated, where scattered samples are held out; else 1."""
-        scored = {row.asked: row.score_percent for row in self.rows if row.score_percent is not None}
-        if not scored:
             return 1
-        best = self.fits[min(scored, key=lambda name: scored[name])]
-        if best.problem.held_out.scheme is not Scheme.SCATTERED:
-            return 1
-        residuals = best.problem.residuals(best.x)
-        return max(correlation_length(row[used]) for row, used in zip(residuals, best.problem.used, strict=True))
+        residuals = fit.problem.residuals(fit.x)
+        return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
 
     def _rings(self) -> bool:
         """Whether the response of the longest record changes with frequency as that of an oscillator."""
@@ -185,13 +196,17 @@ class ComparisonRun:
 
     def _resonance_needed(self) -> bool:
         """Whether the search, which has no resonance, errs far more than the best model."""
-        best, search = self._best(), next((row.score_percent for row in self.rows if row.asked == SEARCH), None)
-        return best is not None and search is not None and search > _HOPELESS * best
+        best, search = self._best(), next((_score(row) for row in self.rows if row.asked == SEARCH), 0.0)
+        return best is not None and search > _HOPELESS * best
 
-    def _is_noise(self) -> bool:
-        """Whether noise explains the error of the best model: a resonance cannot improve it."""
-        best = self._best()
-        return best is not None and is_noise(best * self._span / 100, Baselines.of(self.data))
+    def _is_white(self) -> bool:
+        """Whether the residuals of the best model are white, and its loop stands out of them."""
+        best = min((row for row in self.rows if row.score_percent is not None), key=_score, default=None)
+        if best is None:
+            return False
+        fit = self.fits[best.asked]
+        rows = [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
+        return residuals_are_white(rows, fit.baselines.curve, len(fit.free_names))
 
     def _skip(self, names: Sequence[str], reason: str) -> None:
         note = "not tried: {} (hystfit compare --models {} tries it)"
@@ -201,21 +216,25 @@ class ComparisonRun:
 
     def run(self, names: Sequence[str], shown: ShownProgress, workers: Workers) -> None:
         """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
+        self._finish(self._looked_at(names, shown, workers), shown, workers)
 
-        def each(work: Callable[[Candidate, Callable[[str], object]], None], chosen: Sequence[Candidate]) -> None:
-            self._each(work, chosen, shown, workers)
-
+    def _looked_at(self, names: Sequence[str], shown: ShownProgress, workers: Workers) -> list[Candidate]:
+        """Candidates after their first fits."""
         candidates = [Candidate(name) for name in names]
-        each(self._first_fit, candidates)
+        self._each(self._first_fit, candidates, shown, workers)
+        return candidates
+
+    def _finish(self, candidates: Sequence[Candidate], shown: ShownProgress, workers: Workers) -> None:
+        """Fit and validate candidates in the order of their first fits."""
         waiting = self._keep_finished(candidates, shown)
         while waiting:
             for one in waiting:
                 one.row = self._excluded_row(one)
             contenders = _contenders([one for one in waiting if one.row is None])
-            each(self._fit, contenders)
+            self._each(self._fit, contenders, shown, workers)
             for one in contenders:
                 one.row = one.row or self._beaten_row(one)
-            each(self._validate, [one for one in contenders if one.row is None])
+            self._each(self._validate, [one for one in contenders if one.row is None], shown, workers)
             waiting = self._keep_finished(waiting, shown)
 
     def _each(
@@ -305,6 +324,7 @@ class ComparisonRun:
             status=result.status,
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=obstacles,
+            effective=one.solved.estimate.effective or float(len(result.free_names)),
         )
 
     def _first_fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
@@ -317,7 +337,7 @@ class ComparisonRun:
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress)
         if (found := one.sizes.first(model)) is not None:
-            one.first = _First(found[1], sized=True)
+            one.first = _First(found[1], found[0])
         else:
             problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
             method = ESTIMATORS.make(choose_method(problem)).quick()
@@ -326,7 +346,7 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = _First(rms if np.isfinite(rms) else np.inf, sized=False, parameters=estimate.x.size)
+            one.first = _First(rms if np.isfinite(rms) else np.inf, parameters=estimate.x.size)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""

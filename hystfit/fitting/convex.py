@@ -16,7 +16,7 @@ from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.blocks import parts, spread
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import weighted_columns
-from hystfit.models.design import FAR, left_out_squares
+from hystfit.models.design import FAR, effective_number, left_out_squares
 from hystfit.models.nonnegative import solve_nonnegative, solve_several
 from hystfit.outcome import Code, Note, Severity
 
@@ -171,6 +171,7 @@ class RidgeFit:
         ridge: what it adds to the normal matrix of the weights, diagonal, shape (p,).
         left_out: weighted root mean square error on held-out groups, output units, for each strength tried.
         rss: sum of squared residuals.
+        effective: number of weights that the data determine, see `effective_number`.
     """
 
     weights: np.ndarray
@@ -178,6 +179,7 @@ class RidgeFit:
     ridge: np.ndarray
     left_out: np.ndarray
     rss: float
+    effective: float
 
     @property
     def score(self) -> float:
@@ -204,11 +206,12 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
     left_out = np.sqrt(error / system.weight[system.fold >= 0].sum())
     best = int(np.argmin(left_out))
     ridge = held * strengths[best] * n + dead
-    w, _ = solve_normal(total, system.free, ridge)
+    w, positive = solve_normal(total, system.free, ridge)
+    effective = effective_number(total[:-1, :-1], np.diag(ridge), positive & ~dead)
     r = np.append(-w, 1.0)
     finite = np.where(dead, 1.0, scale)
     weights = np.where(dead, 0.0, w / finite) + system.origin
-    return RidgeFit(weights, strengths[best], ridge * finite**2, left_out, max(float(r @ total @ r), 0.0))
+    return RidgeFit(weights, strengths[best], ridge * finite**2, left_out, max(float(r @ total @ r), 0.0), effective)
 
 
 def penalized(system: LinearSystem, strength: float) -> float:
@@ -279,8 +282,19 @@ class Convex(AbstractEstimator):
                 severity = Severity.WARNING
         cost = 0.5 * fit.rss / size**2
         chosen = (Note(Code.CHOICE, note, severity),)
+        costs, effective = np.array([cost]), fit.effective + others.size
         return Estimate(
-            x, cost, converged, message, evaluations, np.array([cost]), penalty, chosen, fit.score, toward_zero=True
+            x,
+            cost,
+            converged,
+            message,
+            evaluations,
+            costs,
+            penalty,
+            chosen,
+            fit.score,
+            toward_zero=True,
+            effective=effective,
         )
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:

@@ -29,6 +29,8 @@ class Estimate:
         notes: choices that were made.
         left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
         toward_zero: the penalty is a ridge: nothing but its diagonal, toward zero.
+        effective: number of parameters that the data determine: the trace of the matrix that maps outputs to predictions; None where
+            no penalty or bound reduces it.
         linearized: `Problem.linearization` at x, where the estimator ended with it.
     """
 
@@ -42,6 +44,7 @@ class Estimate:
     notes: tuple[Note, ...] = ()
     left_out: float | None = None
     toward_zero: bool = False
+    effective: float | None = None
     linearized: Linearization | None = None
 
     @property

@@ -70,7 +70,9 @@ class SmoothWeights(AbstractEstimator):
         notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2
         left_out = None if fit.error is None else fit.error * now.system.size
-        return Estimate(x, cost, converged, message, evaluations, np.array([cost]), penalty, notes, left_out)
+        effective = fit.effective + others.size
+        costs = np.array([cost])
+        return Estimate(x, cost, converged, message, evaluations, costs, penalty, notes, left_out, effective=effective)
 
     def _search(
         self, problem: Problem, split: Callable[[np.ndarray], Split], first: Split, z: np.ndarray, others: np.ndarray

@@ -26,7 +26,7 @@ from hystfit.quality.summary import delay_of, slow_lag_of
 
 _GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
-_PLAYS, _OTHER_PLAYS = 20, (10, 40)  # of the search for terms; numbers tried with the terms found
+_PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
 _FEWEST = 3  # plays, however few the samples are
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
@@ -130,7 +130,7 @@ def max_plays(data: Dataset) -> int:
     samples = sum(int(record.used.sum()) for record in data)
     inputs = np.concatenate([record.u[record.used] for record in data])
     levels = np.unique(np.round(_LEVELS * inputs / (float(np.ptp(inputs)) or 1.0))).size
-    return max(_FEWEST, min(samples // 8, levels // 2, max(_OTHER_PLAYS)))
+    return max(_FEWEST, min(samples // 4, levels, max(_OTHER_PLAYS)))
 
 
 def _step(change: str, before: float, after: float, span: float) -> str:

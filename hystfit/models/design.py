@@ -64,6 +64,20 @@ class DesignMatrix:
         return DesignMatrix(blocks, self.rest[self.index], np.arange(self.index.size))
 
 
+def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) -> float:
+    """Number of weights that the data determine: trace of (A + penalty)^-1 A over the weights not held at zero.
+
+    Args:
+        gram: normal matrix A of the weights, shape (p, p).
+        penalty: shape (p, p).
+        free: which weights are not held at zero, shape (p,), bool.
+    """
+    at = np.flatnonzero(free)
+    own, total = (matrix.take(at, 0).take(at, 1) for matrix in (gram, gram + penalty))
+    total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
+    return float(np.trace(np.linalg.solve(total, own)))
+
+
 def left_out_squares(gram: np.ndarray, weights: np.ndarray, own: np.ndarray) -> float:
     """Sum of squared residuals of samples that were left out of a fit.
 

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.models.design import FAR, Block, DesignMatrix, left_out_squares
+from hystfit.models.design import FAR, Block, DesignMatrix, effective_number, left_out_squares
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.quality.held_out import HeldOut, held_out
 
@@ -215,10 +215,12 @@ class SmoothFit:
     Attributes:
         weights: all p weights, in output units; fixed ones as given.
         smoothness: strength of the penalty, relative to the number of samples.
-        left_out: root mean square error on held-out groups, in parts of the output's range, for each strength tried.
+        left_out: root mean square error on held-out groups, in parts of the output's range, for each strength; infinite for those
+            that were not tried.
         error: the same for the strength chosen and weights inside their bounds; None where there was no choice.
         rss: sum of squared residuals, output units.
         cost: the same with the penalty added.
+        effective: number of weights that the data determine, see `effective_number`.
         penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,).
     """
 
@@ -228,6 +230,7 @@ class SmoothFit:
     error: float | None
     rss: float
     cost: float
+    effective: float
     penalty: np.ndarray
 
 
@@ -260,7 +263,10 @@ def fit_smooth(
     weights = fixed.copy()
     weights[trials.free] = (v + system.origin[trials.free]) * system.size
     penalty = strength * np.diag(system.roughness)
-    return SmoothFit(weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, penalty)
+    effective = trials.effective(strengths[best]) if left_out else np.nan
+    return SmoothFit(
+        weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, effective, penalty
+    )
 
 
 class _Solved(NamedTuple):
@@ -288,12 +294,13 @@ class _Trials:
         self._positive: np.ndarray | None = None
 
     def left_out(self, strengths: Sequence[float], *, refitted: bool) -> list[float]:
-        """The error on held-out groups with each strength, until it has tripled: stiffer weights only make it larger."""
-        errors: list[float] = []
-        for strength in strengths:
-            errors.append(self.error(strength, refitted=refitted))
-            if errors[-1] > 3 * min(errors):
-                break
+        """The error on held-out groups with each strength, from the middle one to either side until it grows; infinite beyond."""
+        errors, middle = [np.inf] * len(strengths), len(strengths) // 2
+        for way in (range(middle, -1, -1), range(middle + 1, len(strengths))):
+            for k in way:
+                errors[k] = self.error(strengths[k], refitted=refitted)
+                if errors[k] > _EQUAL * min(errors):
+                    break
         return errors
 
     def error(self, strength: float, *, refitted: bool) -> float:
@@ -310,6 +317,10 @@ class _Trials:
             v, _ = _solve(others, strength * (self.n - count) * rough, bounded[at], positive[at])
             squares += left_out_squares(own, v, self._own[at] & (np.diag(others)[:-1] == 0))
         return float(np.sqrt(squares / self._counts[:-1].sum()))
+
+    def effective(self, strength: float) -> float:
+        """Number of weights that the data determine."""
+        return effective_number(self._total[:-1, :-1], strength * self.n * self.rough, self.solved(strength).positive)
 
     def chosen(self, strengths: Sequence[float], left_out: Sequence[float]) -> int:
         """The strength with the smallest left-out error (the first one without errors).
