@@ -53,7 +53,7 @@ def candidates(data: Dataset) -> Candidates:
     timed = all(record.t is not None for record in data)
     able = {n: m for n, m in models.items() if not m.from_saturation and (timed or m.rate_independent)}
     closed = (SEARCH, *(name for name, model in able.items() if model.estimator in ("preisach", "convex")))
-    resonant = tuple(name for name, model in able.items() if _resonates(name, model))
+    resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
     return Candidates(closed, tuple(name for name in able if name not in (*closed, *resonant)), resonant)
 
 
