@@ -251,6 +251,12 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     return motion, turns, cycles, loops
 
 
+@_once
+def speeds_of(record: Record) -> tuple[float, ...]:
+    """Different speeds of the branches, see `Motion`."""
+    return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))))
+
+
 def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
     """Different speeds of the branches, see `Motion`; none without time."""
     if record.t is None:
