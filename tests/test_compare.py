@@ -210,6 +210,12 @@ def test_every_family_that_the_records_can_drive_is_tried():
     assert {"preisach", "preisach-magnetic", "preisach-signed"} <= set(timed.closed)
     assert {"bouc-wen", "bouc-wen-force", "bouc-wen+log-creep", "bouc-wen-force+viscous"} <= set(timed.iterated)
     assert {"oscillator", "bouc-wen+second-order"} <= set(timed.resonant)
+    assert {"damper", "self-similar-stops", "linear+viscoelastic"} <= set(timed.closed)
+    assert {"steel-02", "voce-chaboche", "bouc-wen-baber-noori"} <= set(timed.iterated)
+    faster = hf.Dataset((hf.Record(U, U, T, name="slow"), hf.Record(U, U, T / 30, name="fast")))
+    assert set(candidates(faster).names) - set(timed.names) == {
+        "rate-dependent-plays"
+    }  # which one speed leaves undetermined
     untimed = candidates(stepped_loops())
     assert not any(
         word in name for name in untimed.names for word in ("creep", "viscous", "second-order", "oscillator")

@@ -160,3 +160,15 @@ def test_kappa_is_found_at_three_rates_and_static_plays_err() -> None:
     assert fit.train.rmse < 1.05 * 0.06
     found = hf.fit("rate-dependent-plays", records)  # thresholds of its own
     assert found.metrics(driven(50.0)).rmse < 0.5 * static.metrics(driven(50.0)).rmse
+
+
+def test_one_rate_is_named_where_several_are_needed() -> None:
+    """`check` says that the growth with the rate is not determined by one rate; nothing of the kind at three, or in a sweep."""
+    lacking = lambda data, name: [text for text in hf.check(data).verdict(name).reasons if "speed" in text]
+    three = [ferroelectric(f) for f in (0.1, 10.0, 1000.0)]
+    t = np.arange(2000) / 1000
+    swept = hf.Record(u=np.sin(2 * np.pi * 10 ** (2 * t)), y=np.sin(2 * np.pi * 10 ** (2 * t) - 0.2), t=t)
+    for name in ("rate-shift", "rate-dependent-plays"):
+        assert lacking(three[:1], name)
+        assert not lacking(three, name)
+    assert not lacking(swept, "rate-dependent-plays")

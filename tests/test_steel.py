@@ -138,6 +138,18 @@ def test_coupons_have_white_residuals_of_10_MPa_at_their_true_parameters(measure
         assert abs(np.mean(rest[1:] * rest[:-1]) / np.mean(rest**2)) <= 0.06
 
 
+def test_noise_of_the_strain_makes_no_false_reversals(measured: Path) -> None:
+    """At 3e-5 of strain, b and a3 are within 5 % of the truth; without the deadband the error is far larger."""
+    record, truth = coupon(measured / "steel_quofem", 0)
+    noisy = record.replace(u=record.u + np.random.default_rng(0).normal(0, 3e-5, len(record)))
+    fit = hf.fit("steel-02", noisy, starts=1)
+    found = {row.name: row.value for row in fit.parameters}
+    assert found["deadband"] == pytest.approx(8 * 3e-5, rel=0.1)
+    assert all(found[name] == pytest.approx(truth[name], rel=0.05) for name in ("fy", "E", "b", "cR1", "a3"))
+    raw = {row.name: row.value for row in hf.fit("steel-02", noisy, starts=1, fix={"deadband": 0.0}).parameters}
+    assert abs(raw["a3"] / truth["a3"] - 1) > 0.05
+
+
 # -- Voce-Chaboche -----------------------------------------------------------------------------------------------------------
 
 S355 = {"E": 2e5, "sy0": 330.0, "Q": 80.0, "b": 6.0, "D": 60.0, "a": 200.0, "S": (150.0, 60.0), "g": (15.0, 200.0)}

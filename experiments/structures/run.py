@@ -26,7 +26,7 @@ from hystfit.reading.datasets import FOLDER_VARIABLE
 
 FOLDER = Path(__file__).resolve().parent
 COUPONS = 18
-NAMES = ("fy", "E", "b", "cR1", "cR2", "a1", "a3")
+NAMES: tuple[str, ...] = ("fy", "E", "b", "cR1", "cR2", "a1", "a3")
 WALLS = {"trial2": 3, "spc1": 8}  # every k-th sample of the quick form
 SPLIT = 0.6  # of the samples, which are fitted where the others are predicted
 FAILED = 0.8  # of the largest force, to which that of the later peaks has fallen when the device has failed
@@ -47,7 +47,7 @@ def coupon(path: Path, number: int) -> tuple[hf.Record, dict[str, float]]:
     """A simulated coupon and its true parameters; the names in the header of its file are in another order."""
     strain, stress = np.loadtxt(path / f"experiment_{number}.csv").T
     text = (path / f"experiment_{number}_parinfo.txt").read_text(encoding="utf-8").split("]")[1]
-    truth = dict(zip(NAMES, map(float, text.replace("[", " ").split()), strict=False))
+    truth: dict[str, float] = dict(zip(NAMES, map(float, text.replace("[", " ").split()), strict=False))
     return hf.Record(u=strain, y=stress, u_unit="1", y_unit="MPa", name=f"coupon {number}"), truth
 
 
@@ -64,7 +64,7 @@ def coupons(results: Results) -> list:
         fit = hf.fit("steel-02", record, starts=1)
         found = {row.name: row for row in fit.parameters}
         errors.append([100 * abs(found[name].value / truth[name] - 1) for name in NAMES])
-        ratios.append([(found[name].value - truth[name]) / found[name].stderr for name in NAMES])
+        ratios.append([(found[name].value - truth[name]) / (found[name].stderr or np.nan) for name in NAMES])
         rows.append([record.name, *errors[-1], fit.status])
     largest = dict(zip(NAMES, np.max(errors, axis=0), strict=True))
     results.add("coupons: largest rms at the truth, MPa", max(rest))
@@ -81,7 +81,7 @@ def split_fit(model: str, record: hf.Record) -> tuple[hf.FitResult, float]:
     edge = round(SPLIT * len(record))
     early, late = record.window(None, edge), record.window(edge, None)
     fit = hf.fit(model, early)
-    return fit, fit.metrics(late).nrmse_percent
+    return fit, fit.metrics(late).nrmse_percent or np.nan
 
 
 def steel(results: Results) -> list:
@@ -172,7 +172,7 @@ def page(results: Results, tables: dict[str, str]) -> str:
 
 def main() -> None:
     """Compute all numbers."""
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments((__doc__ or "").splitlines()[0])
     hf.enable_x64()
     results = Results(FOLDER, options.quick, options.out)
     tables = {

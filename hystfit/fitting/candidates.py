@@ -10,6 +10,9 @@ from hystfit.fitting.structure import Structure, falls
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
+from hystfit.quality.loops import distinct
+from hystfit.quality.record_quality import SPEEDS_APART
+from hystfit.quality.summary import speeds_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,11 +54,16 @@ def candidates(data: Dataset) -> Candidates:
         curves = tuple(name for name, model in models.items() if model.from_saturation and _drives(model, data))
         return Candidates(curves or (SEARCH,))
     timed = all(record.t is not None for record in data)
-    able = {n: m for n, m in models.items() if not m.from_saturation and (timed or m.rate_independent)}
+    speeds = len(distinct((speed for record in data for speed in speeds_of(record)), SPEEDS_APART))
+    able = {
+        name: model
+        for name, model in models.items()
+        if not model.from_saturation and (timed or model.rate_independent) and speeds >= _speeds_needed(name)
+    }
     # Signed weights need no negation.
     before = lambda model: "negate+" if falls(data) and model.has_inverse else ""
     closed = {name: before(model) + name for name, model in able.items() if model.estimator in ("preisach", "convex")}
-    resonant = tuple(name for name, model in able.items() if _resonates(name, model))
+    resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
     others = tuple(name for name in able if name not in (*closed, *resonant))
     return Candidates((SEARCH, *closed.values()), others, resonant)
 
@@ -67,6 +75,12 @@ def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
     except HystfitError:
         return False
     return True
+
+
+def _speeds_needed(name: str) -> int:
+    """Number of speeds of the input without which parameters of a model stay undetermined."""
+    needs = (MODELS[part.partition(":")[0]].make().needs for part in name.split("+"))
+    return max((need.speeds for need in needs if need is not None and need.rate), default=0)
 
 
 def _resonates(name: str, model: AbstractHysteresis) -> bool:

@@ -46,7 +46,8 @@ class RateDependentPlays(AbstractHysteresis):
     needs: ClassVar[Needs] = Needs(
         time=True,
         direction="counter-clockwise",
-        dynamics=True,
+        rate=True,
+        speeds=2,
         regularized=True,
         too_few="the growth of the thresholds with the rate and their widths at rest trade off",
     )

@@ -33,7 +33,8 @@ class RateShift(AbstractHysteresis):
     needs: ClassVar[Needs] = Needs(
         loop=False,
         time=True,
-        dynamics=True,
+        rate=True,
+        speeds=3,
         too_few="the dynamic field and the coercivity of the static model trade off",
     )
 

@@ -22,6 +22,7 @@ from hystfit.models.starting import best_column, fit_linear, input_range, offset
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
+from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import branches
 from hystfit.quality.needs import Needs
 
@@ -32,6 +33,7 @@ _GRID = (
     (0.7, 0.9),
     (0.002, 0.1),
 )  # yield strain / half range, b, cR1, a1 = a3
+_REVERSAL = 8.0  # standard deviations of the noise of the strain, which hardly any false reversal exceeds
 _OVERSHOOT = 5.0  # ratio of the strain ranges before and after a reversal, above which the law overshoots visibly
 
 
@@ -154,11 +156,15 @@ class Steel02(AbstractHysteresis):
         return CPart(template("steel02.c"), _STATES, {name.upper(): getattr(self, name) for name in names})
 
     def start(self, records: Sequence[Record]) -> Steel02:
-        """The best of a grid over yield strain, b, cR1 and the shifts, with the yield stress and the offset by least squares."""
+        """The best of a grid over yield strain, b, cR1 and the shifts, with the yield stress and the offset by least squares.
+
+        Where the strain is noisy, `deadband` is set to several standard deviations of its noise.
+        """
         half, short = input_range(records).half, thinned(records, 400)
         ey, b, cR1, a = np.array(list(itertools.product(*_GRID))).T
         grid = np.column_stack([1.0 / (ey * half), b, cR1, a, a])
-        plain = Steel02(deadband=self.deadband)
+        deadband = max(float(self.deadband), _REVERSAL * strain_noise(records))
+        plain = Steel02(deadband=deadband)
         runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(record.u))) for record in short]
         columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
         _, y = used_samples(short)
@@ -167,7 +173,13 @@ class Steel02(AbstractHysteresis):
         theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
         fy = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         shape = {"E": fy * grid[best, 0], "b": b[best], "cR1": cR1[best], "a1": a[best], "a3": a[best]}
-        return dataclasses.replace(self, fy=fy, **shape, offset=theta[1])
+        return dataclasses.replace(self, fy=fy, **shape, deadband=deadband, offset=theta[1])
+
+
+def strain_noise(records: Sequence[Record]) -> float:
+    """Largest rms noise of the inputs of records [u]; 0 where the records show only an upper bound of it."""
+    found = (noise_rms(record.u) for record in records)
+    return max((noise for noise, is_bound in found if noise and not is_bound), default=0.0)
 
 
 @compiled

@@ -35,7 +35,7 @@ class Viscoelastic(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = False
     estimator: ClassVar[str] = "convex"
-    needs: ClassVar[Needs] = Needs(loop=False, time=True, regularized=True)
+    needs: ClassVar[Needs] = Needs(loop=False, time=True, rate=True, regularized=True)
 
     g: Float[Array, " modes"] = param(
         (0.1,) * _MODES,

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from hystfit.outcome.note import Code, Note, Severity
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
-from hystfit.quality.record_quality import LONG_HOLD, RecordQuality
+from hystfit.quality.record_quality import LONG_HOLD, SPEEDS_APART, RecordQuality
 
 ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
@@ -48,6 +48,7 @@ class _Facts:
         branches_apart: there is an open loop, or no loop could be measured.
         amplitudes: number of different strokes.
         turning_pairs: number of different pairs of neighboring turning levels.
+        speeds: number of different speeds of the input.
         asymmetry: largest departure from point symmetry [% of the stroke].
         clockwise, counter_clockwise: most loops run in this direction, mirrored where the output falls.
         falls: the output falls as the input rises, in most records.
@@ -62,6 +63,7 @@ class _Facts:
     branches_apart: bool
     amplitudes: int
     turning_pairs: int
+    speeds: int
     asymmetry: float
     clockwise: bool
     counter_clockwise: bool
@@ -123,6 +125,7 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
         branches_apart=bool(circulation) or not shapes or any(r.degrading for r in records),
         amplitudes=len(distinct(s * r.u.range / span for r in records for s in r.motion.strokes if span > 0)),
         turning_pairs=sum(max(r.motion.turning_pairs, r.motion.reversals > 0) for r in records),
+        speeds=len(distinct((s for r in records for s in r.motion.speeds), SPEEDS_APART)),
         asymmetry=max((shape.asymmetry_percent for shape in shapes), default=0.0),
         clockwise=most("clockwise"),
         counter_clockwise=most("counter-clockwise"),
@@ -159,7 +162,7 @@ def _judge(facts: _Facts, needs: Needs) -> tuple[Verdict, tuple[str, ...]]:
     if needs.creep:
         return _judge_creep(facts)
     lacking, remarks = _lacking(facts, needs)
-    if facts.speed_dependent:
+    if facts.speed_dependent and not needs.rate:
         lacking.append("the output depends on the input's speed: add a velocity term (viscous or saturating-rate)")
     if facts.dynamic and not needs.dynamics:
         lacking.append("the output resonates: add second-order")
@@ -212,6 +215,8 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
     some, enough = needs.turning_pairs
     if one_amplitude and (needs.symmetry != "generalized" or asymmetric):
         lacking.append(f"only {count(facts.amplitudes, 'amplitude')}{consequence}")
+    if facts.timed and facts.speeds < needs.speeds:
+        lacking.append(f"{count(facts.speeds, 'speed')} of the input, {needs.speeds} are needed{consequence}")
     if needs.dynamics and not facts.dynamic:
         lacking.append(f"no response that changes with frequency{consequence}")
     if facts.samples <= needs.parameters:

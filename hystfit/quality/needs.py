@@ -21,6 +21,8 @@ class Needs:
         symmetry: the loops that it describes: "symmetric", "asymmetric" (terms for asymmetry stay near zero otherwise), "any", or
             "generalized" (asymmetric loops need its generalized form).
         direction: of the loops that it describes with its default bounds.
+        rate: its output depends on the speed of the input.
+        speeds: number of speeds of the input, a factor of 3 apart.
         damage: it describes loops that lose strength or stiffness.
         too_few: what remains undetermined where amplitudes, frequencies or turning pairs are too few.
         regularized: a penalty decides between parameters that the data leave open, so that there may be more of them than samples.
@@ -35,6 +37,8 @@ class Needs:
     turning_pairs: tuple[int, int] = (0, 0)
     symmetry: Literal["any", "symmetric", "asymmetric", "generalized"] = "any"
     direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
+    rate: bool = False
+    speeds: int = 1
     damage: bool = False
     too_few: str = ""
     regularized: bool = False

@@ -18,6 +18,7 @@ SOFTER = 0.7  # part of the first stiffness after a reversal below which the lat
 MULLINS = 0.9
 WHOLE = 0.95  # part of the stiffness from which a device is whole
 WEAKER = 0.85  # part of the output of shorter branches, below which that of longer ones shows damage
+SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 _CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
 _FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
 
@@ -79,6 +80,7 @@ class Motion:
         monotonic: the input never turns.
         holds, longest_hold, hold_creep: holds of the input, the longest [samples], and the largest change of the output during
             one as a fraction of its range.
+        speeds: different speeds of the branches, decimal logarithm of units of u over units of t, fastest first (a factor of 3 apart).
     """
 
     threshold: float
@@ -96,6 +98,7 @@ class Motion:
     holds: int
     longest_hold: int
     hold_creep: float | None
+    speeds: tuple[float, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,17 @@ from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import estimate_lag, velocity_gain
-from hystfit.quality.record_quality import MULLINS, SOFTER, WEAKER, WHOLE, Column, Motion, RecordQuality, Sampling
+from hystfit.quality.record_quality import (
+    MULLINS,
+    SOFTER,
+    SPEEDS_APART,
+    WEAKER,
+    WHOLE,
+    Column,
+    Motion,
+    RecordQuality,
+    Sampling,
+)
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import loop_shape, rate_effect, stiffness_left, strength_left, unloading_left
 from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
@@ -28,6 +38,7 @@ from hystfit.quality.trend import linear_trend
 
 _FEWEST_CYCLES = 3  # in which a trend of the output is sought
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
+_WAY = 0.2  # of the input's range: shortest branch whose speed counts
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 
 _Measured = TypeVar("_Measured")
@@ -235,8 +246,25 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
         holds=len(rests),
         longest_hold=max((b - a for a, b in rests), default=0),
         hold_creep=max(creep) / extent if creep and extent > 0 else None,
+        speeds=_speeds(record, branches),
     )
     return motion, turns, cycles, loops
+
+
+@_once
+def speeds_of(record: Record) -> tuple[float, ...]:
+    """Different speeds of the branches, see `Motion`."""
+    return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))))
+
+
+def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
+    """Different speeds of the branches, see `Motion`; none without time."""
+    if record.t is None:
+        return ()
+    a, b = branches.T
+    way, time = np.abs(record.u[b] - record.u[a]), record.t[b] - record.t[a]
+    moved = (way > _WAY * np.ptp(record.u)) & (time > 0)
+    return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
 
 
 def _change(y: np.ndarray) -> float:
