@@ -72,6 +72,12 @@ def _score(row: Row) -> float:
     return np.inf if row.score_percent is None else row.score_percent
 
 
+def _correlation(fit: FitResult) -> int:
+    """Samples over which the residuals of a fit are correlated."""
+    residuals = fit.problem.residuals(fit.x)
+    return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
+
+
 class _First(NamedTuple):
     """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
 
@@ -190,8 +196,7 @@ class ComparisonRun:
             fit = self.fits[best.asked]
         else:
             return 1
-        residuals = fit.problem.residuals(fit.x)
-        return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
+        return _correlation(fit)
 
     def _rings(self) -> bool:
         """Whether the response of the longest record changes with frequency as that of an oscillator."""
@@ -220,7 +225,9 @@ class ComparisonRun:
     @property
     def equal(self) -> float:
         """Ratio of errors on held-out samples up to which models are not told apart."""
-        return equal_errors(sum(int(record.used.sum()) for record in self.data), self.options.spacing)
+        best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
+        samples = sum(int(record.used.sum()) for record in self.data)
+        return equal_errors(samples, 1 if best is None else _correlation(self.fits[best.asked]))
 
     def _skip(self, names: Sequence[str], reason: str) -> None:
         note = "not tried: {} (hystfit compare --models {} tries it)"
