@@ -34,7 +34,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
 from hystfit.params.space import ParameterSpace
-from hystfit.quality.held_out import Scheme, held_out
+from hystfit.quality.held_out import Scheme, equal_errors, held_out
 from hystfit.runs.threads import Stopped, Workers
 
 T = np.arange(0.0, 6.0, 0.02)
@@ -106,7 +106,9 @@ def test_data_that_no_model_can_use_are_refused_as_such():
     assert "no model" not in str(refused.value)
 
 
-@pytest.mark.parametrize(("samples", "levels", "least", "most"), [(4000, 4000, 40, 40), (63, 63, 3, 8), (800, 9, 3, 4)])
+@pytest.mark.parametrize(
+    ("samples", "levels", "least", "most"), [(4000, 4000, 80, 80), (63, 63, 3, 16), (800, 9, 3, 9)]
+)
 def test_plays_follow_samples_and_levels(samples, levels, least, most):
     u = np.round((levels - 1) * (0.5 + 0.5 * np.sin(np.linspace(0, 20, samples)))) / (levels - 1)
     assert least <= max_plays(hf.Dataset.of(hf.Record(u, u))) <= most
@@ -467,9 +469,17 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
         row("small", 0.1015, 5),
         row("worse", 0.103, 2),
     ]
-    assert [r.name for r in _ranked(rows, "prediction")] == ["small", "large", "worse", "stuck"]
-    assert [r.name for r in _ranked(rows[:2], "prediction")] == ["large", "stuck"]
-    assert [r.name for r in _ranked(rows, "prediction", 0.11)] == ["worse", "small", "large", "stuck"]
+    equal = equal_errors(1250)
+    assert equal == pytest.approx(1.02)
+    assert [r.name for r in _ranked(rows, "prediction", equal=equal)] == ["small", "large", "worse", "stuck"]
+    assert [r.name for r in _ranked(rows[:2], "prediction", equal=equal)] == ["large", "stuck"]
+    assert [r.name for r in _ranked(rows, "prediction", 0.11, equal=equal)] == ["worse", "small", "large", "stuck"]
+
+
+def test_equal_errors_are_within_the_scatter_of_a_root_mean_square():
+    rms = np.sqrt(np.mean(np.random.default_rng(0).normal(size=(4000, 250)) ** 2, axis=1))
+    assert equal_errors(250) - 1 == pytest.approx(np.std(rms), rel=0.05)
+    assert equal_errors(1000, 4) == equal_errors(250)
 
 
 def test_a_model_that_was_stopped_ranks_below_those_that_found_no_loop():

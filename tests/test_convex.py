@@ -15,7 +15,8 @@ from hystfit.fitting.compare import SEARCH
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, solve_normal
 from hystfit.fitting.structure_search import search_structure
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.models.design import effective_number
+from hystfit.models.nonnegative import solve_nonnegative, solve_several
 from hystfit.outcome import Code, Severity
 
 T = np.arange(0.0, 12.0, 0.01)
@@ -219,3 +220,29 @@ def test_the_largest_strength_is_a_warning_only_where_the_weights_do_not_help(fo
     found = convex.estimate(problem, problem.space.unconstrained(problem.space.vector(problem.model))[None])
     (note,) = [note for note in found.notes if note.code is Code.CHOICE]
     assert note.severity is (Severity.INFO if follows else Severity.WARNING)
+
+
+def test_systems_that_are_solved_side_by_side_have_the_solutions_of_an_active_set_method():
+    rng = np.random.default_rng(3)
+    roots = rng.normal(size=(30, 40, 12)).cumsum(axis=1)
+    y = roots @ rng.normal(size=(30, 12, 1)) + rng.normal(size=(30, 40, 1))
+    A, b = roots.transpose(0, 2, 1) @ roots, (roots.transpose(0, 2, 1) @ y)[..., 0]
+    found = solve_several(A, b, np.ones(12, dtype=bool))
+    expected = np.array([scipy.optimize.nnls(root, out[:, 0])[0] for root, out in zip(roots, y, strict=True)])
+    assert (expected == 0).any(axis=1).sum() > 20
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+    half = np.arange(12) < 6
+    for w, one, right in zip(solve_several(A, b, half), A, b, strict=True):
+        dual = one @ w - right
+        assert (w[half] >= 0).all()
+        assert (dual[half] > -1e-8 * np.abs(right).max()).all()
+        np.testing.assert_allclose(np.where(half & (w == 0), 0.0, dual), 0.0, atol=1e-8 * np.abs(right).max())
+
+
+def test_the_number_of_determined_weights_is_the_trace_of_the_matrix_that_predicts():
+    rng = np.random.default_rng(4)
+    X, free = rng.normal(size=(50, 8)), np.arange(8) != 3
+    ridge = np.diag(rng.uniform(1, 100, 8))
+    used = X[:, free]
+    hat = used @ np.linalg.inv(used.T @ used + ridge[np.ix_(free, free)]) @ used.T
+    assert effective_number(X.T @ X, ridge, free) == pytest.approx(np.trace(hat), rel=1e-9)

@@ -10,10 +10,11 @@ from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
-from hystfit.fitting.comparison_run import EQUAL, ComparisonRun, ShownProgress
+from hystfit.fitting.comparison_run import ComparisonRun, ShownProgress
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
+from hystfit.fitting.screening import MARGIN
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -41,9 +42,9 @@ def compare(
 
     What is held out follows the records (`hystfit.quality.held_out`): whole records, amplitude levels, cycles, or scattered samples of a
     single loop. The input drives the model through what is held out, but its output is not fitted; the offset of a whole record is.
-    Test data are not used. Among models within 2 % of the smallest error, those whose fit converged, with fewer parameters, and with an
-    inverse rank first; one that has not converged, or has no inverse, must err clearly less. A model that cannot be fitted is listed
-    with the reason.
+    Test data are not used. Among models within one standard error of the smallest error, those rank first whose fit converged, of which
+    the data determine fewer parameters, and that have an inverse; one that has not converged, or whose family has no inverse, must err
+    clearly less. A model that cannot be fitted is listed with the reason.
 
     Args:
         data: one record or several, or a data frame.
@@ -79,7 +80,7 @@ def compare(
     run = ComparisonRun(data, left_out, purpose, options, named)
     with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
         run.search(chosen, ShownProgress(update, chosen.names), Workers(workers))
-    rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width)
+    rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width, equal=run.equal)
     if not run.fits:
         raise run.refusal(rows)
     best = rows[0]
@@ -111,35 +112,34 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
     return chosen
 
 
-def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0) -> list[Row]:
-    """From best to worst. Where errors are within 2 % of the smallest, converged fits, fewer parameters and an inverse come first.
+def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: float = 1.0) -> list[Row]:
+    """From best to worst; among errors that do not differ, converged fits, fewer determined parameters and an inverse come first.
 
-    `floor`: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
+    Args:
+        rows: of the models.
+        purpose: of the choice.
+        floor: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
+        equal: ratio to the smallest error up to which they do not differ.
     """
     ranked = sorted(rows, key=lambda row: _rank(row, purpose))
     if not ranked or ranked[0].score_percent is None:
         return ranked
     least = ranked[0].score_percent * _handicap(ranked[0])
     kind = _rank(ranked[0], purpose)[:-1]
-    most = max(EQUAL * least, floor)
-    equal = [
+    most = max(equal * least, floor)
+    alike = [
         row
         for row in ranked
         if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) * _handicap(row) <= most
     ]
-    plain = lambda row: (row.parameters or 0, len(row.obstacles or ()), row.score_percent)
-    simple = sorted(equal, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
-    return simple + ranked[len(equal) :]
-
-
-# How many times the error of the others may be that of a fit which has not converged, so that it has no standard errors to rely on, and
-# of a model without an inverse: a flexible one that describes a lag or a drift of this loop by weights that no other loop would have.
-_MARGIN = 1.5
+    plain = lambda row: (row.effective or row.parameters or 0, len(row.obstacles or ()), row.score_percent)
+    simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
+    return simple + ranked[len(alike) :]
 
 
 def _handicap(row: Row) -> float:
-    """Factor by which a model must err less than the others."""
-    return _MARGIN ** ((row.status is Status.NOT_CONVERGED) + (row.serves("inverse") is False))
+    """Factor by which a model must err less than the others: one of a family without an inverse, or without convergence."""
+    return MARGIN ** ((row.status is Status.NOT_CONVERGED) + (not row.family_inverts))
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:

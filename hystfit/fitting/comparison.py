@@ -25,6 +25,7 @@ class Row:
         score_percent: error on left-out data, in percent of the output's range; None where it is not known.
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
+        family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
         effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
         seconds: what fit and validation took.
         status: of the fit, or "failed".
@@ -44,6 +45,7 @@ class Row:
     note: str = ""
     bic: float | None = None
     obstacles: dict[str, str] | None = None
+    family_inverts: bool = True
     effective: float | None = None
 
     @property

@@ -29,14 +29,13 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note, Status
-from hystfit.quality.held_out import Scheme, correlation_length, held_out
+from hystfit.quality.held_out import Scheme, correlation_length, equal_errors, held_out
 from hystfit.quality.summary import dynamics_of
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
-EQUAL = 1.02  # errors on left-out data up to this times the smallest do not tell models apart
 _HOPELESS = 1.5  # a model whose first fit errs this much more than the best on held-out data is not validated
 _WAVE = 2  # models that are validated side by side before their errors may stop others
 
@@ -71,6 +70,12 @@ class ShownProgress:
 def _score(row: Row) -> float:
     """Error on held-out data [percent of range]; infinite where it is not known."""
     return np.inf if row.score_percent is None else row.score_percent
+
+
+def _correlation(fit: FitResult) -> int:
+    """Samples over which the residuals of a fit are correlated."""
+    residuals = fit.problem.residuals(fit.x)
+    return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
 
 
 class _First(NamedTuple):
@@ -138,15 +143,20 @@ class ComparisonRun:
     def search(self, chosen: Candidates, shown: ShownProgress, workers: Workers) -> None:
         """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.
 
-        White residuals end it: what other models would describe better is noise.
+        White residuals end it: what other models would describe better is noise. Where the search describes some of the noise too, models
+        with fewer parameters may predict better; they need no time, because a lag or creep would show in the residuals.
         """
         if self.named:
             self.run(chosen.names, shown, workers)
             return
         first, *others = chosen.closed
         self.run((first,), shown, workers)
-        if self._is_white():
-            self._skip((*others, *chosen.iterated, *chosen.resonant), _WHITE)
+        if white := self._is_white():
+            lasting = tuple(name for name in chosen.iterated if make_model(name).rate_independent)
+            self._skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), _WHITE)
+            chosen, others = Candidates((first,), lasting), []
+        if white and not self._overfits():
+            self._skip(chosen.iterated, _WHITE)
             return
         waiting = self._looked_at(others, shown, workers)
         if (spacing := self._spacing(waiting)) > 1:  # the errors of all must be those on the same samples
@@ -161,7 +171,7 @@ class ComparisonRun:
         rings = self._rings()
         steps = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
         for number, names in enumerate(steps):
-            if self._is_white():
+            if not white and self._is_white():
                 self._skip(names, _WHITE)
             elif rings and number and self._resonance_needed():
                 self._skip(names, "a resonance is needed")
@@ -186,8 +196,7 @@ class ComparisonRun:
             fit = self.fits[best.asked]
         else:
             return 1
-        residuals = fit.problem.residuals(fit.x)
-        return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
+        return _correlation(fit)
 
     def _rings(self) -> bool:
         """Whether the response of the longest record changes with frequency as that of an oscillator."""
@@ -207,6 +216,18 @@ class ComparisonRun:
         fit = self.fits[best.asked]
         rows = [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
         return residuals_are_white(rows, fit.baselines.curve, len(fit.free_names))
+
+    def _overfits(self) -> bool:
+        """Whether the best model errs more on held-out samples than on those that it was fitted to."""
+        best = min((row for row in self.rows if row.asked in self.fits), key=_score)
+        return best.in_sample_percent is not None and _score(best) > self.equal * best.in_sample_percent
+
+    @property
+    def equal(self) -> float:
+        """Ratio of errors on held-out samples up to which models are not told apart."""
+        best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
+        samples = sum(int(record.used.sum()) for record in self.data)
+        return equal_errors(samples, 1 if best is None else _correlation(self.fits[best.asked]))
 
     def _skip(self, names: Sequence[str], reason: str) -> None:
         note = "not tried: {} (hystfit compare --models {} tries it)"
@@ -324,6 +345,7 @@ class ComparisonRun:
             status=result.status,
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=obstacles,
+            family_inverts=result.model.has_inverse,
             effective=one.solved.estimate.effective or float(len(result.free_names)),
         )
 
@@ -376,7 +398,7 @@ class ComparisonRun:
         weight = np.asarray(result.problem.objective.batch.weight)
         squares = float(np.sum(weight * result.problem.residuals(result.x) ** 2))
         error = 100 * np.sqrt(squares / weight.sum()) / self._span
-        if error <= EQUAL * best:
+        if error <= self.equal * best:
             return None
         note = (
             f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error of another model, "

@@ -49,7 +49,7 @@ def _advice(records: Dataset) -> Advice | None:
     """The best of the models with a closed form; None where none of them describes a loop."""
     try:
         baselines = Baselines.of(records)
-        best = best_screened(screen(records))
+        best = best_screened(screen(records), sum(int(record.used.sum()) for record in records))
     except HystfitError:
         return None
     percent = 100 * best.error / baselines.span

@@ -125,6 +125,8 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
     score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
     scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
     reason = "is the only candidate for these data"
+    if len(comparison.rows) > 1:
+        reason = "leaves nothing but noise"
     if count > 1:
         reason = f"is the best of {count} models by cross-validation"
     if min(scores, default=None) != best.score_percent:

@@ -13,6 +13,11 @@ from hystfit.fitting.structure_search import search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.params.param import leaves_of
+from hystfit.quality.held_out import equal_errors
+
+# How many times the error of the others may be that of a model without an inverse: a flexible one that describes a lag or a drift of this
+# loop by weights that no other loop would have.
+MARGIN = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +51,9 @@ def screen(data: Dataset) -> Iterator[Screened]:
         yield Screened(model_name(model), error, weights, model.has_inverse)
 
 
-def best_screened(models: Iterable[Screened]) -> Screened:
-    """The model to try first: the least error."""
-    return min(models, key=lambda one: one.error * (1.0 if one.inverse else 1.5))
+def best_screened(models: Iterable[Screened], samples: int) -> Screened:
+    """The model to try first: of those whose errors this number of samples does not tell apart, the one with the fewest weights."""
+    own = lambda one: one.error * (1.0 if one.inverse else MARGIN)
+    every = list(models)
+    most = equal_errors(samples) * min(map(own, every))
+    return min((one for one in every if own(one) <= most), key=lambda one: one.weights)

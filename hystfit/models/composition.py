@@ -68,6 +68,7 @@ class AbstractComposition(AbstractHysteresis):
     delays = _of_any("delays")
     hardens = _of_any("hardens")
     degrades = _of_any("degrades")
+    has_inverse = _of_all("has_inverse")
     has_rest = _of_any("has_rest")
     from_saturation = _of_any("from_saturation")
 

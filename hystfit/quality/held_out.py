@@ -113,6 +113,16 @@ def correlation_length(errors: np.ndarray) -> int:
     return int(below[0]) if below.size else errors.size
 
 
+def equal_errors(samples: int, correlated: int = 1) -> float:
+    """Ratio of rms errors that a sample of this size does not tell apart: one and the standard error of a root mean square.
+
+    Args:
+        samples: number of held-out samples.
+        correlated: over how many of them the errors are correlated.
+    """
+    return 1.0 + float(np.sqrt(correlated / (2 * samples)))
+
+
 def future(records: Sequence[Record]) -> HeldOut:
     """Fifths of every record, of which the third to the last are predicted from what came before (Buerkner et al. 2020)."""
     return HeldOut(Scheme.FUTURE, tuple(_of_masks(record, record.blocks(FOLDS)) for record in records))
