@@ -22,7 +22,7 @@ from rows import Row, markdown
 
 import hystfit as hf
 
-PARTS = ("steps", "calls", "compositions", "fit", "preisach", "sampling", "ukf", "reading", "device")
+PARTS = ("steps", "calls", "compositions", "fit", "preisach", "sampling", "ukf", "reading")
 PACKAGES = ("jax", "numba", "numpy", "scipy", "optimistix", "lmfit", "jaxopt", "emcee", "filterpy", "pandas")
 MARGIN = 0.7  # of a recorded ratio: other work on the machine moves ratios by up to a third
 HERE = Path(__file__).parent

@@ -3,6 +3,6 @@
 The public names are listed in `__init__.pyi`. Each is imported when it is first used, so `import hystfit` costs nothing.
 """
 
-import lazy_loader
+from hystfit.lazy import public_names
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = public_names(__name__)

@@ -4,6 +4,7 @@ from . import signals as signals
 from .batch.fits import Fits as Fits
 from .batch.many import fit_many as fit_many
 from .config import enable_x64 as enable_x64
+from .config import use_device as use_device
 from .control.bands import inverse_bands as inverse_bands
 from .control.inverse import Inverse as Inverse
 from .control.inverse import invert as invert

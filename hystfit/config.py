@@ -1,9 +1,17 @@
-"""Process-wide settings of JAX: double precision and flags of its compiler. Importing this module imports no numerical library."""
+"""Process-wide settings of JAX: double precision, device, flags of its compiler. Importing this module imports no numerical library."""
 
+import contextlib
+import functools
 import numbers
 import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, ParamSpec, TypeVar
 
 from hystfit.errors import ParameterError, PrecisionError
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 # XLA compiles a scan on a CPU into one native loop only while its body is below a threshold of about 1 kB, and dispatches every
 # operation of every step otherwise: 3 to 10 times slower for the larger models, measured on their fits.
@@ -55,6 +63,76 @@ def require_x64() -> None:
 
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise PrecisionError("hystfit computes in double precision: call hystfit.enable_x64() before anything else")
+
+
+# A fit is hundreds of small programs that wait for each other. On one H100 a fit took 6 times as long as on its host's CPU, `sample` and
+# small batches 3 to 4 times, so that a processor for many lanes is left to the batches that fill it.
+_platform = "cpu"
+
+
+def use_device(platform: str) -> None:
+    """Choose the device on which hystfit computes in this process, whatever the default device of JAX is.
+
+    Args:
+        platform: "cpu", the default and the fastest for single fits; "gpu" or "tpu"; "jax": the default device of JAX. `fit_many` has a
+            choice of its own.
+
+    Raises:
+        ParameterError: JAX finds no such device.
+    """
+    global _platform
+    if platform != "jax" and first_device(platform) is None:
+        raise ParameterError(f"JAX finds no device of the platform {platform!r}")
+    _platform = platform
+
+
+@functools.cache
+def first_device(platform: str) -> Any:
+    """The first device of a platform ("cpu", "gpu", "tpu") that belongs to this process; None where JAX finds none."""
+    import jax
+
+    try:
+        return jax.local_devices(backend=platform)[0]
+    except RuntimeError:
+        return None
+
+
+def on_device() -> AbstractContextManager[Any]:
+    """A context in which JAX computes on the device of hystfit; it has no effect where that is the default device anyway."""
+    import jax
+
+    device = None if _platform == "jax" else first_device(_platform)
+    if device is None or device == (jax.config.jax_default_device or _default_device()):  # type: ignore[attr-defined]
+        return contextlib.nullcontext()
+    return jax.default_device(device)
+
+
+def platform() -> str:
+    """Where hystfit computes: "cpu", "gpu", "tpu"."""
+    import jax
+
+    with on_device():
+        device = jax.config.jax_default_device or _default_device()  # type: ignore[attr-defined]
+    return str(getattr(device, "platform", device))
+
+
+@functools.cache
+def _default_device() -> Any:
+    import jax
+
+    return jax.local_devices()[0]
+
+
+def verb(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """A public function that computes: it requires double precision, and runs on the device of hystfit."""
+
+    @functools.wraps(function)
+    def call(*arguments: _P.args, **options: _P.kwargs) -> _R:
+        require_x64()
+        with on_device():
+            return function(*arguments, **options)
+
+    return call
 
 
 def require_seed(seed: int) -> int:

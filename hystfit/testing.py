@@ -27,7 +27,6 @@ from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.space import ParameterSpace
 
 _EAGER = 5  # samples of the run without jit
-_FEW = 13  # samples of the associative form
 
 
 class Probe(NamedTuple):
@@ -82,7 +81,6 @@ def check_model(
     _require(bool(np.isfinite(y).all()), f"{name}: the output is not finite at sample {_first_bad(y)}")
     _check_eager(model, probe, y, name)
     _check_continuation(model, probe, y, name)
-    _check_state_map(model, probe, y, name)
     if not counts_samples:
         _check_repetition(model, probe, y, end, name)
     _check_time(model, probe, y, name)
@@ -156,14 +154,6 @@ def _check_continuation(model: Any, probe: Probe, y: np.ndarray, name: str) -> N
     second, _ = simulate(model, late, np.concatenate([probe.dt[cut:], np.zeros(cut)]), resume=middle)
     halves = np.concatenate([first[size - cut :], second[: size - cut]])
     _agree(halves, y, f"{name}: a run in two halves, the first after a rest, must equal one run")
-
-
-def _check_state_map(model: AbstractHysteresis, probe: Probe, y: np.ndarray, name: str) -> None:
-    """The associative form, on a few samples."""
-    if model.associative:
-        at_once = eqx.filter_jit(lambda model, u, dt: model.sweep_at_once(model.init(u[0]), u[0], u, dt)[1])
-        found = at_once(model, jnp.asarray(probe.u[:_FEW]), jnp.asarray(probe.dt[:_FEW]))
-        _agree(found, y[:_FEW], f"{name}: state_map must be what a step does to the state", 1e-10)
 
 
 def _check_repetition(model: Any, probe: Probe, y: np.ndarray, end: Any, name: str) -> None:

@@ -67,6 +67,7 @@ INDEPENDENT = {
         "Fits",
         "signals",
         "enable_x64",
+        "use_device",
         "Dataset",
         "Record",
         "HystfitError",

@@ -1,7 +1,6 @@
 """Levenberg-Marquardt for many records of one length in one compiled program: every start of every record in one loop.
 
-A loop over records is faster on a CPU than a batched program, in which every record takes as many steps as the slowest. On a GPU the
-records go together.
+A loop over records is faster on a CPU than a batched program, in which every record takes as many steps as the slowest.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
-from hystfit.models.parallel.route import each, on_gpu
 
 _SHORT = 256  # samples of the short form on which starts are compared
 _STEPS, _MORE = 25, 60  # of every start, of the best one
@@ -125,14 +123,6 @@ def _solve(
     def one(k: Array, solved: tuple[Array, ...]) -> tuple[Array, ...]:
         ends, _, taken = jax.lax.map(lambda z: begun(k, z), number(starts, k))
         return tuple(rows.at[k].set(value) for rows, value in zip(solved, ended(k, ends, taken), strict=True))
-
-    if on_gpu():  # all starts of all records, then all records
-        records = jnp.minimum(jnp.arange(capacity), count - 1)
-        pairs = jnp.repeat(records, several), starts[records].reshape(-1, p)
-        ends, _, taken = jax.tree_util.tree_map(
-            lambda rows: rows.reshape(capacity, several, *rows.shape[1:]), each(lambda at: begun(*at), pairs)
-        )
-        return each(lambda at: ended(*at), (records, ends, taken))
 
     numbers = jnp.zeros(capacity)
     empty = (

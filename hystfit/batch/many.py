@@ -13,7 +13,7 @@ from hystfit.batch.journal import Journal
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source, sources_of, units_of
 from hystfit.batch.work import Work, fit_sources
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
@@ -27,6 +27,7 @@ _TOGETHER = 16  # loops in one task, where each takes milliseconds
 _ROWS = "rows.jsonl"
 
 
+@verb
 def fit_many(
     model: AbstractHysteresis | type[AbstractHysteresis] | str,
     loops: Iterable[str | Path | Record] | str | Path,
@@ -60,7 +61,6 @@ def fit_many(
     Raises:
         HystfitError: settings that no loop can be fitted with, no loops, the same loop twice, or a folder that holds another batch.
     """
-    require_x64()
     if workers < 1:
         raise ParameterError(f"workers must be at least 1, got {workers}")
     work = Work.of(model, options, reading or {})

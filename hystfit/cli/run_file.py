@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import glob
-import importlib.metadata
 import json as json_text
 import shlex
 import shutil
@@ -21,6 +20,7 @@ from hystfit.cli.write import show
 from hystfit.errors import DataError
 from hystfit.outcome import Column, Table
 from hystfit.registry import file_digest
+from hystfit.version import version_of
 
 _STATE = "run.json"
 _SCHEMA = "hystfit.run/1"
@@ -139,7 +139,7 @@ class _State:
             "command": _command(step),
             "files": {name: file_digest(Path(name)) for name in _files(step)},
             "steps": {need: self.rows[need]["date"] for need in step.needs},
-            "version": {name: importlib.metadata.version(name) for name in ("hystfit", "jax")},
+            "version": {name: version_of(name) for name in ("hystfit", "jax")},
         }
 
     def write(self) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hystfit.config import verb
 from hystfit.control.inverse import Inverse, Task, invert, prepare
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
@@ -78,6 +79,7 @@ class InverseBands:
         return figure
 
 
+@verb
 def inverse_bands(
     posterior: Posterior,
     reference: Any,

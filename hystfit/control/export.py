@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import re
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.control.online_inverse import InverseStep, Limits
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.registry import model_name
+from hystfit.version import __version__
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
-_FOLDER = Path(__file__).with_name("c")
+_FOLDER = files("hystfit.control") / "c"
 
 
+@verb
 def export_c(
     model: AbstractHysteresis | FitResult,
     folder: str | Path,
@@ -48,7 +50,6 @@ def export_c(
     Raises:
         ModelError: a model without C code, or a name that is not a C identifier.
     """
-    require_x64()
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ModelError(f"name must be a C identifier in lower case, got {name!r}")
     exported = model if isinstance(model, AbstractHysteresis) else model.model
@@ -71,7 +72,7 @@ def export_c(
         "invertible": str(int(inverse is not None)),
         "obstacle": obstacle and f"\n * No inverse: {obstacle}.\n *",
         "title": f"{model_name(exported)}: forward model{'' if inverse is None else ' and inverse'}.",
-        "version": importlib.metadata.version("hystfit"),
+        "version": __version__,
         "u_unit": _unit(model, "u"),
         "y_unit": _unit(model, "y"),
     }

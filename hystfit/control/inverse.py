@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.control.lead import lead
 from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
 from hystfit.errors import DataError, ModelError, ParameterError
@@ -130,6 +130,7 @@ class Task(NamedTuple):
     steps: Array
 
 
+@verb
 def prepare(
     model: AbstractHysteresis | FitResult,
     reference: Any,
@@ -147,7 +148,6 @@ def prepare(
     Raises:
         ModelError, DataError, ParameterError, PrecisionError: see `invert`.
     """
-    require_x64()
     if rest is not None and resume is not None:
         raise ParameterError("resume= continues from a state, rest= starts in equilibrium: give one of them")
     if rest is not None and not np.isfinite(rest):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.control.feedback import AbstractController
 from hystfit.control.online_inverse import AbstractRunningInverse, Limits
 from hystfit.errors import DataError, ParameterError
@@ -132,6 +132,7 @@ class LoopResult:
         return np.sqrt(np.mean(self.error[self.t >= skip] ** 2, axis=0))
 
 
+@verb
 def run_loop(
     plant: Any,
     reference: Any,
@@ -171,7 +172,6 @@ def run_loop(
         ParameterError: the loop is unstable.
         PrecisionError: double precision is off.
     """
-    require_x64()
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim not in (1, 2) or wanted.size == 0 or not np.isfinite(wanted).all():
         raise DataError(

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
@@ -26,6 +26,7 @@ from hystfit.reading.in_memory import records_of
 from hystfit.runs.threads import Workers
 
 
+@verb
 def compare(
     data: Any,
     models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis] | Literal["auto", "quick"] | None = None,
@@ -65,7 +66,6 @@ def compare(
     Raises:
         HystfitError: data or settings that cannot be used, an unknown model, or no model that could be fitted.
     """
-    require_x64()
     options = FitOptions(seed=seed, starts=starts)
     options.check()
     for what, value, known in (("left_out", left_out, CHOICES), ("purpose", purpose, get_args(Purpose))):

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 from typing import Any
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.compare import compare
@@ -20,6 +20,7 @@ _INTEGRATED = ("integrate", "true")  # option that reads a current as the charge
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
+@verb
 def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityReport:
     """Data-quality report of records, of a data frame or of arrays, which models the data determine, and which to try first.
 
@@ -32,7 +33,6 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     Raises:
         DataError: `data` holds no records.
     """
-    require_x64()
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
     other = any(note.code is Code.DEGRADING or note.option == _INTEGRATED for note in report.findings)

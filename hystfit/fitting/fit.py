@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
@@ -31,6 +31,7 @@ _OF_SEQUENTIAL = "duhem"  # the model that "auto" means where an identifier runs
 _OF_READ = signature(read).parameters
 
 
+@verb
 def fit(
     model: AbstractHysteresis | type[AbstractHysteresis] | str,
     data: Any = None,
@@ -89,7 +90,6 @@ def fit(
     Raises:
         HystfitError: data, names or settings that cannot be used; the message names the remedy.
     """
-    require_x64()
     if isinstance(data, str | AbstractHysteresis) and not isinstance(model, str | type | AbstractHysteresis):
         name = repr(data) if isinstance(data, str) else type(data).__name__ + "()"
         raise ParameterError(f"the model comes first, then the data: hystfit.fit({name}, data)")

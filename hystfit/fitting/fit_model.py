@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_seed, verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
@@ -43,6 +43,7 @@ from hystfit.results.timing import Stopwatch
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
 
 
+@verb
 def fit_model(
     model: AbstractHysteresis | type[AbstractHysteresis] | str,
     data: Dataset,
@@ -57,7 +58,6 @@ def fit_model(
         options: of the fit.
         **settings: of a sequential identifier.
     """
-    require_x64()
     require_seed(options.seed)
     if is_sequential(options.method):
         watch = Stopwatch()

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.objective import Objective
-from hystfit.models.parallel.route import each, on_gpu
 from hystfit.params.host_arrays import compiled
 
 # A step is accepted where the cost falls by more than _LEAST of what the linear model predicts, and the next one is longer where it
@@ -76,7 +75,7 @@ def _together(
     count, p = starts.shape
     z, trial = np.array(starts, float), np.array(starts, float)
     misfit, triangle = np.zeros((count, objective.batch.u.size)), np.zeros((count, p + 1, p + 1))
-    own = objective.coordinates.own if _by_record(objective) else np.arange(p)[None]
+    own = objective.coordinates.own if objective.apart else np.arange(p)[None]
     cost, size = np.full(count, np.inf), np.ones(count)
     converged, evaluations, active = np.zeros(count, bool), np.zeros(count, int), np.ones(count, bool)
     given_up = np.zeros(count, bool)
@@ -125,22 +124,15 @@ def _linearize(objective: Objective, z: np.ndarray, lanes: int) -> tuple[np.ndar
     return np.asarray(misfit)[: len(z)], np.asarray(jacobian)[: len(z)]
 
 
-def _by_record(objective: Objective) -> bool:
-    return objective.apart and not on_gpu()
-
-
 @compiled
 def _linearize_first(objective: Objective, z: Float[Array, "lanes p"], count: Array) -> tuple[Array, Array]:
     """Misfit and derivatives at the first `count` points, zero at the others."""
-    if on_gpu():
-        misfit, jacobian = each(objective.linearize_at, z)
-        return misfit, jacobian[:, None]
     shape = (len(z), 1, z.shape[1], objective.batch.u.size)
-    if _by_record(objective):
+    if objective.apart:
         shape = (len(z), *objective.coordinates.own.shape, objective.batch.u.shape[1])
 
     def one(k: Array, rows: tuple[Array, Array]) -> tuple[Array, Array]:
-        linearize = objective.linearize_records_at if _by_record(objective) else objective.linearize_at
+        linearize = objective.linearize_records_at if objective.apart else objective.linearize_at
         misfit, jacobian = linearize(z[k])
         return rows[0].at[k].set(misfit.reshape(-1)), rows[1].at[k].set(jacobian.reshape(shape[1:]))
 

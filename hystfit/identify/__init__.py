@@ -1,5 +1,5 @@
 """Sequential identifiers: recursive least squares, gradient correction, the unscented filter, and remedies against bias."""
 
-import lazy_loader
+from hystfit.lazy import public_names
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = public_names(__name__)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
@@ -65,6 +65,7 @@ def judge_block(ukf: Ukf, before: UkfState, after: UkfState, block: Sample, reco
     )
 
 
+@verb
 def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
     """Filter a record block by block, as it arrives, until the filter has converged.
 
@@ -83,7 +84,6 @@ def identify_online(ukf: Ukf, record: Record, *, block: int) -> Identification:
         ParameterError: fewer samples than one block.
         PrecisionError: double precision is off.
     """
-    require_x64()
     if not 1 <= block <= len(record):
         raise ParameterError(f"block must be between 1 and the {len(record)} samples of the record, got {block}")
     stream, state, parts, stop = Sample.stream([record]), ukf.init(), [], 0

@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Sequence
 from typing import Any
 
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
@@ -14,6 +15,7 @@ from hystfit.identify.registry import IDENTIFIERS
 from hystfit.models.duhem import Duhem
 
 
+@verb
 def identify(
     data: Record | Dataset | Sequence[Record],
     method: Any = "rls",

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.record import Record
 from hystfit.identify.base import Info, Sample
 from hystfit.identify.ukf import Ukf, UkfState
@@ -35,12 +35,12 @@ class Smoothed(NamedTuple):
     state: UkfState
 
 
+@verb
 def smooth(ukf: Ukf, record: Record) -> Smoothed:
     """Filter a record, then smooth it backward.
 
     Memory is of the order T n^2: a few megabytes for 1e4 samples of ten coordinates.
     """
-    require_x64()
     return _smooth(ukf, Sample.stream([record]))
 
 

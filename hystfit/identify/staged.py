@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
@@ -30,6 +31,7 @@ class Phase:
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
+@verb
 def identify_in_stages(
     model: AbstractHysteresis, stages: Sequence[Phase]
 ) -> tuple[AbstractHysteresis, list[Identification]]:

@@ -15,7 +15,6 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import Objective, by_record
 from hystfit.inference.priors import AbstractPrior
-from hystfit.models.parallel.kernel import scan
 from hystfit.models.shapes import Scalar
 from hystfit.params.coordinates import Coordinates
 
@@ -116,8 +115,8 @@ class Density(eqx.Module):
             rows = (jnp.concatenate([u[:1], u[:-1]]), u, batch.dt[k], batch.y[k], setting.weight[k])
             begin = (first[0] if single else first, start)
             if setting.gap.ndim == 0:  # even sampling: what depends on the gap alone stays outside the loop
-                return scan(lambda c, at: sample(c, (*at, setting.gap)), begin, rows)[0][1]
-            return scan(sample, begin, (*rows, setting.gap[k]))[0][1]
+                return jax.lax.scan(lambda c, at: sample(c, (*at, setting.gap)), begin, rows)[0][1]
+            return jax.lax.scan(sample, begin, (*rows, setting.gap[k]))[0][1]
 
         return jax.tree_util.tree_map(lambda v: jnp.sum(v, axis=0), by_record(record, batch.u.shape[0]))
 

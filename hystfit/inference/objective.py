@@ -13,8 +13,6 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.inference.blocks import parts
-from hystfit.models.parallel.kernel import linear_run
-from hystfit.models.parallel.route import Route, on_gpu, route
 from hystfit.models.shapes import Scalar
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
@@ -22,7 +20,6 @@ from hystfit.params.host_arrays import compiled, to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 _STEEPEST = 1e100
-_NUMBERS = 512  # state and derivatives of one simulation on a thread of a GPU
 BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
 
 
@@ -63,7 +60,7 @@ class Objective(eqx.Module):
         self, x: Float[Array, " p"], directions: Float[Array, "k p"] | None = None
     ) -> tuple[Float[Array, "R T"], Float[Array, "R T k"]]:
         """`residual` and its derivatives, with respect to x or along directions, in one forward pass."""
-        if directions is None and (self._steps_suit_lanes or self.apart):
+        if directions is None and self.apart:
             r, J = self._all_runs(x)
         else:
             push = lambda t: jax.jvp(self.residual, (x,), (t,))
@@ -72,7 +69,7 @@ class Objective(eqx.Module):
 
     def linearize_at(self, z: Float[Array, " p"]) -> tuple[Float[Array, " n"], Float[Array, "p n"]]:
         """`misfit_at` and its derivatives, in one forward pass."""
-        if not (self._steps_suit_lanes or self.apart):
+        if not self.apart:
             push = lambda t: jax.jvp(self.misfit_at, (z,), (t,))
             return jax.vmap(push, out_axes=(None, 0))(jnp.eye(z.shape[0]))
         r, J = self._all_runs(self.coordinates.physical(z))
@@ -97,8 +94,6 @@ class Objective(eqx.Module):
 
     def _all_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "p R T"]]:
         """`residual` and its derivatives with respect to x."""
-        if self._steps_suit_lanes:
-            return self._linear_runs(x)
         r, own = self._own_runs(x)
         records, samples = r.shape
         spread = (
@@ -119,44 +114,6 @@ class Objective(eqx.Module):
             return jax.vmap(push, out_axes=(None, 0))(jax.nn.one_hot(own[record], x.shape[0], dtype=x.dtype))
 
         return by_record(one, batch.u.shape[0])
-
-    @property
-    def _steps_suit_lanes(self) -> bool:
-        """Whether this is a GPU, and steps with their derivatives are small enough for one of its threads."""
-        if not on_gpu():
-            return False
-        model, (_, samples) = self.coordinates.assemble(jnp.zeros_like(self.coordinates.lower)), self.batch.u.shape
-        if not model.causal or route(samples, associative=model.associative) is Route.ASSOCIATIVE:
-            return False
-        return jax.eval_shape(model.init, jnp.zeros(())).size * (len(self.coordinates.kinds) + 1) <= _NUMBERS
-
-    def _linear_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "p R T"]]:
-        """`residual` and derivatives by scans of the model's step and its derivatives, which batches of x share in one kernel."""
-        treedef, free = self.coordinates.treedef, [index for index, _, _ in self.coordinates.layout]
-
-        def one(record: Any) -> tuple[Array, Array]:
-            u, dt = self.batch.u[record], self.batch.dt[record]
-            leaves = jax.tree_util.tree_leaves(self.coordinates.assemble(x, record))
-
-            def model(values: list[Array]) -> Any:
-                rest = dict(zip(free, values, strict=True))
-                return treedef.unflatten([rest.get(k, leaf) for k, leaf in enumerate(leaves)])
-
-            def begin(x: Array) -> tuple[list[Array], Array]:
-                values = jax.tree_util.tree_leaves(self.coordinates.assemble(x, record))
-                values = [values[k] for k in free]
-                return values, model(values).init(u[0])
-
-            push = lambda t: jax.jvp(begin, (x,), (t,))
-            (values, state), along = jax.vmap(push, out_axes=(None, 0))(jnp.eye(x.shape[0]))
-            step = lambda values, state, *row: model(values).step(state, *row)
-            return linear_run(step, (values, state, *along), (jnp.concatenate([u[:1], u[:-1]]), u, dt))
-
-        y, J = by_record(one, self.batch.u.shape[0])
-        r, on = y - self.batch.y, self.batch.weight > 0
-        finite = on & jnp.isfinite(r)
-        r = jnp.where(finite, r, jnp.where(on, BROKEN * self.size, 0.0))
-        return r, jnp.where(finite, jnp.moveaxis(J, 1, 0), 0.0)
 
     def misfit(self, x: Float[Array, " p"]) -> Float[Array, " n"]:
         """Weighted residuals in half ranges, bent by the loss so that half their sum of squares is the cost: shape (R * T,)."""
@@ -217,7 +174,7 @@ def linearized(
         at: numbers of the parameters to which the derivatives are, in rising order, shape (k,); default: all.
     """
     x = np.asarray(x, float)
-    if objective.apart and not on_gpu():
+    if objective.apart:
         return _linearized_apart(objective, x, np.arange(x.size) if at is None else at)
     every = at is None or len(at) == x.size
     directions = np.eye(x.size) if at is None else np.eye(x.size)[at]

@@ -15,7 +15,6 @@ from hystfit.data.batch import Batch
 from hystfit.inference.blocks import NUMBERS, beside, triangle
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.objective import Objective, flat, misfit_of
-from hystfit.models.parallel.route import on_gpu
 from hystfit.models.simulation import Resume, run
 from hystfit.params.host_arrays import compiled, to_device
 
@@ -42,7 +41,7 @@ class Stretch(NamedTuple):
 def in_stretches(objective: Objective) -> bool:
     """Whether the derivatives are too many to be computed at once, records are long, and the simulation can be resumed."""
     batch, own = objective.batch, objective.coordinates.own.shape[1]
-    if on_gpu() or batch.u.size * own <= NUMBERS or batch.u.shape[1] < _length(own):
+    if batch.u.size * own <= NUMBERS or batch.u.shape[1] < _length(own):
         return False
     return bool(objective.coordinates.assemble(np.asarray(objective.coordinates.lower)).causal)
 

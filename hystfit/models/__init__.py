@@ -1,5 +1,5 @@
 """Hysteresis models, one file each: a new model is one file and one line in `__init__.pyi`; each is imported when it is first used."""
 
-import lazy_loader
+from hystfit.lazy import public_names
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = public_names(__name__)

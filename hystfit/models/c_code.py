@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
+from importlib.resources import files
 from typing import Any
 
-_FOLDER = Path(__file__).with_name("c")
+_FOLDER = files("hystfit.models") / "c"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -64,7 +64,6 @@ class AbstractComposition(AbstractHysteresis):
     allows_thinning = _of_all("allows_thinning")
     linear_in_input = _of_all("linear_in_input")
     causal = _of_all("causal")
-    associative = _of_all("associative")
     has_fast_run = _of_any("has_fast_run")
     delays = _of_any("delays")
     hardens = _of_any("hardens")

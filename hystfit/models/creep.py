@@ -19,7 +19,6 @@ from hystfit.models.base import AbstractHysteresis, check_rest
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
@@ -42,7 +41,6 @@ class LogCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
 
@@ -170,7 +168,6 @@ class LinearCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True

@@ -16,7 +16,6 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
@@ -48,7 +47,6 @@ class Duhem(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     needs: ClassVar[Needs] = Needs(
         amplitudes=2, too_few="f and g are observed on one pair of branches, where they trade off"
     )

@@ -18,7 +18,6 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, OutputResonance, check_rest
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import scan_in_time
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
@@ -36,7 +35,6 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
-    associative: ClassVar[bool] = True
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
@@ -97,7 +95,6 @@ class Lag(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.AFFINE
     linear_in_input: ClassVar[bool] = True
     has_rest: ClassVar[bool] = True
 
@@ -156,7 +153,6 @@ class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
     rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.AFFINE
     linear_in_input: ClassVar[bool] = True
 
     omega: Scalar = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")

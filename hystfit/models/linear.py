@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 
@@ -22,7 +21,6 @@ class Linear(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     linear_in_input: ClassVar[bool] = True
 
     k: Scalar = param(0.0, unit="y/u", linear=True, doc="slope")

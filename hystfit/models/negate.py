@@ -12,7 +12,6 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.step_inverse import AbstractStepInverse
 
@@ -21,7 +20,6 @@ class Negate(AbstractHysteresis):
     """The input with the opposite sign:  x = -u.  Before a hysteresis, for outputs that fall as the input rises."""
 
     rate_independent: ClassVar[bool] = True
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     linear_in_input: ClassVar[bool] = True
 
     def init(self, u0: Scalar) -> State:

@@ -11,7 +11,6 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
 from hystfit.params.param import param
@@ -21,7 +20,6 @@ class Offset(AbstractHysteresis):
     """A separate constant for each record:  y = value."""
 
     rate_independent: ClassVar[bool] = True
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
     value: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")
 

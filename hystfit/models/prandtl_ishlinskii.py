@@ -19,7 +19,6 @@ from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
 from hystfit.models.design import COLUMNS, Block, DesignMatrix
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.play_columns import element_columns, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, Signal, State
@@ -109,7 +108,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
     rest: Rest = eqx.field(static=True, default="level")
 
     rate_independent: ClassVar[bool] = True
-    state_map: ClassVar[StateMap] = StateMap.CLAMP
     has_rest: ClassVar[bool] = True
     has_fast_run: ClassVar[bool] = True
 

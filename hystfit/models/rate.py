@@ -14,7 +14,6 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.params.param import param
@@ -24,7 +23,6 @@ class _AbstractRate(AbstractHysteresis):
     """A force of the rate du/dt over the last sample."""
 
     rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
 
     @abc.abstractmethod
     def force(self, rate: Array) -> Array:

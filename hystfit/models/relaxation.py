@@ -15,7 +15,6 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.even_steps import relaxed
-from hystfit.models.parallel.associative import StateMap
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
@@ -33,7 +32,6 @@ class Relaxation(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
-    state_map: ClassVar[StateMap] = StateMap.DIAGONAL
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     linear_in_input: ClassVar[bool] = True

@@ -63,10 +63,6 @@ class Series(AbstractComposition):
         """A scan for each part, over all that the part before it puts out."""
         return self._fed(state, u0, u, lambda part, *signals: part.sweep(*signals, dt))
 
-    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """That of each part."""
-        return self._fed(state, u0, u, lambda part, *signals: part.sweep_at_once(*signals, dt))
-
     def _fed(
         self, state: Array, u0: Array, signal: Array, sweep: Callable[..., tuple[Array, Array]]
     ) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,9 +15,6 @@ from jaxtyping import Array
 
 from hystfit.config import require_x64
 from hystfit.errors import ModelError, ParameterError
-from hystfit.models.parallel.associative import StateMap, sweep_at_once
-from hystfit.models.parallel.kernel import scan
-from hystfit.models.parallel.route import Route, route
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.params.host_arrays import compiled
 
@@ -68,22 +65,8 @@ class AbstractDynamics(eqx.Module):
             return (state[0] if single else state), y
 
         before = jnp.concatenate([u0[None], u[:-1]])
-        state, y = scan(body, state[0] if single else state, (before, u, dt))
+        state, y = jax.lax.scan(body, state[0] if single else state, (before, u, dt))
         return (state[None] if single else state), y
-
-    # The kind of map that `step` applies to the state, where it is one that composes.
-    state_map: ClassVar[StateMap | None] = None
-
-    @property
-    def associative(self) -> bool:
-        """Whether `sweep_at_once` needs no scan over the samples."""
-        return self.state_map is not None
-
-    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """`sweep`, with the same arguments, by an associative scan where `state_map` is set: for long records on a GPU."""
-        if self.state_map is None:
-            return self.sweep(state, u0, u, dt)
-        return sweep_at_once(self.step, self.state_map, state, u0, u, dt)
 
     @property
     def one_scan(self) -> bool:
@@ -198,10 +181,7 @@ def run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = No
     """`simulate` without checks or jit, for use inside other traced code."""
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
-    if route(u.shape[0], associative=model.associative) is Route.ASSOCIATIVE:
-        state, y = model.sweep_at_once(resume.state, resume.u, u, dt)
-    else:
-        state, y = model.sweep(resume.state, resume.u, u, dt)
+    state, y = model.sweep(resume.state, resume.u, u, dt)
     return y, Resume(state, u[-1])
 
 

@@ -51,10 +51,6 @@ class Sum(AbstractComposition):
         """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
         return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt))
 
-    def sweep_at_once(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """That of each part."""
-        return self._added(state, u, lambda part, s: part.sweep_at_once(s, u0, u, dt))
-
     def _added(
         self, state: Array, u: Array, sweep: Callable[[AbstractHysteresis, Array], tuple[Array, Array]]
     ) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax import dtypes
 
-from hystfit.config import set_compiler_flags
+from hystfit.config import on_device, set_compiler_flags
 from hystfit.params.kept_programs import kept
 
 _P = ParamSpec("_P")
@@ -30,7 +30,8 @@ def to_device(values: Any, dtype: Any = None) -> jax.Array:
         dtype: of the result; default: that of the values, in the precision of JAX.
     """
     array = np.asarray(values)
-    return jax.device_put(np.asarray(array, dtypes.canonicalize_dtype(dtype or array.dtype)))
+    with on_device():
+        return jax.device_put(np.asarray(array, dtypes.canonicalize_dtype(dtype or array.dtype)))
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -53,9 +54,10 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @functools.wraps(function)
     def call(*trees: Any) -> _R:
         leaves, structure = jax.tree_util.tree_flatten(trees)
-        if not all(isinstance(leaf, _ARRAYS) for leaf in leaves):
-            return of_any(*trees)
-        # JAX would flatten the trees once more: half the time of a short simulation.
-        return (programs.get(structure) or program_for(structure))(*leaves)
+        with on_device():
+            if not all(isinstance(leaf, _ARRAYS) for leaf in leaves):
+                return of_any(*trees)
+            # JAX would flatten the trees once more: half the time of a short simulation.
+            return (programs.get(structure) or program_for(structure))(*leaves)
 
     return kept(function, call)

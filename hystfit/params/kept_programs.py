@@ -18,7 +18,6 @@ import tempfile
 import types
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from hystfit.config import PROGRAM_FOLDER
+from hystfit.config import PROGRAM_FOLDER, platform
+from hystfit.version import version_of
 
 _MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed first
 _CHECK = hashlib.sha256().digest_size
@@ -78,7 +78,7 @@ def _program(
             with suppress(Exception):  # written in an incompatible form, though the versions agree
                 exported = export.deserialize(bytearray(content))
         if exported is None:
-            exported = export.export(jax.jit(flat))(*shapes)
+            exported = export.export(jax.jit(flat), platforms=["cpu"] if platform() == "cpu" else None)(*shapes)
             _write(path, bytes(exported.serialize()))
         return jax.jit(exported.call)
     except Exception:  # it cannot be exported, described or written; `otherwise` raises an error of the function itself
@@ -95,9 +95,9 @@ def _setting() -> str:
     source = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source.update(str(path.relative_to(package)).encode() + b"\0" + path.read_bytes())
-    versions = (jax.__version__, version("jaxlib"), eqx.__version__, np.__version__, sys.version)
+    versions = (jax.__version__, version_of("jaxlib"), eqx.__version__, np.__version__, sys.version)
     variables = sorted(f"{name}={value}" for name, value in os.environ.items() if name.startswith(("JAX_", "XLA_")))
-    return repr((source.hexdigest(), versions, jax.default_backend(), jax.config.jax_enable_x64, variables))  # type: ignore[attr-defined]
+    return repr((source.hexdigest(), versions, platform(), jax.config.jax_enable_x64, variables))  # type: ignore[attr-defined]
 
 
 def _text(value: Any) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
+from importlib.resources import files
 
 from hystfit.params.units import quantity
 from hystfit.reading.header import split_unit
 
-_VOCABULARY = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_VOCABULARY = tomllib.loads((files("hystfit.reading") / "column_names.toml").read_text(encoding="utf-8"))
 _WORDS, _ROLES = (
     {word: kind for kind, words in _VOCABULARY[table].items() for word in words.split()} for table in ("words", "roles")
 )

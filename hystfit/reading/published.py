@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.resources
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -112,7 +113,9 @@ _READERS: dict[str, Reader] = {
 
 def _entries() -> dict[str, Bundled | Measured]:
     """All data sets of `published.toml` by name, in its order."""
-    content = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    content = tomllib.loads(
+        (importlib.resources.files("hystfit.reading") / "published.toml").read_text(encoding="utf-8")
+    )
     entries: dict[str, Bundled | Measured] = {name: Bundled(**one) for name, one in content.pop("bundled").items()}
     for prefix, described in content.items():
         records, shared = described.pop("records"), described.pop("read")

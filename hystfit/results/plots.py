@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
@@ -43,6 +43,7 @@ _OF_PARAMETERS: dict[str, Callable[..., Any]] = {
 KINDS = (*_OF_RECORDS, *_OF_PARAMETERS)
 
 
+@verb
 def fit(
     result: FitResult,
     kind: str = "loop",
@@ -67,7 +68,6 @@ def fit(
         HystfitError: no such kind.
         PrecisionError: double precision is off.
     """
-    require_x64()
     if kind not in KINDS:
         raise HystfitError(f"no picture {kind!r}; there are {', '.join(KINDS)}")
     if ax is None:

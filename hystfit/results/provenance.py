@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import datetime
-import functools
-import importlib.metadata
 import platform
 from collections.abc import Iterable
 from typing import Any
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code
+from hystfit.version import version_of
 
 _CHANGES = (Code.PREPARED, Code.UNITS, Code.WEIGHTED, Code.COARSE_CLOCK)  # of a record after it was measured
-
-
-@functools.cache  # the metadata of a package is a file that is parsed each time
-def _version(package: str) -> str:
-    return importlib.metadata.version(package)
 
 
 def provenance(data: Iterable[Record], seed: int | None, **more: Any) -> dict[str, Any]:
@@ -26,7 +20,7 @@ def provenance(data: Iterable[Record], seed: int | None, **more: Any) -> dict[st
     return {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
-        "versions": {name: _version(name) for name in packages},
+        "versions": {name: version_of(name) for name in packages},
         "seed": seed,
         "records": [
             {

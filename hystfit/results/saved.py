@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.errors import DataError, HystfitError
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code
@@ -82,6 +82,7 @@ def _schema_of(file: Path) -> str:
     return str(stored.get("schema", "")) if isinstance(stored, dict) else ""
 
 
+@verb
 def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
     """The result that `FitResult.save` or `hystfit fit --out` wrote.
 
@@ -96,7 +97,6 @@ def load_fit(folder: str | Path, *, trust: bool = False) -> FitResult:
         DataError: the folder holds no fit, one of another schema, or one that is incomplete, edited or damaged.
         ModelError: a model file that would have to be run without `trust`.
     """
-    require_x64()
     folder = Path(folder)
     refuse_other_schema(folder, SCHEMA, "no fit as hystfit fit --out writes it", "fit again")
     files = read_files(folder, _FILES, allow_edits=trust)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
 import os
 import zipfile
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.errors import DataError
+from hystfit.version import version_of
 
 
 def load(file: Path) -> dict[str, np.ndarray] | None:
@@ -55,7 +55,7 @@ def claim(folder: Path, label: str, described: dict[str, Any]) -> Path:
 
     Runs of other versions of hystfit or JAX are other runs: they need not continue from the same point.
     """
-    versions = {name: importlib.metadata.version(name) for name in ("hystfit", "jax")}
+    versions = {name: version_of(name) for name in ("hystfit", "jax")}
     described = {**described, "versions": versions}
     digest = hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()
     file, what = folder / label, Path(label).stem

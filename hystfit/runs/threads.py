@@ -10,6 +10,8 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from hystfit.config import on_device
+
 T = TypeVar("T")
 _MOST = 4  # threads: Python itself, which traces models for compilation, runs in one at a time
 
@@ -47,7 +49,7 @@ class Workers:
                 return [task() for task in tasks]
             pool = concurrent.futures.ThreadPoolExecutor(min(self.count, len(tasks)), "hystfit")
             try:
-                futures = [pool.submit(task) for task in tasks]
+                futures = [pool.submit(_on_device, task) for task in tasks]
                 done, _ = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_EXCEPTION)
                 return [future.result() for future in sorted(done, key=futures.index)]
             except BaseException:
@@ -55,3 +57,9 @@ class Workers:
                 raise
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _on_device(task: Callable[[], T]) -> T:
+    """A task in a thread, whose default device is not that of the thread that started it."""
+    with on_device():
+        return task()

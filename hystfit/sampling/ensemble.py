@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, ParameterError, optional
-from hystfit.models.parallel.route import on_gpu
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
@@ -125,7 +124,7 @@ def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
 @eqx.filter_jit
 def _many(target: Target, q: Array) -> Array:
     """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
-    together = _TOGETHER if target.density.keeps_trajectories and not on_gpu() else len(q)
+    together = _TOGETHER if target.density.keeps_trajectories else len(q)
     one = lambda row: target.log_density(target.v_of(row), lean=True)
     return jax.lax.map(one, q, batch_size=together)
 

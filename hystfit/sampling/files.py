@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.errors import DataError, HystfitError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Note, Status
@@ -74,6 +74,7 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     return target
 
 
+@verb
 def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
     """What `Posterior.save` wrote.
 
@@ -86,7 +87,6 @@ def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
         ModelError: a model file that would have to be run without `trust`.
         MissingExtraError: xarray or h5netcdf is not installed.
     """
-    require_x64()
     _xarray()
     folder = Path(folder)
     refuse_other_schema(folder, SCHEMA, "no posterior as hystfit sample --out writes it", "sample again")

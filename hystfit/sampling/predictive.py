@@ -16,14 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.batch import Batch
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
-from hystfit.models.parallel.route import each
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
@@ -32,9 +31,10 @@ from hystfit.sampling.posterior import Posterior
 
 @eqx.filter_jit
 def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbers: Array) -> Array:
-    return each(lambda row: run(coordinates.assemble(*row), u, dt)[0], (x, numbers))
+    return jax.lax.map(lambda row: run(coordinates.assemble(*row), u, dt)[0], (x, numbers))
 
 
+@verb
 def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) -> Float[np.ndarray, "count T"]:
     """Outputs over a record's input for many parameter vectors.
 
@@ -44,7 +44,6 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     Raises:
         ModelError: no time for a model that needs it.
     """
-    require_x64()
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))

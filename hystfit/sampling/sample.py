@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.base import AbstractNoise
@@ -39,6 +39,7 @@ _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the dat
 _NAMED = 4  # parameters that a note names
 
 
+@verb
 def sample(
     result: FitResult,
     sampler: str | type[AbstractSampler] | AbstractSampler = "nuts",
@@ -69,7 +70,6 @@ def sample(
     Raises:
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
-    require_x64()
     seed = require_seed(seed)
     chosen = _make(sampler, settings)
     with contextlib.nullcontext() if folder is None else alone(folder):

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.models.simulation import check_one_device
@@ -38,9 +38,9 @@ def population(model: Any, count: int, *, spread: Mapping[str, float], seed: int
     return jax.vmap(space.coordinates.assemble)(jnp.asarray(x))
 
 
+@verb
 def _scattered(model: Any, count: int, spread: Mapping[str, float], seed: int) -> tuple[ParameterSpace, np.ndarray]:
     """Free parameters and those of the scatter, and their values, shape (count, n)."""
-    require_x64()
     if count < 1 or any(not 0 <= size < np.inf for size in spread.values()):
         raise ParameterError(
             f"a population needs at least one device and a scatter of 0 or more; got {count} and {dict(spread)}"

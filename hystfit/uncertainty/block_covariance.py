@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_seed, verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.inference.autocorrelation import autocorrelation_time
@@ -61,6 +61,7 @@ class Covariance:
         return self.factor * self.stderr
 
 
+@verb
 def covariance(
     result: FitResult,
     kind: Literal["iid", "sandwich", "bootstrap"] = "sandwich",
@@ -84,7 +85,6 @@ def covariance(
     Raises:
         ParameterError: an unknown kind, records with fewer blocks than `FEWEST`, or a fit under a noise model.
     """
-    require_x64()
     require_seed(seed)
     if result.noise.refines:
         raise ParameterError(

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from scipy.stats import binom
 
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_seed, verb
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
@@ -183,6 +183,7 @@ def _ideal_distances(n: int, of: int) -> np.ndarray:
     return np.concatenate(parts)
 
 
+@verb
 def calibrate(
     model: AbstractHysteresis | str,
     data: Record | Dataset | Sequence[Record],
@@ -225,7 +226,6 @@ def calibrate(
         MissingExtraError: dask.distributed is not installed.
         DataError: the folder holds another study.
     """
-    require_x64()
     require_seed(seed)
     if method not in ("laplace", "nuts", "emcee"):
         raise ParameterError(f"method must be laplace, nuts or emcee, got {method!r}")

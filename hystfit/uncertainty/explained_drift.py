@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.errors import DataError, ModelError
 from hystfit.quality.drift import cycle_means, drift
 from hystfit.quality.loops import cycles
@@ -49,6 +49,7 @@ class DriftExplained:
         )
 
 
+@verb
 def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     """Compare the drift of a fitted record with that of the simulation of the fit.
 
@@ -63,7 +64,6 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
         ModelError: the model has no creep.
         DataError: fewer than four similar cycles, or no time.
     """
-    require_x64()
     number = 0 if name is None else [record.name for record in result.data].index(result.data[name].name)
     record, model = result.data[number], result.models[number]
     still = model.without_creep()

@@ -13,7 +13,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from hystfit.config import require_seed, require_x64
+from hystfit.config import require_seed, verb
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
@@ -159,6 +159,7 @@ class Design(WithStatus):
         }
 
 
+@verb
 def design(
     result: FitResult,
     *,
@@ -189,7 +190,6 @@ def design(
     Raises:
         ParameterError: limits out of order, an unknown parameter, fewer than 100 samples.
     """
-    require_x64()
     require_seed(seed)
     problem, x = result.problem, result.x
     names = problem.space.names

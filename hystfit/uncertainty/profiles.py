@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.stats import chi2
 
-from hystfit.config import require_x64
+from hystfit.config import verb
 from hystfit.errors import ParameterError
 from hystfit.fitting.error_ratios import error_ratios
 from hystfit.fitting.noise_refinement import refine_moving
@@ -174,6 +174,7 @@ class Profiles(WithStatus):
         return figure
 
 
+@verb
 def profile(
     result: FitResult,
     names: str | Sequence[str] | None = None,
@@ -194,7 +195,6 @@ def profile(
     Raises:
         ParameterError: an unknown name, level or noise model.
     """
-    require_x64()
     if not 0 < level < 1:
         raise ParameterError(f"level must lie between 0 and 1, got {level}")
     problem = result.problem.with_loss("linear")

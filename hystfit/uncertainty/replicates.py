@@ -20,7 +20,6 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior, priors_around
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.parallel.route import each
 from hystfit.params.space import ParameterSpace
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Tuning, advance
@@ -162,7 +161,7 @@ def _replicates(
         q = jax.random.normal(second, (RANKS, whitened.center.shape[0])) if normal else _short_chain(whitened, second)
         return *_ranked(x, whitened, q), reason
 
-    return each(one, keys)
+    return jax.lax.map(one, keys)
 
 
 def _short_chain(target: Target, key: Array) -> Float[Array, "draws d"]:

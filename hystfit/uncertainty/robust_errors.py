@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.config import verb
 from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.note import warn
@@ -136,6 +137,7 @@ def _typical(ratio: np.ndarray) -> float:
     return float(np.exp(np.mean(np.log(known)))) if known.size else float("nan")
 
 
+@verb
 def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 0) -> StandardErrors:
     """Standard errors of a least-squares fit by every method: as reported, for independent residuals, sandwich, block bootstrap.
 

@@ -13,8 +13,6 @@ from jaxtyping import Array, Float
 from hystfit.inference.noise.base import LOG_2PI, AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
-from hystfit.models.parallel.associative import affine_scan, ratio_scan
-from hystfit.models.parallel.route import Route, route
 from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
@@ -59,8 +57,7 @@ class AbstractSlow(AbstractNoise):
 
     def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Scalar:
         """See `AbstractNoise.log_density`; where the samples of each record count alike, variances have a closed form."""
-        at_once = route(r.shape[1], associative=True) is Route.ASSOCIATIVE
-        if setting.full is None or at_once or self.has_shapes or not self.gaussian:
+        if setting.full is None or self.has_shapes or not self.gaussian:
             return super().log_density(setting, r)
         rows = (r, setting.full, self.white_variance / setting.weight[:, 0])
         if r.shape[0] == 1:
@@ -92,13 +89,9 @@ class AbstractSlow(AbstractNoise):
     def whiten(
         self, setting: Setting, rows: Float[Array, "R T k"]
     ) -> tuple[Float[Array, "R T k"], Float[Array, "R T"]]:
-        """Two scans with small bodies, gains and then means, so that XLA compiles each into one native loop when differentiated.
-
-        Both have an associative form, for long records on a GPU.
-        """
+        """Two scans with small bodies, gains and then means, so that XLA compiles each into one native loop when differentiated."""
         gap = jnp.broadcast_to(setting.gap, setting.weight.shape)
         even = setting.gap.ndim == 0
-        at_once = route(gap.shape[1], associative=True) is Route.ASSOCIATIVE
 
         def record(signals: Array, gap: Array, weight: Array) -> tuple[Array, Array]:
             on = weight > 0
@@ -112,20 +105,12 @@ class AbstractSlow(AbstractNoise):
                 return before * (noise / (before + noise)), before
 
             rest = (white,) if even else (white, decay**2, fresh)
-            if at_once:
-                before = ratio_scan(_variance_maps(white, decay**2, fresh), self.noise_slow**2)
-            else:
-                _, before = jax.lax.scan(variances, self.noise_slow**2, rest)
+            _, before = jax.lax.scan(variances, self.noise_slow**2, rest)
             gain, total = before / (before + white), before + jnp.where(on, white, 0.0)
             onward = decay if even else jnp.concatenate([decay[1:], decay[-1:]])
             keep, push = onward * (1 - gain), (onward * gain)[:, None] * signals
             first = jnp.zeros(signals.shape[1])
-            if at_once:
-                mean = jnp.concatenate(
-                    [first[None], affine_scan(jnp.broadcast_to(keep[:, None], push.shape), push, first)[:-1]]
-                )
-            else:
-                _, mean = jax.lax.scan(lambda m, at: (at[0] * m + at[1], m), first, (keep, push))
+            _, mean = jax.lax.scan(lambda m, at: (at[0] * m + at[1], m), first, (keep, push))
             e = jnp.where(on[:, None], (signals - mean) / jnp.sqrt(total)[:, None], 0.0)
             return e, jnp.where(on, jnp.log(total), 0.0)
 
@@ -146,11 +131,3 @@ class AbstractSlow(AbstractNoise):
         on = setting.weight > 0
         sd = jnp.sqrt(self.white_variance / jnp.where(on, setting.weight, 1.0))
         return slow + sd * jax.random.normal(third, gap.shape)
-
-
-def _variance_maps(white: Array, square: Array, fresh: Array) -> Float[Array, "T 2 2"]:
-    """Variance before each sample as a ratio of affine functions of that before the last: update by it, decay, fresh noise."""
-    precision = jnp.concatenate([jnp.zeros(1), 1 / white[:-1]])  # nothing is measured before the first sample
-    square, fresh = jnp.broadcast_to(square, white.shape), jnp.broadcast_to(fresh, white.shape)
-    rows = [[square + fresh * precision, fresh], [precision, jnp.ones_like(white)]]
-    return jnp.moveaxis(jnp.asarray(rows), -1, 0)
