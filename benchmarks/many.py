@@ -60,9 +60,7 @@ def main() -> None:
     }
 
     def together(count: int) -> np.ndarray:
-        size = tasks[count][0].capacity
-        parts = [tasks[count][k : k + size] for k in range(0, RECORDS, size)]
-        return np.array([np.nan if e is None else e.cost for part in parts for e in solve_together(part)])
+        return np.array([np.nan if e is None else e.cost for e in solve_together(tasks[count])])
 
     def in_a_loop() -> np.ndarray:
         costs = []

@@ -111,21 +111,6 @@ def test_estimates_are_those_of_scipy_on_a_plain_loop(fits, records):
         assert row.rmse == pytest.approx(rmse, rel=1e-6)
 
 
-def test_records_of_one_bucket_share_a_compiled_program(records, monkeypatch):
-    traced = []
-    normal = bucketed._normal
-    monkeypatch.setattr(bucketed, "_normal", lambda objective: traced.append(1) or normal(objective))
-    tasks = [_task(measured(number, samples)) for number, samples in ((1, 900), (2, 950), (3, 1000))]
-    assert len({task.key for task in tasks}) == 1
-    assert _task(records[0]).key != tasks[0].key
-    bucketed.solve_together(tasks[:2])
-    first = len(traced)
-    assert first > 0
-    bucketed.solve_together(tasks[1:])
-    bucketed.solve_together(tasks[:1])
-    assert len(traced) == first
-
-
 def _task(record: hf.Record) -> bucketed.Task:
     from hystfit.fitting.fit_options import FitOptions
     from hystfit.fitting.fit_setup import set_up_fit, starting_vectors
@@ -141,13 +126,6 @@ def test_loops_are_read_a_part_at_a_time(records, monkeypatch):
     monkeypatch.setattr(work, "_SAMPLES", 500)
     hf.fit_many("bouc-wen", records, **QUICK)
     assert together == [2, 1, 1, 2]
-
-
-def test_memory_is_bounded_by_few_long_records_in_a_call():
-    assert _task(measured(0, 300)).capacity == 64
-    problem = _task(measured(0, 300))
-    long = problem._replace(problem=hf.Problem(hf.BoucWen(), measured(0, 200_000)))
-    assert long.capacity * 200_000 < 2**20
 
 
 def test_a_fit_that_ends_on_a_bound_is_that_of_fit():

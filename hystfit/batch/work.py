@@ -176,15 +176,13 @@ def _pose(work: Work, loop: _Loop) -> None:
 
 
 def _solve_together(loops: Sequence[_Loop]) -> None:
-    """Solve those that can be solved with others, a bucket at a time."""
+    """Solve those that can be solved with others of their structure and length."""
     buckets: dict[Any, list[_Loop]] = defaultdict(list)
     for loop in loops:
         if loop.row is None and loop.task is not None:
             buckets[loop.task.key].append(loop)
     for alike in buckets.values():
-        tasks = [cast(Task, loop.task) for loop in alike]
-        size = tasks[0].capacity
-        solved = [estimate for k in range(0, len(tasks), size) for estimate in solve_together(tasks[k : k + size])]
+        solved = solve_together([cast(Task, loop.task) for loop in alike])
         for loop, estimate in zip(alike, solved, strict=True):
             loop.estimate = estimate
 

@@ -1,0 +1,109 @@
+"""Normal equations of an objective at one point: from the derivatives of all samples, or in the scan over the samples."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.inference.objective import BROKEN, Objective, bend
+from hystfit.models.shapes import Scalar
+
+FEW = 12  # parameters up to which one scan sums the normal matrix: it carries a number for each entry
+
+
+class Normal(NamedTuple):
+    """Normal equations in unconstrained coordinates.
+
+    Attributes:
+        z: the point, shape (p,).
+        cost: half the sum of squared misfits there; infinite where something is not finite.
+        gradient: J'r, shape (p,).
+        matrix: J'J, shape (p, p).
+    """
+
+    z: Float[Array, " p"]
+    cost: Scalar
+    gradient: Float[Array, " p"]
+    matrix: Float[Array, "p p"]
+
+    def checked(self) -> Normal:
+        """With an infinite cost where something is not finite."""
+        finite = functools.reduce(jnp.logical_and, [jnp.isfinite(value).all() for value in self])
+        return self._replace(cost=jnp.where(finite, self.cost, jnp.inf))
+
+
+def normal_at(objective: Objective, z: Float[Array, " p"]) -> Normal:
+    """From the derivatives of all samples, which are in memory at once: the faster form where one lane follows another."""
+    residual, columns = objective.linearize_at(z)
+    return Normal(z, 0.5 * residual @ residual, columns @ residual, columns @ columns.T).checked()
+
+
+def suits_one_scan(objective: Objective) -> bool:
+    """Whether `normal_in_scan` can be used: one record, few parameters, and a model whose step is all that it needs."""
+    p = len(objective.coordinates.kinds)
+    model = objective.coordinates.assemble(jnp.zeros(p))
+    return objective.batch.u.shape[0] == 1 and 0 < p <= FEW and model.causal and model.one_scan
+
+
+def normal_in_scan(objective: Objective, z: Float[Array, " p"]) -> Normal:
+    """By one scan whose carry holds the state, its derivatives, the cost, J'r and J'J; nothing is kept of a sample.
+
+    Under `jax.vmap` over thousands of lanes it is the faster form, and its memory does not grow with the number of samples. Each number
+    of the carry is a leaf of its own, so that lanes lie side by side.
+    """
+    coordinates, p = objective.coordinates, z.shape[0]
+    u, y, dt, weight = (row[0] for row in jax.tree_util.tree_leaves(objective.batch))
+    x = coordinates.physical(z)
+    leaves, treedef = jax.tree_util.tree_flatten(coordinates.assemble(x))
+    places = [(leaf, k) for leaf, positions, _ in coordinates.layout for k in positions]
+    ways = [
+        jnp.zeros(np.shape(leaves[leaf])).reshape(-1).at[k].set(1.0).reshape(np.shape(leaves[leaf]))
+        for leaf, k in places
+    ]
+    pairs = np.triu_indices(p)
+
+    def with_leaf(leaf: int, value: Array) -> Any:
+        return treedef.unflatten([value if k == leaf else other for k, other in enumerate(leaves)])
+
+    first = treedef.unflatten(leaves).init(u[0])
+    single = first.shape == (1,)
+    inner, outer = (lambda s: s[None], lambda s: s[0]) if single else (lambda s: s, lambda s: s)
+    begin = lambda leaf: lambda value: outer(with_leaf(leaf, value).init(u[0]))
+    along = [jax.jvp(begin(leaf), (leaves[leaf],), (way,))[1] for (leaf, _), way in zip(places, ways, strict=True)]
+
+    def once(carry: Any, row: Any) -> tuple[Any, None]:
+        (state, along, cost, gradient, matrix), (before, now, step, measured, root) = carry, row
+        moved, slopes = [], []
+        for (leaf, _), way, push in zip(places, ways, along, strict=True):
+            advance = lambda value, s, leaf=leaf: with_leaf(leaf, value).step(inner(s), before, now, step)
+            (after, out), (change, slope) = jax.jvp(advance, (leaves[leaf], state), (way, push))
+            moved.append(outer(change))
+            slopes.append(slope)
+        gap = out - measured
+        good = jnp.isfinite(gap)
+        misfit, factor = _weighed(objective, jnp.where(good, gap, BROKEN * objective.size), root)
+        factor = jnp.where(good & (root > 0), factor, 0.0)
+        J = [jnp.where(good, slope, 0.0) * factor for slope in slopes]
+        cost = cost + misfit**2
+        gradient = [g + misfit * slope for g, slope in zip(gradient, J, strict=True)]
+        matrix = [h + J[a] * J[b] for h, a, b in zip(matrix, *pairs, strict=True)]
+        return (outer(after), moved, cost, gradient, matrix), None
+
+    root = jnp.sqrt(weight) / objective.size
+    rows = (jnp.concatenate([u[:1], u[:-1]]), u, dt, y, root)
+    zero = jnp.zeros(())
+    start = (outer(first), along, zero, [zero] * p, [zero] * len(pairs[0]))
+    (_, _, cost, gradient, upper), _ = jax.lax.scan(once, start, rows, unroll=1)
+    matrix = jnp.zeros((p, p)).at[pairs].set(jnp.stack(upper))
+    matrix, slope = matrix + jnp.triu(matrix, 1).T, coordinates.slope(z)
+    return Normal(z, 0.5 * cost, slope * jnp.stack(gradient), slope * matrix * slope[:, None]).checked()
+
+
+def _weighed(objective: Objective, gap: Array, root: Array) -> tuple[Array, Array]:
+    """The misfit of a residual, and its derivative by the residual."""
+    return jax.jvp(lambda r: bend(root * r, objective.bend, objective.loss), (gap,), (jnp.ones_like(gap),))

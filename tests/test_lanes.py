@@ -1,0 +1,124 @@
+"""The solver of many lanes: its normal equations against finite differences, its descents against scipy, on both kinds of devices."""
+
+import jax
+import numpy as np
+import pytest
+import scipy.optimize
+
+import hystfit as hf
+from hystfit.config import first_device
+from hystfit.fitting import lanes
+from hystfit.fitting.lanes import Stack, descend_lanes
+from hystfit.inference.normal import normal_at, normal_in_scan, suits_one_scan
+from hystfit.inference.problem import Problem
+from hystfit.models.base import AbstractHysteresis
+
+SAMPLES = 150
+MODELS = [
+    (hf.BoucWen(c=1.1, mu=0.5, tau=2.0, rho=0.4, offset=0.3), "linear"),
+    (hf.BoucWenForce(), "huber"),
+    (hf.Duhem(alpha=2.0), "soft-l1"),
+    (hf.PrandtlIshlinskii.of(3), "linear"),
+]
+
+
+class Side:
+    """Stands for a device on which lanes go together."""
+
+    platform = "gpu"
+
+
+@pytest.fixture
+def together(monkeypatch: pytest.MonkeyPatch) -> Side:
+    """Lanes go together, on the CPU of this machine."""
+    put = lanes.placed
+    monkeypatch.setattr(lanes, "placed", lambda tree, device: put(tree, first_device("cpu")))
+    return Side()
+
+
+def problem(model: AbstractHysteresis, seed: int, loss: str = "linear", samples: int = SAMPLES) -> Problem:
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * 0.01
+    u = np.sin(8 * t + 0.1 * seed) * (0.5 + t)
+    y = np.asarray(hf.simulate(model, u, 0.01)[0])
+    y = y + 0.01 * np.ptp(y) * rng.normal(size=samples)
+    y[20] += 0.5 * np.ptp(y)
+    y[40] = np.nan
+    weight = np.where(np.arange(samples) < 5, 0.0, rng.uniform(0.5, 2.0, samples))
+    return Problem(model, hf.Record(u=u, y=y, t=t, weight=weight), loss=loss)
+
+
+@pytest.mark.parametrize(("model", "loss"), MODELS, ids=lambda part: type(part).__name__)
+def test_normal_equations_are_those_of_finite_differences(model: AbstractHysteresis, loss: str) -> None:
+    """Both forms, with weights, missing samples and a robust loss."""
+    posed = problem(model, 1, loss)
+    objective, z = posed.objective, posed.space.unconstrained(posed.space.vector(model)) + 0.05
+    misfit = jax.jit(lambda objective, z: objective.misfit_at(z))
+    at = lambda z: np.asarray(misfit(objective, z))
+    steps = 1e-5 * np.eye(z.size)
+    J = np.stack([(at(z + step) - at(z - step)) / 2e-5 for step in steps], axis=1)
+    assert suits_one_scan(objective)
+    for form in (normal_at, normal_in_scan):
+        found = jax.jit(form)(objective, z)
+        np.testing.assert_allclose(found.cost, 0.5 * at(z) @ at(z), rtol=1e-12)
+        size = np.linalg.norm(J, axis=0) + 1e-12
+        np.testing.assert_allclose(found.gradient / size, J.T @ at(z) / size, atol=2e-5)
+        np.testing.assert_allclose(found.matrix / size / size[:, None], J.T @ J / size / size[:, None], atol=2e-5)
+
+
+def lanes_of(count: int) -> tuple[list[Problem], Stack, np.ndarray]:
+    model = hf.BoucWen(c=1.1, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
+    posed = [problem(model, seed) for seed in range(count)]
+    rng = np.random.default_rng(0)
+    starts = [p.space.unconstrained(p.space.vector(model)) + 0.3 * rng.normal(size=len(p.space)) for p in posed]
+    return posed, Stack.of([p.objective for p in posed]), np.stack(starts)
+
+
+@pytest.mark.parametrize("side", [False, True], ids=["one after another", "together"])
+def test_lanes_end_where_scipy_does(side: bool, together: Side) -> None:
+    """More lanes than records, in any order; on both kinds of devices."""
+    posed, stack, starts = lanes_of(5)
+    records = np.array([4, 0, 2, 0, 1, 3, 0])
+    kept = starts.copy()
+    ends = descend_lanes(stack, records, starts[records], gain=1e-13, steps=60, device=together if side else None)
+    np.testing.assert_array_equal(starts, kept)
+    assert ends.converged.all()
+    for z, cost, number in zip(ends.normal.z, ends.normal.cost, records, strict=True):
+        p = posed[number]
+        found = scipy.optimize.least_squares(
+            p.misfit, p.space.physical(z) * 1.001, x_scale="jac", xtol=1e-14, ftol=1e-14
+        )
+        assert cost <= found.cost * (1 + 1e-9)
+        error = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * 2 * found.cost / SAMPLES)
+        np.testing.assert_allclose((p.space.physical(z) - found.x) / error, 0.0, atol=1e-3)
+
+
+def test_both_kinds_of_devices_agree_and_converged_lanes_leave(together: Side, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, stack, starts = lanes_of(6)
+    starts[3] += 1.0
+    records, sizes, advanced = np.arange(6), [], lanes._advance_all
+    one_by_one = descend_lanes(stack, records, starts, gain=1e-13, steps=60)
+    monkeypatch.setattr(lanes, "_ROUND", 4)
+    monkeypatch.setattr(lanes, "_advance_all", lambda *a: sizes.append(len(a[1])) or advanced(*a))
+    side_by_side = descend_lanes(stack, records, starts, gain=1e-13, steps=60, device=together)
+    error = np.sqrt(np.stack([np.diag(np.linalg.inv(m)) for m in one_by_one.normal.matrix]) * 1e-4)
+    np.testing.assert_allclose(side_by_side.normal.z / error, one_by_one.normal.z / error, atol=1e-6)
+    np.testing.assert_array_equal(side_by_side.converged, one_by_one.converged)
+    assert sizes[0] == 6
+    assert sizes[-1] < 6
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_a_lane_that_cannot_be_simulated_leaves_the_others_unharmed(together: Side) -> None:
+    _, stack, starts = lanes_of(3)
+    starts[1] = np.nan
+    for device in (None, together):
+        ends = descend_lanes(stack, np.arange(3), starts, gain=1e-13, steps=60, device=device)
+        np.testing.assert_array_equal(ends.converged, [True, False, True])
+
+
+def test_a_call_on_a_cpu_holds_few_samples() -> None:
+    for samples in (64, 10_000, 10**7):
+        parts = list(lanes._parts(500, lanes._chunk(samples)))
+        np.testing.assert_array_equal(np.concatenate(parts), np.arange(500))
+        assert max(map(len, parts)) * samples <= max(samples, 2**20)
