@@ -53,13 +53,16 @@ def solve_together(tasks: Sequence[Task]) -> list[Estimate | None]:
     return [_estimate(*row) for row in rows]
 
 
-def solve_stack(full: Stack, short: Stack | None, starts: np.ndarray) -> tuple[Ends, np.ndarray, np.ndarray]:
+def solve_stack(
+    full: Stack, short: Stack | None, starts: np.ndarray, steps: int = _STEPS
+) -> tuple[Ends, np.ndarray, np.ndarray]:
     """Where the best start of each record ended, the costs of all, shape (N, S), and the linearizations for each record.
 
     Args:
         full: the problems of N records.
         short: on fewer samples; None where starts are compared on all.
         starts: unconstrained, shape (N, S, p).
+        steps: of every start, before the best one goes on.
     """
     count, several, p = starts.shape
     records = np.arange(count)
@@ -68,7 +71,7 @@ def solve_stack(full: Stack, short: Stack | None, starts: np.ndarray) -> tuple[E
         np.repeat(records, several),
         starts.reshape(-1, p),
         gain=_ROUGH,
-        steps=_STEPS,
+        steps=steps,
     )
     costs = rough.normal.cost.reshape(count, several)
     best = rough.normal.z.reshape(count, several, p)[records, np.argmin(costs, axis=1)]

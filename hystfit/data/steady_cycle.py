@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from hystfit.data.record import Record
 
@@ -23,11 +24,16 @@ def steady_period(record: Record) -> int | None:
     A device that rested before the first sample starts inside the loop, half its width away from the branch on which the period
     ends. Where both outputs agree to a small part of the width, the motion was steady before.
     """
-    u, y = record.u, record.y
-    span = float(np.ptp(u))
+    period, steady = steady_rows(record.u, record.y[None])
+    return period if steady[0] else None
+
+
+def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tuple[int, np.ndarray]:
+    """`steady_period` of many outputs over one input: the period of those that have one, and which these are, shape (N,), bool."""
+    span, none = float(np.ptp(u)), np.zeros(len(y), bool)
     middle = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
-    if u.size < _FEWEST or not middle or not np.isfinite(y[0]):
-        return None
+    if u.size < _FEWEST or not middle:
+        return 0, none
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     rising = 1.0 if u[away] > u[0] else -1.0
     v = rising * u
@@ -36,14 +42,27 @@ def steady_period(record: Record) -> int | None:
     beyond = np.flatnonzero(v[second:] >= v[0])
     last = second + int(beyond[0]) if beyond.size else u.size - 1
     covers = v[first] > v.max() - _GAP * span and v[second] < v.min() + _GAP * span
-    if not covers or abs(u[last] - u[0]) > _GAP * span or not np.isfinite(y[: last + 1]).all():
-        return None
-    end = y[last] + (y[away] - y[0]) / (u[away] - u[0]) * (u[0] - u[last])
-    width = abs(np.interp(-v[0], -v[first : second + 1], y[first : second + 1]) - 0.5 * (y[0] + end))
-    noise = float(np.std(np.diff(y[: last + 1], 2)) / np.sqrt(6.0))  # second differences have sqrt(6) times white noise
-    closes = abs(end - y[0]) <= min(_CLOSED * width + 2 * noise, _LOOSE * width)
-    stands_out = width > max(_OPEN * np.ptp(y[: last + 1]), _STANDS_OUT * noise)
-    return last + (last == u.size - 1) if closes and stands_out else None
+    if not covers or abs(u[last] - u[0]) > _GAP * span:
+        return 0, none
+    part = y[:, : last + 1]
+    finite = np.isfinite(part).all(axis=1)
+    part = np.where(finite[:, None], part, 0.0)
+    begin = part[:, 0]
+    end = part[:, last] + (part[:, away] - begin) / (u[away] - u[0]) * (u[0] - u[last])
+    width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
+    noise = np.std(np.diff(part, 2), axis=1) / np.sqrt(6.0)  # second differences have sqrt(6) times white noise
+    closes = np.abs(end - begin) <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)
+    stands_out = width > np.maximum(_OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)
+    return last + (last == u.size - 1), finite & closes & stands_out
+
+
+def _between(x: float, places: Float[np.ndarray, " T"], rows: Float[np.ndarray, "N T"]) -> Float[np.ndarray, " N"]:
+    """`np.interp` of each row."""
+    if x <= places[0] or x >= places[-1]:
+        return rows[:, 0 if x <= places[0] else -1]
+    k = int(np.searchsorted(places, x, side="right"))
+    share = (x - places[k - 1]) / (places[k] - places[k - 1])
+    return (1 - share) * rows[:, k - 1] + share * rows[:, k]
 
 
 def _turn(v: np.ndarray, span: float) -> int:

@@ -25,22 +25,29 @@ def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
 
     All records together keep `samples`, or more where the input has many reversals.
     """
-    if not problem.model.allows_thinning:
+    numbers = kept_samples(problem, samples)
+    if numbers is None:
         return None
-    turns, length = _plan(problem.data, samples)
-    if _PAYS * length > problem.objective.batch.u.shape[1]:
-        return None
-    batch = problem.objective.batch
+    batch, length = problem.objective.batch, _plan(problem.data, samples)[1]
     u, y, dt, weight = (np.asarray(values) for values in (batch.u, batch.y, batch.dt, batch.weight))
     rows = []
-    for number, (record, turn) in enumerate(zip(problem.data, turns, strict=True)):
-        kept = _kept_samples(len(record), turn, length)
+    for number, kept in enumerate(numbers):
         padding = (0, length - kept.size)  # as `Batch` pads
         elapsed = np.diff(np.cumsum(dt[number])[kept], prepend=0.0)
         others = (np.pad(values, padding) for values in (y[number, kept], elapsed, weight[number, kept]))
         rows.append((np.pad(u[number, kept], padding, mode="edge"), *others))
     short = Batch(*(to_device(np.stack(column)) for column in zip(*rows, strict=True)))
     return dataclasses.replace(problem.objective, batch=short)
+
+
+def kept_samples(problem: Problem, samples: int = _SAMPLES) -> list[np.ndarray] | None:
+    """Numbers of the samples of each record in the short form; None where there is none, see `thin`."""
+    if not problem.model.allows_thinning:
+        return None
+    turns, length = _plan(problem.data, samples)
+    if _PAYS * length > problem.objective.batch.u.shape[1]:
+        return None
+    return [_kept_samples(len(record), turn, length) for record, turn in zip(problem.data, turns, strict=True)]
 
 
 def thinned(data: Dataset) -> Dataset:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 _FEW = 20  # lags for which direct sums are faster than Fourier transforms
 
@@ -22,12 +23,20 @@ def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
 
 def is_correlated(x: np.ndarray) -> bool:
     """Whether a series is autocorrelated, by the Ljung-Box test of its first ten lags at 1 %; never below 30 samples."""
-    n = x.size
+    return bool(correlated_rows(np.asarray(x, float)[None])[0])
+
+
+def correlated_rows(x: Float[np.ndarray, "N T"]) -> np.ndarray:
+    """`is_correlated` of each row, shape (N,), bool."""
+    n = x.shape[1]
     if n < 30:
-        return False
-    first = autocorrelation(x, 10)[1:]
+        return np.zeros(len(x), bool)
+    x = x - x.mean(axis=1, keepdims=True)
+    power = np.einsum("nt,nt->n", x, x)
+    sums = np.stack([np.einsum("nt,nt->n", x[:, :-lag], x[:, lag:]) for lag in range(1, 11)], axis=1)
+    first = np.divide(sums, power[:, None], out=np.zeros_like(sums), where=power[:, None] > 0)
     limit = 23.21  # 99 % point of chi squared with ten degrees of freedom
-    return n * (n + 2) * float(np.sum(first**2 / (n - np.arange(1, 11)))) >= limit
+    return n * (n + 2) * np.sum(first**2 / (n - np.arange(1, 11)), axis=1) >= limit
 
 
 def autocorrelation_time(x: np.ndarray) -> float:

@@ -7,6 +7,7 @@ two bounds    x = lower + (upper - lower) / (1 + exp(-z))
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -119,10 +120,13 @@ class Coordinates(eqx.Module):
         both = jnp.log(width) + jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
         return jnp.sum(jnp.where(kind == REAL, free, jnp.where(kind == BOTH, both, free + z)))
 
-    def assemble(self, x: Float[Array, " p"] | Float[np.ndarray, " p"], record: Any = 0) -> Any:
+    def assemble(
+        self, x: Float[Array, " p"] | Float[np.ndarray, " p"], record: Any = 0, place: Callable[[Any], Any] = to_device
+    ) -> Any:
         """The tree with the free elements set from x, with the parameters of record number `record`.
 
-        NumPy values are set on the host: operations of JAX outside compiled code would take a hundred times longer.
+        NumPy values are set on the host: operations of JAX outside compiled code would take a hundred times longer. `place` then makes
+        the leaves of the arrays; `np.asarray` leaves them on the host.
         """
         host = isinstance(x, np.ndarray)
         leaves, start = list(self.leaves), 0
@@ -144,7 +148,7 @@ class Coordinates(eqx.Module):
                 flat[list(positions)] = values
             else:
                 flat = flat.at[np.asarray(positions)].set(values)
-            leaves[index] = (to_device if host else jnp.asarray)(flat.reshape(leaf.shape))
+            leaves[index] = (place if host else jnp.asarray)(flat.reshape(leaf.shape))
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:

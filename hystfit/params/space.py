@@ -316,12 +316,18 @@ class ParameterSpace:
         return rows
 
 
-def relative_size(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
+def relative_size(space: ParameterSpace, x: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Size against which the error of each parameter at x is judged: its distance to the bounds, or its natural scale without any.
 
     For an offset it is the natural scale alone, because its value depends on where zero lies.
+
+    Args:
+        space: of the parameters.
+        x: physical values, shape (..., p), like the result.
+        scale: natural scales that differ from those of the space, shape (..., p).
     """
-    lower, upper, scale, kind = space.lower, space.upper, space.scale, space.kinds
+    lower, upper, kind = space.lower, space.upper, space.kinds
+    scale = space.scale if scale is None else scale
     with np.errstate(invalid="ignore"):
         both = (x - lower) * (upper - x) / (upper - lower)
         one = np.where(np.isfinite(lower), x - lower, upper - x)

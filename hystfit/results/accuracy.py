@@ -52,17 +52,17 @@ def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
 
 
 def persistent_error(errors: np.ndarray) -> np.ndarray:
-    """Size of the error that three successive samples have in common, shape (T,): at each sample, the smallest of it and its neighbors.
+    """Size of the error that three successive samples have in common: at each sample, the smallest of it and its neighbors.
 
     Args:
-        errors: of successive samples, shape (T,).
+        errors: of successive samples, shape (..., T), like the result.
     """
     size = np.abs(errors)
-    if size.size < _LASTING:
+    if size.shape[-1] < _LASTING:
         return size
-    inner = np.minimum(size[:-2], size[1:-1])
-    np.minimum(inner, size[2:], out=inner)
-    size[0], size[1:-1], size[-1] = inner[0], inner, inner[-1]
+    inner = np.minimum(size[..., :-2], size[..., 1:-1])
+    np.minimum(inner, size[..., 2:], out=inner)
+    size[..., 0], size[..., 1:-1], size[..., -1] = inner[..., 0], inner, inner[..., -1]
     return size
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
@@ -28,10 +30,11 @@ _OPEN = 1.0  # a quantity is undetermined when its standard error is its natural
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
     """The quantities of a fit without errors, by name; None where one is unknown."""
-    values = _values(
-        result,
+    values = values_of_outputs(
+        result.data,
         Excitation.of(result.data, hardens=result.model.hardens),
         lambda record: _run(result, record, result.model)[None],
+        timed=not result.model.rate_independent,
     )
     return {name: float(one[0]) if np.isfinite(one[0]) else None for name, one in values.items()}
 
@@ -41,7 +44,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     x, space = np.asarray(result.x), result.problem.space
     size, linear = relative_size(space, x), space.linear
     excitation = Excitation.of(result.data, hardens=result.model.hardens)
-    values = _values(result, excitation, lambda record: _perturbed(result, record, _STEP * size, linear))
+    outputs = lambda record: _perturbed(result, record, _STEP * size, linear)
+    values = values_of_outputs(result.data, excitation, outputs, timed=not result.model.rate_independent)
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
     read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
@@ -82,13 +86,18 @@ def _estimate(
     return made(value, error, None)
 
 
-def _values(result: FitResult, excitation: Excitation, outputs: Any) -> dict[str, np.ndarray]:
+def values_of_outputs(
+    data: Dataset, excitation: Excitation, outputs: Callable[[Record], np.ndarray], *, timed: bool
+) -> dict[str, np.ndarray]:
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
+        data: the records, whose units tell which quantities there are.
+        excitation: the inputs.
         outputs: gives the outputs over a record, shape (count, T).
+        timed: whether the model depends on time.
     """
-    names, found = applicable(result.data, timed=not result.model.rate_independent), {}
+    names, found = applicable(data, timed=timed), {}
     with np.errstate(all="ignore"):
         loops = excitation.loops(_simulated_outputs(outputs, excitation.loop))
         for name in names:

@@ -76,14 +76,16 @@ class SteadyLoops:
         middle = 0.5 * (
             np.maximum(self.rising.max(1), self.falling.max(1)) + np.minimum(self.rising.min(1), self.falling.min(1))
         )
-        crossing = lambda branch: np.array([_crossing(y - m, self.inputs) for y, m in zip(branch, middle, strict=True)])
+        crossing = lambda branch: _crossings(branch - middle[:, None], self.inputs)
         return 0.5 * np.abs(crossing(self.rising) - crossing(self.falling))
 
     @property
     def remanence(self) -> Float[np.ndarray, " count"]:
         """Half the height of the loop at the middle of the input."""
         middle = 0.5 * (self.inputs[0] + self.inputs[-1])
-        return 0.5 * np.array([np.interp(middle, self.inputs, row) for row in self.gap])
+        k = int(np.clip(np.searchsorted(self.inputs, middle), 1, self.inputs.size - 1))
+        share = (middle - self.inputs[k - 1]) / (self.inputs[k] - self.inputs[k - 1])
+        return 0.5 * ((1 - share) * self.gap[:, k - 1] + share * self.gap[:, k])
 
     @property
     def secant_stiffness(self) -> Float[np.ndarray, " count"]:
@@ -91,13 +93,13 @@ class SteadyLoops:
         return self.width / self.travel if self.force_driven else self.travel / self.width
 
 
-def _crossing(branch: np.ndarray, inputs: np.ndarray) -> float:
-    """The first input at which a branch, rising or falling with the input, passes zero; NaN where it does not (a butterfly)."""
-    passed = np.flatnonzero(np.signbit(branch[:-1]) != np.signbit(branch[1:]))
-    if not passed.size:
-        return float("nan")
-    k = int(passed[0])
-    return float(inputs[k] - branch[k] * (inputs[k + 1] - inputs[k]) / (branch[k + 1] - branch[k]))
+def _crossings(branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " count"]:
+    """The first input at which each branch, rising or falling with it, passes zero; NaN where it does not (a butterfly)."""
+    passed = np.signbit(branches[:, :-1]) != np.signbit(branches[:, 1:])
+    k, rows = np.argmax(passed, axis=1), np.arange(len(branches))
+    before, after = branches[rows, k], branches[rows, k + 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(passed.any(axis=1), inputs[k] - before * (inputs[k + 1] - inputs[k]) / (after - before), np.nan)
 
 
 @dataclasses.dataclass(frozen=True)

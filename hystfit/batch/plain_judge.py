@@ -1,0 +1,213 @@
+"""Judgment of many solved loops over one input at once: those whose fit is beyond doubt.
+
+A loop is plain where its residuals are white, no larger than the noise of its output, and where its errors are those of a regular least-
+squares problem: no bound, no undetermined direction, no outlier near. The verdict of `hystfit.fit` on such a loop is `Status.OK`, and its
+standard errors those of independent noise. Every other loop is judged alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.batch.alike import Common
+from hystfit.data.steady_cycle import steady_rows
+from hystfit.fitting.lanes import Ends, Stack, device_for, placed
+from hystfit.inference.autocorrelation import correlated_rows
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import run
+from hystfit.params.coordinates import BOTH, Coordinates
+from hystfit.params.space import ParameterSpace, relative_size
+from hystfit.quality.loops import reversals
+from hystfit.quality.rows import curve_errors, row_noise, sound_rows
+from hystfit.results.accuracy import persistent_error
+
+# Limits stricter than those of a fit that is judged alone, so that the verdict is the same.
+_OF_NOISE = 1.9  # times the noise: largest rms error
+_OF_CURVE = 0.5  # of the error of a single-valued curve: largest rms error
+_PERCENT = 2.9  # of the range: largest rms error
+_DEGREE = 7  # of that curve
+_LASTING, _STANDS_OUT = (
+    0.95,
+    2.8,
+)  # percent of the range, and times the rms error elsewhere: of a half cycle unlike the others
+_SHORT = 0.035  # of the samples, which must not carry half of the squared error
+_TAILS = 2.8  # largest excess kurtosis of the differences of residuals
+_LEAST_EIGENVALUE = 1e-10  # of the scaled normal matrix, relative to the largest
+_OPEN = 0.9  # largest standard error of a direction, beside the parameters' own size
+_REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
+_FEWEST = 64  # residuals
+_NUMBERS = 2**24  # of outputs simulated in one call
+_AT_BOUND = 2e-4  # relative distance to a bound
+
+
+class Judged(NamedTuple):
+    """Results of N loops; those of loops that are not plain mean nothing.
+
+    Attributes:
+        plain: which loops are beyond doubt.
+        x, stderr: estimates and standard errors, shape (N, p).
+        rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
+        advice: what the model says about the input, for each loop.
+    """
+
+    plain: np.ndarray
+    x: Float[np.ndarray, "N p"]
+    stderr: Float[np.ndarray, "N p"]
+    rmse: Float[np.ndarray, " N"]
+    percent: Float[np.ndarray, " N"]
+    largest_percent: Float[np.ndarray, " N"]
+    advice: tuple[tuple[str, ...], ...]
+
+
+def sound_outputs(common_input: np.ndarray, y: Float[np.ndarray, "N T"]) -> np.ndarray:
+    """Which outputs are finite, vary, and have no fault that a fit would leave out, shape (N,), bool."""
+    finite = np.isfinite(y).all(axis=1)
+    rows = np.where(finite[:, None], y, np.sin(common_input))  # keeps warnings away from rows that are out
+    varies = np.ptp(rows, axis=1) > 1e-12 * np.abs(rows).max(axis=1)
+    return finite & varies & sound_rows(rows, row_noise(rows))
+
+
+def judge_plain(common: Common, y: Float[np.ndarray, "N T"], ends: Ends, stack: Stack) -> Judged:
+    """Results of solved loops with sound outputs.
+
+    Args:
+        common: what the loops have in common.
+        y: outputs.
+        ends: of their descents.
+        stack: their problems.
+    """
+    record = common.record
+    used, scale = record.used, stack.objective.coordinates.scale
+    x = physical_rows(stack, ends.normal.z)
+    residual = (predicted(stack, ends.normal.z)[:, : len(record)] - y)[:, used]
+    span, rmse = np.ptp(y[:, used], axis=1), np.sqrt(np.mean(residual**2, axis=1))
+    percent = 100 * rmse / span
+    with np.errstate(all="ignore"):
+        stderr, regular = _errors(common, x, np.asarray(scale), ends, int(used.sum()))
+        good = ends.converged & regular & np.isfinite(residual).all(axis=1) & (percent < _PERCENT)
+        good &= rmse < _OF_NOISE * row_noise(y)
+        good &= rmse < _OF_CURVE * curve_errors(record.u[used], y[:, used], _DEGREE)
+        good &= _is_plain(np.where(good[:, None], residual, 0.0), record.u, used, span)
+    if record.weight[used].min() < record.weight[used].max():
+        good[:] = False
+    good &= ~steady_rows(record.u, y)[1]
+    said = iter(_advice(common, x[good]))
+    advice = tuple(next(said) if one else () for one in good)
+    return Judged(good, x, stderr, rmse, percent, 100 * np.abs(residual).max(axis=1) / span, advice)
+
+
+def physical_rows(stack: Stack, z: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N p"]:
+    """Physical parameters of each loop."""
+    return stack.objective.coordinates.physical(z, np)
+
+
+def _advice(common: Common, x: Float[np.ndarray, "N p"]) -> list[tuple[str, ...]]:
+    """What the model of each loop says about the input."""
+    model, record = common.setup.problem.model, common.record
+    if type(model).advice is AbstractHysteresis.advice:
+        return [()] * len(x)
+    models = (common.setup.problem.space.coordinates.assemble(row, 0, np.asarray) for row in x)
+    return [model.advice(record.u, record.dt) for model in models]
+
+
+def _is_plain(
+    residual: Float[np.ndarray, "N m"], u: Float[np.ndarray, " T"], used: np.ndarray, span: Float[np.ndarray, " N"]
+) -> np.ndarray:
+    """Which residuals are white, without heavy tails, without a stretch or an end of the record unlike the rest, shape (N,), bool."""
+    squares = residual**2
+    total = squares.sum(axis=1)
+    plain = ~correlated_rows(residual) & (residual.shape[1] >= _FEWEST)
+    change = np.diff(residual, axis=1)
+    change = (change - change.mean(axis=1, keepdims=True)) ** 2
+    plain &= np.mean(change**2, axis=1) / np.mean(change, axis=1) ** 2 - 3 < _TAILS
+    sums = np.cumsum(squares, axis=1)
+    width = int(_SHORT * residual.shape[1]) + 1
+    plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
+    size = persistent_error(residual)
+    largest, place = size.max(axis=1), np.flatnonzero(used)[np.argmax(size, axis=1)]
+    turns = reversals(u, 0.02 * float(np.ptp(u)))
+    if turns.size:
+        for inside in (np.flatnonzero(used) <= turns[0], np.flatnonzero(used) >= turns[-1]):
+            rest = np.sqrt((total - squares[:, inside].sum(axis=1)) / max(int((~inside).sum()), 1))
+            here = np.isin(place, np.flatnonzero(used)[inside])
+            plain &= ~(here & (100 * largest > _LASTING * span) & (largest > _STANDS_OUT * rest))
+    return plain
+
+
+def _errors(
+    common: Common, x: Float[np.ndarray, "N p"], scale: Float[np.ndarray, "N p"], ends: Ends, samples: int
+) -> tuple[Float[np.ndarray, "N p"], np.ndarray]:
+    """Standard errors for independent noise, and which problems are regular, shape (N,), bool."""
+    space = common.setup.problem.space
+    slope = _slopes(space, scale, ends.normal.z)
+    gram = ends.normal.matrix / slope[:, :, None] / slope[:, None, :]
+    size = np.sqrt(np.einsum("npp->np", gram))
+    sound = np.isfinite(gram).all(axis=(1, 2)) & (size > 0).all(axis=1)
+    gram, size = np.where(sound[:, None, None], gram, np.eye(x.shape[1])), np.where(sound[:, None], size, 1.0)
+    variance = 2 * ends.normal.cost / max(samples - x.shape[1], 1)
+    inverse = np.linalg.inv(gram / size[:, :, None] / size[:, None, :]) / size[:, :, None] / size[:, None, :]
+    stderr = np.sqrt(variance[:, None] * np.einsum("npp->np", inverse))
+    others = ~space.offsets
+    centered = gram[:, others][:, :, others]
+    if space.offsets.any():
+        across = gram[:, space.offsets][:, :, others]
+        centered = centered - across.swapaxes(1, 2) @ np.linalg.solve(
+            gram[:, space.offsets][:, :, space.offsets], across
+        )
+    length = np.sqrt(np.maximum(np.einsum("npp->np", centered), 1e-300))
+    unit = centered / length[:, :, None] / length[:, None, :]
+    values = np.linalg.eigvalsh(np.where(np.isfinite(unit), unit, 0.0))
+    regular = sound & (values[:, 0] > _LEAST_EIGENVALUE * values[:, -1])
+    relative = relative_size(space, x, scale)
+    part = np.linalg.inv(np.where(regular[:, None, None], centered, np.eye(int(others.sum()))))
+    part = variance[:, None, None] * part / relative[:, others][:, :, None] / relative[:, others][:, None, :]
+    regular &= np.linalg.eigvalsh(np.where(np.isfinite(part), part, 1e9))[:, -1] < _OPEN**2
+    regular &= (stderr[:, space.offsets] < _OPEN * relative[:, space.offsets]).all(axis=1)
+    room = np.minimum(x - space.lower, space.upper - x)
+    width = np.where(space.kinds == BOTH, space.upper - space.lower, scale)
+    regular &= (room > _AT_BOUND * width).all(axis=1)
+    regular &= (room > np.where(space.linear, _FAR, _REACH) * stderr).all(axis=1)
+    return stderr, regular
+
+
+def _slopes(space: ParameterSpace, scale: Float[np.ndarray, "N p"], z: Float[np.ndarray, "N p"]) -> Any:
+    """dx/dz of each loop."""
+    return dataclasses.replace(space.coordinates, scale=scale).slope(z, np)
+
+
+def predicted(stack: Stack, z: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N T"]:
+    """Output of each loop's model over the common input, padded as the batch is."""
+    batch = stack.objective.batch
+    return simulated(stack, z, np.asarray(batch.u)[0], np.asarray(batch.dt)[0])
+
+
+def simulated(
+    stack: Stack, z: Float[np.ndarray, "N p"], u: Float[np.ndarray, " T"], dt: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "N T"]:
+    """Output of each loop's model over an input."""
+    device = device_for(len(z))
+    coordinates = stack.objective.coordinates
+    scales, z = np.asarray(coordinates.scale), np.asarray(z)
+    out, size = np.empty((len(z), u.size)), max(1, _NUMBERS // u.size)
+    for begin in range(0, len(z), size):
+        at = np.minimum(np.arange(begin, begin + min(size, len(z))), len(z) - 1)
+        rows = _simulated(*placed((coordinates, scales[at], z[at], u, dt), device), device.platform != "cpu")
+        count = min(size, len(z) - begin)
+        out[begin : begin + count] = np.asarray(rows)[:count]
+    return out
+
+
+@functools.partial(jax.jit, static_argnums=5)
+def _simulated(
+    coordinates: Coordinates, scales: Array, z: Array, u: Array, dt: Array, together: bool
+) -> Float[Array, "N T"]:
+    def one(row: tuple[Array, Array]) -> Array:
+        return run(dataclasses.replace(coordinates, scale=row[0]).tree(row[1]), u, dt)[0]
+
+    return jax.vmap(one)((scales, z)) if together else jax.lax.map(one, (scales, z))
