@@ -60,17 +60,17 @@ class Common(NamedTuple):
 
     def stack(self, y: Float[np.ndarray, "N T"], kept: np.ndarray | None = None) -> Stack:
         """The problems of loops, on all samples or on some."""
-        objective, scale, size = self.setup.problem.objective, self.scale(y), self.sizes(y)
+        on_host: Objective = jax.tree_util.tree_map(np.asarray, self.setup.problem.objective)
+        scale, size = self.scale(y), self.sizes(y)
         if kept is not None:
-            batch, count = objective.batch, len(self.record)
-            u, dt, weight = (np.asarray(v)[0, :count] for v in (batch.u, batch.dt, batch.weight))
-            rows = u[kept], u[kept], np.diff(np.cumsum(dt)[kept], prepend=0.0), weight[kept]
-            objective = dataclasses.replace(objective, batch=type(batch)(*(row[None] for row in rows)))
-            y = y[:, kept]
-        padded = np.zeros((len(y), 1, objective.batch.u.shape[1]))
+            count, batch = len(self.record), on_host.batch
+            u, dt, weight = (rows[0, :count] for rows in (batch.u, batch.dt, batch.weight))
+            rows = u[kept], np.diff(np.cumsum(dt)[kept], prepend=0.0), weight[kept]
+            short = lambda o: (o.batch.u, o.batch.dt, o.batch.weight)
+            on_host, y = eqx.tree_at(short, on_host, tuple(row[None] for row in rows)), y[:, kept]
+        padded = np.zeros((len(y), 1, on_host.batch.u.shape[1]))
         padded[:, 0, : y.shape[1]] = y
         places = lambda o: (o.batch.y, o.coordinates.scale, o.size)
-        on_host: Objective = jax.tree_util.tree_map(np.asarray, objective)
         own = eqx.tree_at(places, jax.tree_util.tree_map(lambda _: False, on_host), (True, True, True))
         return Stack(eqx.tree_at(places, on_host, (padded, scale, size)), tuple(jax.tree_util.tree_leaves(own)))
 

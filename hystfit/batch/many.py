@@ -23,7 +23,7 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-_TOGETHER = 16  # loops in one task, where each takes milliseconds
+_TOGETHER = 128  # loops in one task, where each takes milliseconds
 _ROWS = "rows.jsonl"
 
 
@@ -41,8 +41,9 @@ def fit_many(
 ) -> Fits:
     """Fit one model to each of many loops, each on its own, with the estimates, errors and verdicts of `hystfit.fit`.
 
-    Levenberg-Marquardt runs for many loops of similar length in one compiled program. A loop that does not converge there, ends on a
-    bound, or has a model with another estimator is fitted as `hystfit.fit` does it. A loop that cannot be read or fitted is a row
+    Levenberg-Marquardt runs for many loops of similar length in one compiled program, and loops over one input are judged together
+    where their fit is beyond doubt. A loop that does not converge there, ends on a bound, or has a model with another estimator is
+    fitted as `hystfit.fit` does it. A loop that cannot be read or fitted is a row
     with the reason. All loops are converted to the units of the first one that can be read.
 
     Args:

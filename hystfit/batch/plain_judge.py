@@ -7,10 +7,10 @@ standard errors those of independent noise. Every other loop is judged alone.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,7 +22,7 @@ from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import BOTH, Coordinates
-from hystfit.params.space import ParameterSpace, relative_size
+from hystfit.params.space import relative_size
 from hystfit.quality.loops import reversals
 from hystfit.quality.rows import curve_errors, row_noise, sound_rows
 from hystfit.results.accuracy import persistent_error
@@ -83,13 +83,13 @@ def judge_plain(common: Common, y: Float[np.ndarray, "N T"], ends: Ends, stack: 
         stack: their problems.
     """
     record = common.record
-    used, scale = record.used, stack.objective.coordinates.scale
+    used = record.used
     x = physical_rows(stack, ends.normal.z)
     residual = (predicted(stack, ends.normal.z)[:, : len(record)] - y)[:, used]
     span, rmse = np.ptp(y[:, used], axis=1), np.sqrt(np.mean(residual**2, axis=1))
     percent = 100 * rmse / span
     with np.errstate(all="ignore"):
-        stderr, regular = _errors(common, x, np.asarray(scale), ends, int(used.sum()))
+        stderr, regular = _errors(common, x, stack, ends, int(used.sum()))
         good = ends.converged & regular & np.isfinite(residual).all(axis=1) & (percent < _PERCENT)
         good &= rmse < _OF_NOISE * row_noise(y)
         good &= rmse < _OF_CURVE * curve_errors(record.u[used], y[:, used], _DEGREE)
@@ -141,11 +141,11 @@ def _is_plain(
 
 
 def _errors(
-    common: Common, x: Float[np.ndarray, "N p"], scale: Float[np.ndarray, "N p"], ends: Ends, samples: int
+    common: Common, x: Float[np.ndarray, "N p"], stack: Stack, ends: Ends, samples: int
 ) -> tuple[Float[np.ndarray, "N p"], np.ndarray]:
     """Standard errors for independent noise, and which problems are regular, shape (N,), bool."""
-    space = common.setup.problem.space
-    slope = _slopes(space, scale, ends.normal.z)
+    space, scale = common.setup.problem.space, np.asarray(stack.objective.coordinates.scale)
+    slope = stack.objective.coordinates.slope(ends.normal.z, np)
     gram = ends.normal.matrix / slope[:, :, None] / slope[:, None, :]
     size = np.sqrt(np.einsum("npp->np", gram))
     sound = np.isfinite(gram).all(axis=(1, 2)) & (size > 0).all(axis=1)
@@ -176,11 +176,6 @@ def _errors(
     return stderr, regular
 
 
-def _slopes(space: ParameterSpace, scale: Float[np.ndarray, "N p"], z: Float[np.ndarray, "N p"]) -> Any:
-    """dx/dz of each loop."""
-    return dataclasses.replace(space.coordinates, scale=scale).slope(z, np)
-
-
 def predicted(stack: Stack, z: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N T"]:
     """Output of each loop's model over the common input, padded as the batch is."""
     batch = stack.objective.batch
@@ -208,6 +203,6 @@ def _simulated(
     coordinates: Coordinates, scales: Array, z: Array, u: Array, dt: Array, together: bool
 ) -> Float[Array, "N T"]:
     def one(row: tuple[Array, Array]) -> Array:
-        return run(dataclasses.replace(coordinates, scale=row[0]).tree(row[1]), u, dt)[0]
+        return run(eqx.tree_at(lambda c: c.scale, coordinates, row[0]).tree(row[1]), u, dt)[0]
 
     return jax.vmap(one)((scales, z)) if together else jax.lax.map(one, (scales, z))

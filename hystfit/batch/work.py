@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import inspect
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
+import numpy as np
+
 from hystfit.batch.bucketed import Task, solve_together
+from hystfit.batch.plain_fits import FEWEST, fit_plain
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
 from hystfit.config import enable_x64
@@ -90,6 +94,11 @@ class Work:
             return False
         return make_model(self.model).estimator is None and self.options.plain_noise
 
+    @property
+    def held(self) -> bool:
+        """Whether parameters that are fixed without a value keep that of the model."""
+        return not isinstance(self.model, str)
+
 
 @dataclasses.dataclass
 class _Loop:
@@ -131,6 +140,9 @@ def _fit(work: Work, loops: Sequence[_Loop]) -> None:
     if work.searches:
         _each(_search, work, loops)
         return
+    _each(_convert, work, loops)
+    if work.quick and work.options.loss == "linear":
+        _fit_plain(work, loops)
     _each(_pose, work, loops)
     _solve_together(loops)
     _each(_judge, work, loops)
@@ -155,21 +167,52 @@ def _read(work: Work, source: Source) -> list[_Loop]:
         return [loop]
 
 
-def _in_common_units(work: Work, loop: _Loop) -> Record:
-    """The record converted to the units of the batch."""
+def _convert(work: Work, loop: _Loop) -> None:
+    """To the units of the batch."""
     loop.record = cast(Record, loop.record).in_units(**work.units)
-    return loop.record
 
 
 def _search(work: Work, loop: _Loop) -> None:
-    record = _in_common_units(work, loop)
+    _convert(work, loop)
+    record = cast(Record, loop.record)
     loop.row = row_of(loop.name, loop.source.file, record, fit(work.model, record, **vars(work.options)))
 
 
+def _fit_plain(work: Work, loops: Sequence[_Loop]) -> None:
+    """Give the rows of loops over one input whose fit is beyond doubt."""
+    groups: dict[bytes, list[_Loop]] = defaultdict(list)
+    for loop in loops:
+        if loop.row is None and loop.record is not None and loop.record.sigma is None:
+            groups[_frame(loop.record)].append(loop)
+    for alike in groups.values():
+        if len(alike) < FEWEST:
+            continue
+        records = [cast(Record, loop.record) for loop in alike]
+        try:
+            y = np.stack([record.y for record in records])
+            fits = fit_plain(make_model(work.model), records[0], y, work.options, held=work.held)
+        except HystfitError:  # each is fitted alone, and its row has the reason
+            continue
+        if fits is None:
+            continue
+        for k in np.flatnonzero(fits.judged.plain):
+            loop, record = alike[k], records[k]
+            loop.row = fits.row(int(k), loop.name, loop.source.file, record.sha256 or record.digest())
+
+
+def _frame(record: Record) -> bytes:
+    """A digest of all of a record but its output."""
+    digest = hashlib.sha256()
+    for column in (record.u, record.weight, record.t):
+        digest.update(b"" if column is None else column.tobytes())
+    labels = (record.u_unit, record.y_unit, record.t_unit, record.u_name, record.y_name)
+    digest.update(repr((labels, record.t is None, record.notes)).encode())
+    return digest.digest()
+
+
 def _pose(work: Work, loop: _Loop) -> None:
-    data = Dataset.of(_in_common_units(work, loop))
-    held = not isinstance(work.model, str)
-    loop.fit_setup = fit_setup = set_up_fit(make_model(work.model), data, work.options, held=held)
+    data = Dataset.of(cast(Record, loop.record))
+    loop.fit_setup = fit_setup = set_up_fit(make_model(work.model), data, work.options, held=work.held)
     if fit_setup.method == _TOGETHER:
         starts = starting_vectors(fit_setup.problem, work.options.starts, work.options.seed, fit_setup.points)
         loop.task = Task.of(fit_setup.problem, starts)

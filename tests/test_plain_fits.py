@@ -1,0 +1,112 @@
+"""Loops over one input, fitted and judged together, beside `hystfit.fit` of each."""
+
+import functools
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.batch import plain_fits, work
+from hystfit.batch.plain_judge import sound_outputs
+from hystfit.batch.row import row_of
+from hystfit.outcome import Status
+
+SAMPLES, LOOPS = 480, 12
+T = np.arange(SAMPLES) / 100
+U = 3 * np.sin(2 * np.pi * T) * (0.4 + 0.6 * T / T[-1])
+
+
+@functools.cache
+def outputs() -> np.ndarray:
+    """Loops of devices that differ, in size and level too, with white noise."""
+    rng = np.random.default_rng(1)
+    rows = []
+    for _ in range(LOOPS):
+        c, tau = np.exp(rng.normal()), 0.5 * np.exp(0.2 * rng.normal())
+        model = hf.BoucWen(c=c, mu=rng.uniform(0.3, 0.6), tau=tau, rho=rng.uniform(0.2, 0.6), offset=10 * rng.normal())
+        y = np.asarray(hf.simulate(model, U)[0])
+        rows.append(y + 0.003 * np.ptp(y) * rng.normal(size=SAMPLES))
+    return np.array(rows)
+
+
+def record(y: np.ndarray, name: str = "loop") -> hf.Record:
+    return hf.Record(u=U, y=y, t=T, u_unit="V", y_unit="um", name=name)
+
+
+@functools.cache
+def alone(k: int) -> object:
+    one = record(outputs()[k])
+    return row_of("", "", one, hf.fit("bouc-wen", one))
+
+
+def same(row: object, wanted: object) -> None:
+    """Estimates to 1e-6 of their errors, errors to 1e-3, everything else."""
+    for name, value in wanted.values.items():
+        assert abs(row.values[name] - value) < 1e-5 * wanted.stderr[name]
+        assert row.stderr[name] == pytest.approx(wanted.stderr[name], rel=1e-3)
+    assert (row.status, row.codes, row.reason) == (wanted.status, wanted.codes, wanted.reason)
+    assert (row.units, row.samples, row.model) == (wanted.units, wanted.samples, wanted.model)
+    for name, value in wanted.quantities.items():
+        assert row.quantities[name] == pytest.approx(value, rel=1e-6)
+    for name in ("rmse", "error_percent", "max_error_percent"):
+        assert getattr(row, name) == pytest.approx(getattr(wanted, name), rel=1e-6)
+
+
+def test_rows_are_those_of_fit() -> None:
+    fits = plain_fits.fit_plain(hf.BoucWen(), record(outputs()[0]), outputs(), work.FitOptions(), held=False)
+    assert fits.judged.plain.mean() > 0.9
+    for k in (0, 5, 11):
+        assert fits.judged.plain[k]
+        same(fits.row(k, "", "", alone(k).sha256), alone(k))
+
+
+def spoiled() -> dict[str, np.ndarray]:
+    """Outputs with something that needs a closer look."""
+    y = outputs()[0]
+    at, span, rng = np.arange(SAMPLES), np.ptp(y), np.random.default_rng(2)
+    level = lambda part: np.quantile(y, part)
+    return {
+        "a missing sample": np.where(at == 50, np.nan, y),
+        "nothing": np.full(SAMPLES, np.nan),
+        "a constant": np.full(SAMPLES, 1.0),
+        "an outlier": np.where(at == 50, y + span, y),
+        "a saturated sensor": np.clip(y, None, level(0.9)),
+        "a rounded output": np.round(y / span, 2) * span,
+        "slow noise": y + 0.01 * span * np.convolve(rng.normal(size=SAMPLES), np.ones(30) / 5, "same"),
+        "heavy tails": y + 0.003 * span * rng.standard_t(1.5, SAMPLES),
+        "a disturbance": y + np.where((at > 200) & (at < 206), 0.02 * span * rng.normal(size=SAMPLES), 0.0),
+        "another device": np.where(at > SAMPLES // 2, 1.3 * y, y),
+        "no hysteresis": U + 0.003 * rng.normal(size=SAMPLES),
+        "no loop": rng.normal(size=SAMPLES),
+        "one more exponent": y + 0.3 * span * (U / 3) ** 3,
+        "a virgin half cycle": np.where(at < 12, y + 0.03 * span, y),
+    }
+
+
+@pytest.mark.parametrize("kind", spoiled())
+def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharmed(kind: str) -> None:
+    y = np.concatenate([outputs(), spoiled()[kind][None]])
+    fits = plain_fits.fit_plain(hf.BoucWen(), record(outputs()[0]), y, work.FitOptions(), held=False)
+    assert not fits.judged.plain[-1]
+    assert fits.judged.plain.sum() >= LOOPS - 1
+
+
+def test_sound_outputs_of_white_noise_are_most() -> None:
+    rng = np.random.default_rng(3)
+    y = 100 + np.sin(T)[None] * rng.uniform(0.5, 2, (200, 1)) + 0.01 * rng.normal(size=(200, SAMPLES))
+    assert sound_outputs(U, y).mean() > 0.9
+
+
+def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows in the order given; two loops that are not plain, and one over another input, are fitted alone."""
+    records = [record(y, f"loop {k}") for k, y in enumerate(outputs())]
+    others = [record(spoiled()["an outlier"], "outlier"), record(spoiled()["a constant"], "constant")]
+    others.append(hf.Record(u=2 * U, y=outputs()[1], t=T, u_unit="V", y_unit="um", name="other input"))
+    posed, pose = [], work._pose
+    monkeypatch.setattr(work, "_pose", lambda task, loop: posed.append(loop.name) or pose(task, loop))
+    fits = hf.fit_many("bouc-wen", [*records[:6], *others, *records[6:]], starts=2)
+    assert [row.name for row in fits][5:10] == ["loop 5", "outlier", "constant", "other input", "loop 6"]
+    assert {"outlier", "constant", "other input"} <= set(posed)
+    assert len(posed) < 6
+    assert fits["constant"].status is Status.FAILED
+    same(fits["loop 5"], alone(5))
