@@ -1,7 +1,9 @@
 """The public names and their modules: the only list, read by `__init__.py` and by type checkers."""
 
 from . import signals as signals
+from .batch.fit_map import fit_map as fit_map
 from .batch.fits import Fits as Fits
+from .batch.loop_map import LoopMap as LoopMap
 from .batch.many import fit_many as fit_many
 from .config import enable_x64 as enable_x64
 from .config import use_device as use_device

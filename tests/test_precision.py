@@ -68,6 +68,7 @@ INDEPENDENT = {
         "signals",
         "enable_x64",
         "use_device",
+        "LoopMap",
         "Dataset",
         "Record",
         "HystfitError",

@@ -23,7 +23,7 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-_TOGETHER = 128  # loops in one task, where each takes milliseconds
+_TOGETHER = 32  # loops in one task, where each takes milliseconds
 _ROWS = "rows.jsonl"
 
 

@@ -95,6 +95,11 @@ class Work:
         return make_model(self.model).estimator is None and self.options.plain_noise
 
     @property
+    def plain(self) -> bool:
+        """Whether loops over one input can be judged together."""
+        return self.quick and self.options.loss == "linear"
+
+    @property
     def held(self) -> bool:
         """Whether parameters that are fixed without a value keep that of the model."""
         return not isinstance(self.model, str)
@@ -135,13 +140,20 @@ def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, An
     return rows
 
 
-def _fit(work: Work, loops: Sequence[_Loop]) -> None:
+def fit_alone_rows(work: Work, records: Sequence[tuple[str, Record]]) -> list[Row]:
+    """Rows of named records, none of which is plain."""
+    loops = [_Loop(Source(name, "", record), name, record) for name, record in records]
+    _fit(work, loops, plain=False)
+    return [cast(Row, loop.row) for loop in loops]
+
+
+def _fit(work: Work, loops: Sequence[_Loop], plain: bool = True) -> None:
     """Give every loop its row."""
     if work.searches:
         _each(_search, work, loops)
         return
     _each(_convert, work, loops)
-    if work.quick and work.options.loss == "linear":
+    if plain and work.plain:
         _fit_plain(work, loops)
     _each(_pose, work, loops)
     _solve_together(loops)

@@ -1,0 +1,199 @@
+"""`fit_map`: one model fitted to every loop of an array, such as that of a scan over a sample, part by part."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystfit.batch.loop_map import LoopMap
+from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain
+from hystfit.batch.row import Row
+from hystfit.batch.work import Work, fit_alone_rows
+from hystfit.config import first_device, verb
+from hystfit.data.record import Record
+from hystfit.errors import DataError, HystfitError, ParameterError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import make_model, model_name
+from hystfit.models.storage import to_json
+from hystfit.outcome import Status
+from hystfit.params.space import ParameterSpace
+from hystfit.runs.chunks import claim, keep, load
+from hystfit.runs.threads import Workers
+
+_SAMPLES, _ON_GPU = 2**21, 2**25  # of the outputs of a part, on a CPU and with a GPU
+Columns = dict[str, np.ndarray]
+
+
+@verb
+def fit_map(
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
+    u: Any,
+    y: Any,
+    t: Any = None,
+    *,
+    u_unit: str = "",
+    y_unit: str = "",
+    t_unit: str = "s",
+    folder: str | Path | None = None,
+    workers: int | None = None,
+    progress: Callable[[str, float], object] | None = None,
+    **options: Any,
+) -> LoopMap:
+    """Fit one model to every loop of an array, each on its own, with the estimates, errors and verdicts of `hystfit.fit`.
+
+    All loops have one input. Those whose fit is beyond doubt are solved and judged together, on a GPU where JAX finds one and there are
+    1024 or more; every other loop is fitted as `hystfit.fit` does it. A loop that cannot be fitted has a status and a reason.
+
+    Args:
+        model: a model, its class or its name.
+        u: input, shape (T,).
+        y: outputs, shape (..., T): an array of NumPy, or anything with a shape and slices (an HDF5 data set, a Zarr array), which is
+            read part by part. NaN marks a missing measurement.
+        t: time of each sample, shape (T,).
+        u_unit, y_unit, t_unit: units.
+        folder: keeps finished parts, from which the same call resumes.
+        workers: threads; by default one for each core.
+        progress: called with a line of text and the fraction done.
+        **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise.
+
+    Returns:
+        The parameters, their errors and the status of every loop, in the shape of the array.
+
+    Raises:
+        HystfitError: settings that no loop can be fitted with, columns that do not fit each other, or a folder that holds another map.
+    """
+    work = Work.of(model, options, {})
+    if work.searches:
+        raise ParameterError("fit_map fits one model, such as 'bouc-wen' (fit_many compares models on each loop)")
+    frame = _frame(u, y, t, u_unit, y_unit, t_unit)
+    place = None if folder is None else claim(Path(folder), "map.json", _described(work, frame, np.shape(y)))
+    parts = list(_parts(np.shape(y), len(frame)))
+    pool, done, found = Workers(workers), 0, list[Columns]()
+    for begin in range(0, len(parts), pool.count):
+        some = parts[begin : begin + pool.count]
+        found += pool.run([partial(_kept, place, k, work, frame, y, part) for k, part in enumerate(some, begin)])
+        done += len(some)
+        if progress:
+            progress(f"{done} of {len(parts)} parts", done / len(parts))
+    space = ParameterSpace.of(make_model(work.model), fix=work.options.fix, free=work.options.free)
+    name = str(work.model) if isinstance(work.model, str) else model_name(work.model)
+    return LoopMap.of(found, np.shape(y)[:-1], space.names, name, frame, work)
+
+
+def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Record:
+    """A record with the input, the time and the units of all loops.
+
+    Raises:
+        DataError: columns that do not fit each other.
+    """
+    shape = np.shape(y)
+    if len(shape) < 2 or 0 in shape:
+        raise DataError(f"the outputs must have shape (..., T) with at least one loop, got {shape}")
+    labels = {"u_unit": u_unit, "y_unit": y_unit, "t_unit": t_unit, "name": "loop"}
+    frame = Record(u=u, y=np.asarray(u, float), t=t, **labels)
+    if len(frame) != shape[-1]:
+        raise DataError(f"the input has {len(frame)} samples, and each loop {shape[-1]}")
+    return frame
+
+
+def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
+    """Slices of the first axis, each with as many loops as are solved at once."""
+    size = _SAMPLES if first_device("gpu") is None else _ON_GPU
+    step = max(1, size // (samples * int(np.prod(shape[1:-1]))))
+    for begin in range(0, shape[0], step):
+        yield slice(begin, min(begin + step, shape[0]))
+
+
+def _described(work: Work, frame: Record, shape: tuple[int, ...]) -> Mapping[str, Any]:
+    """What identifies a map but its outputs, which every part compares."""
+    model = work.model if isinstance(work.model, str) else to_json(work.model)
+    options = {name: repr(value) for name, value in sorted(vars(work.options).items())}
+    units = (frame.u_unit, frame.y_unit, frame.t_unit)
+    return {"model": model, "options": options, "units": units, "input": frame.digest(), "shape": list(shape)}
+
+
+def _kept(place: Path | None, number: int, work: Work, frame: Record, y: Any, part: slice) -> Columns:
+    """Columns of a part, from the folder or computed and kept there."""
+    rows = np.asarray(y[part], dtype=float).reshape(-1, len(frame))
+    if place is None:
+        return _fit_part(work, frame, rows)
+    file, digest = place / f"part{number}.npz", np.array(hashlib.sha256(np.ascontiguousarray(rows)).hexdigest())
+    kept = load(file)
+    if kept is not None and kept.pop("digest", None) == digest:
+        return kept
+    columns = _fit_part(work, frame, rows)
+    try:
+        keep(file, {**columns, "digest": digest})
+    except OSError as error:
+        raise DataError(f"cannot write {str(file)!r}: {error.strerror or error}") from error
+    return columns
+
+
+def _fit_part(work: Work, frame: Record, y: np.ndarray) -> Columns:
+    """Columns of numbers and text, one entry a loop; see `LoopMap`."""
+    fits = None
+    if work.plain and len(y) >= FEWEST:
+        try:
+            fits = fit_plain(make_model(work.model), frame, y, work.options, held=work.held)
+        except HystfitError:  # each is fitted alone, and has the reason
+            fits = None
+    plain = np.zeros(len(y), bool) if fits is None else fits.judged.plain
+    alone = np.flatnonzero(~plain)
+    rows: dict[int, Row] = {}
+    records: dict[int, Record] = {}
+    for k in alone.tolist():
+        try:
+            records[k] = frame.replace(y=y[k])
+        except DataError as error:
+            rows[k] = Row("loop", "", None, Status.FAILED, str(error))
+    fitted = fit_alone_rows(work, [("loop", record) for record in records.values()])
+    rows |= dict(zip(records, fitted, strict=True))
+    return _columns(len(y), plain, fits, rows)
+
+
+def _columns(count: int, plain: np.ndarray, fits: PlainFits | None, rows: Mapping[int, Row]) -> Columns:
+    """Columns of loops that were judged together, and of those that were fitted alone."""
+    columns: Columns = {"alone": ~plain}
+    nan = lambda value: np.nan if value is None else float(value)
+
+    def put(name: str, together: np.ndarray | None, of_row: Callable[[Row], Any]) -> None:
+        column = np.full(count, np.nan)
+        if together is not None:
+            column[plain] = together[plain]
+        for k, row in rows.items():
+            column[k] = nan(of_row(row))
+        columns[name] = column
+
+    judged = None if fits is None else fits.judged
+    names = [] if fits is None else list(fits.names)
+    names = list(dict.fromkeys([*names, *(name for row in rows.values() for name in row.values)]))
+    for k, name in enumerate(names):
+        put(f"value {name}", None if judged is None else judged.x[:, k], lambda row, name=name: row.values.get(name))
+        put(
+            f"stderr {name}",
+            None if judged is None else judged.stderr[:, k],
+            lambda row, name=name: row.stderr.get(name),
+        )
+    put("rmse", None if judged is None else judged.rmse, lambda row: row.rmse)
+    put("error_percent", None if judged is None else judged.percent, lambda row: row.error_percent)
+    put("max_error_percent", None if judged is None else judged.largest_percent, lambda row: row.max_error_percent)
+    together = {} if fits is None else fits.quantities
+    for name in dict.fromkeys([*together, *(name for row in rows.values() for name in row.quantities)]):
+        put(f"quantity {name}", together.get(name), lambda row, name=name: row.quantities.get(name))
+    of = lambda k: rows[k] if k in rows else fits.examples[len(fits.judged.advice[k])][0]  # type: ignore[union-attr]
+    every = [of(k) for k in range(count)]
+    columns["status"] = np.array([str(row.status) for row in every])
+    columns["codes"] = np.array([" ".join(row.codes) for row in every])
+    numbers = sorted(rows)
+    columns["reason_of"], columns["reason"] = (
+        np.array(numbers, int),
+        np.array([rows[k].reason for k in numbers], dtype=str),
+    )
+    units = next((row.units for row in every if row.units), {})
+    columns["unit_of"], columns["unit"] = np.array(list(units), dtype=str), np.array(list(units.values()), dtype=str)
+    return columns

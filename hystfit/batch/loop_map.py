@@ -1,0 +1,261 @@
+"""The fits of the loops of an array: maps of each parameter, its error and the status."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hystfit.batch.work import Work
+from hystfit.data.record import Record
+from hystfit.errors import DataError, ParameterError, optional
+from hystfit.fitting.fit import fit
+from hystfit.outcome import Column, Status, Table, WithStatus
+from hystfit.params.units import with_unit
+from hystfit.registry import near
+from hystfit.results.colors import MODEL, SECOND
+from hystfit.results.result import FitResult
+
+SCHEMA = "hystfit.map/1"
+_OUTER = (0.05, 0.5, 0.95)
+_NUMBERS = ("rmse", "error_percent", "max_error_percent")
+_FAR = 6.0  # median deviations from the median, beyond which a usable loop is an outlier
+_AXES = ("x", "y", "z")
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class LoopMap(WithStatus):
+    """Fits of one model to the loops of an array; every array has its shape, NaN where a number is unknown.
+
+    Attributes:
+        shape: of the array, without the samples.
+        values, stderr: of the free parameters by name.
+        quantities: of the steady loop of each fitted model.
+        errors: `rmse` [y], `error_percent` and `max_error_percent` [% of the range of each output].
+        statuses: of each fit, as text.
+        codes: of the notes of each fit, separated by spaces.
+        reasons: why a loop has no usable fit, or its warnings, by its place; of loops that were fitted alone.
+        alone: which loops were fitted alone.
+        units: of parameters and quantities.
+        model: its name.
+        frame: input, time and units of all loops.
+        work: what was done with every loop.
+    """
+
+    shape: tuple[int, ...]
+    values: Mapping[str, np.ndarray]
+    stderr: Mapping[str, np.ndarray]
+    quantities: Mapping[str, np.ndarray]
+    errors: Mapping[str, np.ndarray]
+    statuses: np.ndarray
+    codes: np.ndarray
+    reasons: Mapping[tuple[int, ...], str]
+    alone: np.ndarray
+    units: Mapping[str, str]
+    model: str
+    frame: Record
+    work: Work
+    verb: ClassVar[str] = "batch"
+
+    @classmethod
+    def of(
+        cls,
+        parts: Sequence[Mapping[str, np.ndarray]],
+        shape: tuple[int, ...],
+        names: Sequence[str],
+        model: str,
+        frame: Record,
+        work: Work,
+    ) -> LoopMap:
+        """From the columns of its parts."""
+        known = dict.fromkeys(name for part in parts for name in part if name.startswith("quantity "))
+        empty = lambda part: np.full(len(part["status"]), np.nan)
+        joined = lambda name: np.concatenate([part.get(name, empty(part)) for part in parts]).reshape(shape)
+        edges = np.cumsum([0, *(len(part["status"]) for part in parts)])
+        place = lambda k: tuple(int(i) for i in np.unravel_index(k, shape))
+        reasons = {
+            place(first + k): str(text)
+            for part, first in zip(parts, edges, strict=False)
+            for k, text in zip(part["reason_of"], part["reason"], strict=True)
+            if text
+        }
+        units = {str(k): str(v) for part in parts for k, v in zip(part["unit_of"], part["unit"], strict=True)}
+        return cls(
+            shape=shape,
+            values={name: joined(f"value {name}") for name in names},
+            stderr={name: joined(f"stderr {name}") for name in names},
+            quantities={name.removeprefix("quantity "): joined(name) for name in known},
+            errors={name: joined(name) for name in _NUMBERS},
+            statuses=joined("status"),
+            codes=joined("codes"),
+            reasons=reasons,
+            alone=joined("alone").astype(bool),
+            units=units,
+            model=model,
+            frame=frame,
+            work=work,
+        )
+
+    def __len__(self) -> int:
+        return int(np.prod(self.shape))
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Which fits are usable."""
+        return self.statuses == str(Status.OK)
+
+    @property
+    def status(self) -> Status:
+        """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
+        return Status.OK if self.ok.all() else Status.PARTIAL if self.ok.any() else Status.FAILED
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of loops by status, most frequent first."""
+        return dict(Counter(self.statuses.ravel().tolist()).most_common())
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The map of a parameter, quantity or error, in the shape of the array.
+
+        Raises:
+            ParameterError: there is none of this name.
+        """
+        known = {**self.values, **self.quantities, **self.errors}
+        if name not in known:
+            raise ParameterError(
+                f"no parameter or quantity {name!r}{near(name, list(known))}; there are {', '.join(known)}"
+            )
+        return known[name]
+
+    def outliers(self, name: str) -> np.ndarray:
+        """Usable loops far from most others in a parameter or quantity, in the shape of the array, bool."""
+        values = np.where(self.ok, self[name], np.nan)
+        if not np.isfinite(values).any():
+            return np.zeros(self.shape, bool)
+        away = np.abs(values - np.nanmedian(values))
+        return away > _FAR * np.nanmedian(away)
+
+    def result(self, place: tuple[int, ...], y: Any) -> FitResult:
+        """The fit of one loop with everything that `hystfit.fit` gives; it is fitted again.
+
+        Args:
+            place: in the array.
+            y: its output, shape (T,).
+        """
+        return fit(self.work.model, self.frame.replace(y=y, name=str(place)), **self.work.options.of_fit())
+
+    def summary(self) -> Table:
+        """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit."""
+        columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median"), Column("5 %")]
+        columns += [Column("95 %"), Column("median stderr"), Column("outliers")]
+        rows = []
+        for name, values in {**self.values, **self.quantities}.items():
+            here = values[self.ok & np.isfinite(values)]
+            low, middle, high = np.quantile(here, _OUTER).tolist() if here.size else [None] * 3
+            errors = self.stderr.get(name, np.array(np.nan))[
+                np.where(self.ok & np.isfinite(values)) if name in self.stderr else ()
+            ]
+            error = float(np.nanmedian(errors)) if np.isfinite(errors).any() else None
+            far = int(self.outliers(name).sum())
+            rows.append([name, self.units.get(name, ""), int(here.size), middle, low, high, error, far])
+        return Table(columns, rows)
+
+    def __str__(self) -> str:
+        counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        lines = [f"{self.model} fitted to {len(self)} loops: {counted}"]
+        lines.append(f"{int((~self.alone).sum())} were judged together, {int(self.alone.sum())} were fitted alone")
+        if self.ok.any():
+            lines += ["", "Usable fits", *self.summary().lines("  ")]
+        bad = [(place, text) for place, text in self.reasons.items() if not self.ok[place]][:5]
+        if bad:
+            lines += ["", "Not usable", *(f"  {place}: {self.statuses[place]}: {text}" for place, text in bad)]
+            rest = int((~self.ok).sum()) - len(bad)
+            lines += [f"  and {rest} more"] if rest else []
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def plot(self, name: str) -> Any:
+        """Maps of a parameter and of its standard error, with marks on loops without a usable fit and on outliers; its distribution.
+
+        Returns:
+            The matplotlib figure.
+
+        Raises:
+            ParameterError: no such parameter, or an array that is no map.
+        """
+        import matplotlib.pyplot as plt
+
+        if len(self.shape) != 2:
+            raise ParameterError(f"a map has two axes, and this array has shape {self.shape}")
+        values = np.where(self.ok, self[name], np.nan)
+        error = self.stderr.get(name)
+        figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+        label = with_unit(name, self.units.get(name, ""))
+        for axis, picture, title in ((axes[0], values, label), (axes[1], error, f"standard error of {label}")):
+            if picture is None:
+                axis.set_axis_off()
+                continue
+            axis.set_facecolor("#dddddd")
+            shown = axis.imshow(np.where(self.ok, picture, np.nan), origin="lower", interpolation="nearest")
+            figure.colorbar(shown, ax=axis)
+            axis.set_title(title, fontsize=9)
+        marked = np.argwhere(self.outliers(name))
+        axes[0].scatter(marked[:, 1], marked[:, 0], s=14, facecolors="none", edgecolors=SECOND, label="outliers")
+        here = values[np.isfinite(values)]
+        if here.size:
+            axes[2].hist(here, bins=min(60, max(5, int(np.sqrt(here.size)))), color=MODEL)
+        axes[2].set_xlabel(label)
+        axes[2].set_ylabel("usable loops")
+        return figure
+
+    # -- files -----------------------------------------------------------------------------------------------------------
+
+    def to_xarray(self) -> Any:
+        """Maps as an xarray dataset, with units as attributes.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        xarray = optional("xarray", "frames", "to_xarray")
+        names = (
+            _AXES[: len(self.shape)][::-1]
+            if len(self.shape) <= len(_AXES)
+            else [f"axis{k}" for k in range(len(self.shape))]
+        )
+        data: dict[str, Any] = {}
+        for name, values in {**self.values, **self.quantities}.items():
+            data[name] = (names, values, {"units": self.units.get(name, "")})
+        for name, values in self.stderr.items():
+            data[f"{name}_stderr"] = (names, values, {"units": self.units.get(name, "")})
+        data |= {name: (names, values) for name, values in self.errors.items()}
+        data |= {"status": (names, self.statuses.astype(object)), "notes": (names, self.codes.astype(object))}
+        return xarray.Dataset(data, attrs={"schema": SCHEMA, "model": self.model})
+
+    def save(self, path: str | Path) -> Path:
+        """Write the maps: .nc (netCDF) or .zarr with the axes of the array, .parquet with one row a loop.
+
+        Raises:
+            DataError: another ending, or the file cannot be written.
+            MissingExtraError: the package for this kind of file is not installed.
+        """
+        path, data = Path(path), self.to_xarray()
+        try:
+            if path.suffix == ".nc":
+                optional("h5netcdf", "frames", "a netCDF map")
+                data.to_netcdf(path, engine="h5netcdf")
+            elif path.suffix == ".zarr":
+                optional("zarr", "frames", "a Zarr map")
+                data.to_zarr(path, mode="w")
+            elif path.suffix == ".parquet":
+                optional("pyarrow", "frames", "a Parquet table")
+                data.to_dataframe().reset_index().to_parquet(path, engine="pyarrow", index=False)
+            else:
+                raise DataError(f"a map is written as .nc, .zarr or .parquet, got {path.name!r}")
+        except OSError as error:
+            raise DataError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+        return path

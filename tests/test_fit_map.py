@@ -1,0 +1,166 @@
+"""One model fitted to every loop of an array."""
+
+import errno
+import functools
+from pathlib import Path
+
+import h5py
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import hystfit as hf
+from hystfit.batch import fit_map as maps
+from hystfit.errors import DataError, ParameterError
+from hystfit.outcome import Status
+
+SAMPLES, SHAPE = 480, (3, 8)
+T = np.arange(SAMPLES) / 100
+U = 3 * np.sin(2 * np.pi * T) * (0.4 + 0.6 * T / T[-1])
+UNITS = {"u_unit": "V", "y_unit": "um", "starts": 2}
+
+
+@functools.cache
+def truth() -> dict[str, np.ndarray]:
+    """A gradient in the slope, a spot in mu."""
+    row, column = np.indices(SHAPE)
+    return {"c": 1.0 + 0.05 * column, "mu": 0.4 + 0.1 * ((row == 1) & (column == 3)), "offset": 0.1 * row}
+
+
+@functools.cache
+def cube() -> np.ndarray:
+    """Outputs of the truth with noise; one loop missing, one constant, one with a jump."""
+    rng, y = np.random.default_rng(4), np.empty((*SHAPE, SAMPLES))
+    for place in np.ndindex(*SHAPE):
+        values = {name: float(array[place]) for name, array in truth().items()}
+        y[place] = np.asarray(hf.simulate(hf.BoucWen(tau=0.5, rho=0.4, **values), U)[0])
+    y += 0.005 * rng.normal(size=y.shape)
+    y[0, 1], y[1, 2] = np.nan, 2.0
+    y[2, 5, 200:] += 1.0
+    return y
+
+
+@functools.cache
+def fitted() -> hf.LoopMap:
+    return hf.fit_map("bouc-wen", U, cube(), T, **UNITS)
+
+
+def test_maps_are_the_truth_within_their_errors_and_bad_loops_have_reasons() -> None:
+    found = fitted()
+    assert found.status is Status.PARTIAL
+    assert found.statuses[0, 1] == found.statuses[1, 2] == str(Status.FAILED)
+    assert "no finite value" in found.reasons[0, 1]
+    assert "constant" in found.reasons[1, 2]
+    assert not found.ok[2, 5]
+    assert found.ok.sum() == 21
+    for name, wanted in truth().items():
+        pulls = ((found[name] - wanted) / found.stderr[name])[found.ok]
+        assert np.abs(pulls).max() < 4.5
+        assert 0.5 < np.std(pulls) < 1.6
+    assert np.isnan(found["c"][0, 1])
+    assert found.units["c"] == "um/V"
+    text = str(found)
+    assert "fitted to 24 loops" in text
+    assert "were judged together" in text
+    assert not found.alone[0, 0]
+    assert found.alone[2, 5]
+
+
+def test_a_loop_is_that_of_fit() -> None:
+    found, record = fitted(), hf.Record(u=U, y=cube()[1, 3], t=T, u_unit="V", y_unit="um")
+    alone = hf.fit("bouc-wen", record, starts=2)
+    again = found.result((1, 3), cube()[1, 3])
+    np.testing.assert_allclose(again.x, alone.x, rtol=1e-12)
+    for p in alone.parameters:
+        if not p.fixed:
+            assert abs(found[p.name][1, 3] - p.value) < 1e-5 * p.stderr
+            assert found.stderr[p.name][1, 3] == pytest.approx(p.stderr, rel=1e-3)
+    assert found["error_percent"][1, 3] == pytest.approx(alone.train.nrmse_percent, rel=1e-6)
+    with pytest.raises(ParameterError, match="did you mean 'mu'"):
+        found["mue"]
+
+
+def test_a_file_is_read_part_by_part_and_an_interrupted_map_resumes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with h5py.File(tmp_path / "cube.h5", "w") as file:
+        file["y"] = cube()
+    monkeypatch.setattr(maps, "_SAMPLES", SHAPE[1] * SAMPLES)
+    sizes, fit_part = [], maps._fit_part
+
+    def watched(work: object, frame: object, y: np.ndarray) -> object:
+        sizes.append(len(y))
+        if len(sizes) == 3:
+            raise KeyboardInterrupt
+        return fit_part(work, frame, y)
+
+    monkeypatch.setattr(maps, "_fit_part", watched)
+    with h5py.File(tmp_path / "cube.h5") as file:
+        run = lambda: hf.fit_map("bouc-wen", U, file["y"], T, folder=tmp_path / "run", workers=1, **UNITS)
+        with pytest.raises(KeyboardInterrupt):
+            run()
+        found = run()
+    assert sizes == [8, 8, 8, 8]  # the last part alone is computed again
+    np.testing.assert_allclose(found["mu"], fitted()["mu"], rtol=1e-6)
+    np.testing.assert_array_equal(found.statuses, fitted().statuses)
+    with pytest.raises(DataError, match="another map"):
+        hf.fit_map("bouc-wen", U, cube(), T, folder=tmp_path / "run", starts=3)
+    sizes.clear()
+    changed = cube().copy()
+    changed[0, 0] += 1.0
+    hf.fit_map("bouc-wen", U, changed, T, folder=tmp_path / "run", workers=1, **UNITS)
+    assert sizes == [8]
+
+
+def test_a_full_disk_is_said_and_leaves_no_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(DataError, match="No space left"):
+        hf.fit_map("bouc-wen", U, cube()[:1], T, folder=tmp_path / "run", **UNITS)
+    assert not list((tmp_path / "run").glob("part*.npz"))
+
+
+def test_tables_and_pictures(tmp_path: Path) -> None:
+    found = fitted()
+    data = xr.open_dataset(found.save(tmp_path / "map.nc"), engine="h5netcdf")
+    assert data["mu"].dims == ("y", "x")
+    np.testing.assert_array_equal(data["mu_stderr"], found.stderr["mu"])
+    assert data["c"].attrs["units"] == "um/V"
+    table = pd.read_parquet(found.save(tmp_path / "map.parquet"))
+    assert len(table) == 24
+    assert table["status"].value_counts()["ok"] == 21
+    with pytest.raises(DataError, match=r"\.nc, \.zarr or \.parquet"):
+        found.save(tmp_path / "map.txt")
+    figure = found.plot("mu")
+    shown = figure.axes[0].images[0].get_array()
+    assert shown.shape == SHAPE
+    assert np.ma.is_masked(np.ma.masked_invalid(shown)[0, 1])
+    assert found.outliers("mu")[1, 3]
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "words"),
+    [
+        (U, cube()[0, 0], "shape"),
+        (U[:5], cube(), "5 samples"),
+        (U, np.empty((0, SAMPLES)), "at least one loop"),
+        (np.where(U > 2.5, np.nan, U), cube(), "input is not finite"),
+        (U[:1], cube()[..., :1], "at least two"),
+    ],
+)
+def test_columns_that_do_not_fit_each_other_are_refused(u: np.ndarray, y: np.ndarray, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        hf.fit_map("bouc-wen", u, y)
+
+
+def test_a_model_that_cannot_be_fitted_to_them_gives_rows_with_reasons() -> None:
+    found = hf.fit_map("bouc-wen", np.ones(SAMPLES), cube()[:1], T)
+    assert found.status is Status.FAILED
+    assert "the input is constant" in found.reasons[0, 0]
+    with pytest.raises(ParameterError, match="fits one model"):
+        hf.fit_map("auto", U, cube(), T)
