@@ -34,6 +34,7 @@ REFUSED = {
     "load_posterior": "hf.load_posterior(draws)",
     "plots": "hf.plots.fit(result, 'loop')",
     "fit_many": "hf.fit_many('bouc-wen', [record])",
+    "fit_map": "hf.fit_map('bouc-wen', u, [y])",
     "invert": "hf.invert(model, y, limits=(-1, 1))",
     "InverseStep": "hf.InverseStep.of(model, limits=(-1, 1))",
     "inverse_bands": "hf.inverse_bands(posterior, y)",

@@ -104,9 +104,9 @@ def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Rec
 def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
     """Slices of the first axis, each with as many loops as are solved at once."""
     size = _SAMPLES if first_device("gpu") is None else _ON_GPU
-    step = max(1, size // (samples * int(np.prod(shape[1:-1]))))
-    for begin in range(0, shape[0], step):
-        yield slice(begin, min(begin + step, shape[0]))
+    most = max(1, size // (samples * int(np.prod(shape[1:-1]))))
+    edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
+    yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
 
 
 def _described(work: Work, frame: Record, shape: tuple[int, ...]) -> Mapping[str, Any]:

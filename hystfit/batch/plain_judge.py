@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from hystfit.batch.alike import Common
 from hystfit.data.steady_cycle import steady_rows
-from hystfit.fitting.lanes import Ends, Stack, device_for, placed
+from hystfit.fitting.lanes import Ends, Stack, device_for, placed, room
 from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.simulation import run
@@ -189,12 +189,12 @@ def simulated(
     device = device_for(len(z))
     coordinates = stack.objective.coordinates
     scales, z = np.asarray(coordinates.scale), np.asarray(z)
-    out, size = np.empty((len(z), u.size)), max(1, _NUMBERS // u.size)
+    out, size = np.empty((len(z), u.size)), min(room(len(z)), max(1, _NUMBERS // u.size))
     for begin in range(0, len(z), size):
-        at = np.minimum(np.arange(begin, begin + min(size, len(z))), len(z) - 1)
+        at = np.minimum(np.arange(begin, begin + size), len(z) - 1)
         rows = _simulated(*placed((coordinates, scales[at], z[at], u, dt), device), device.platform != "cpu")
-        count = min(size, len(z) - begin)
-        out[begin : begin + count] = np.asarray(rows)[:count]
+        part = out[begin : begin + size]
+        part[:] = np.asarray(rows)[: len(part)]
     return out
 
 

@@ -50,11 +50,16 @@ def suits_one_scan(objective: Objective) -> bool:
     return objective.batch.u.shape[0] == 1 and 0 < p <= FEW and model.causal and model.one_scan
 
 
-def normal_in_scan(objective: Objective, z: Float[Array, " p"]) -> Normal:
+def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1) -> Normal:
     """By one scan whose carry holds the state, its derivatives, the cost, J'r and J'J; nothing is kept of a sample.
 
     Under `jax.vmap` over thousands of lanes it is the faster form, and its memory does not grow with the number of samples. Each number
     of the carry is a leaf of its own, so that lanes lie side by side.
+
+    Args:
+        objective: of one record, see `suits_one_scan`.
+        z: unconstrained.
+        unroll: samples in one turn of the loop.
     """
     coordinates, p = objective.coordinates, z.shape[0]
     u, y, dt, weight = (row[0] for row in jax.tree_util.tree_leaves(objective.batch))
@@ -98,7 +103,7 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"]) -> Normal:
     rows = (jnp.concatenate([u[:1], u[:-1]]), u, dt, y, root)
     zero = jnp.zeros(())
     start = (outer(first), along, zero, [zero] * p, [zero] * len(pairs[0]))
-    (_, _, cost, gradient, upper), _ = jax.lax.scan(once, start, rows, unroll=1)
+    (_, _, cost, gradient, upper), _ = jax.lax.scan(once, start, rows, unroll=unroll)
     matrix = jnp.zeros((p, p)).at[pairs].set(jnp.stack(upper))
     matrix, slope = matrix + jnp.triu(matrix, 1).T, coordinates.slope(z)
     return Normal(z, 0.5 * cost, slope * jnp.stack(gradient), slope * matrix * slope[:, None]).checked()
