@@ -67,6 +67,7 @@ hard: setup  ## generated and damaged data files, 100 000 of each, 20 000 layout
 	$(BIN)/python -m tests.hard.reading --files 0:100000 --mutations 0:100000 --layouts 0:20000
 	$(BIN)/python -m tests.hard.fits
 	$(BIN)/python -m tests.hard.faults
+	$(BIN)/python -m tests.hard.maps
 	$(BIN)/python -m tests.hard.strd
 	$(BIN)/python -m tests.hard.devices --out build/hard/devices
 

@@ -1,11 +1,17 @@
-"""Time of many fits at once: 100 Bouc-Wen records of 10 000 samples, beside scipy's trust region on a numba loop, one after another.
+"""Time of many fits at once, with ratios in one run: `python benchmarks/many.py [--quick]`.
 
-Both start from the values read off each record, on one core. scipy gives estimates alone; the last line adds starting values from
-eight points, standard errors, noise and verdict.
+100 Bouc-Wen records of 10 000 samples, each over an input of its own, beside scipy's trust region on a numba loop, one after another. Both
+start from the values read off each record, on one core. scipy gives estimates alone; the last line adds starting values from eight points,
+standard errors, noise and verdict. Then 10 000 loops of 1000 samples over one input from an HDF5 file, with everything.
 """
 
+import argparse
+import resource
+import tempfile
 import time
+from pathlib import Path
 
+import h5py
 import numba
 import numpy as np
 import scipy.optimize
@@ -51,16 +57,51 @@ def best(run: object) -> float:
     return min(times)
 
 
+def cube(loops: int, samples: int) -> None:
+    """A map from one file: wall time, processor time and memory."""
+    with tempfile.TemporaryDirectory() as folder, h5py.File(Path(folder) / "cube.h5", "w") as file:
+        t = np.linspace(0, 20, samples)
+        u = (0.2 + 0.8 * np.sin(np.pi * t / 20) ** 2) * np.sin(2 * np.pi * t)
+        rng, data = np.random.default_rng(0), file.create_dataset("y", (loops // 100, 100, samples), float)
+        for row in range(loops // 100):
+            for column in range(100):
+                c, tau = np.exp(0.2 * rng.normal()), 1.5 * np.exp(0.1 * rng.normal())
+                y = np.empty(samples)
+                miss((c, 0.45, tau, 0.5, 0.3), u, np.zeros(samples), y)
+                data[row, column] = y + 0.003 * np.ptp(y) * rng.standard_normal(samples)
+        begin, used = time.perf_counter(), time.process_time()
+        found = hf.fit_map("bouc-wen", u, data, t)
+    seconds, used = time.perf_counter() - begin, time.process_time() - used
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    counted = ", ".join(f"{count} {status}" for status, count in found.counts.items())
+    print(
+        f"{loops} loops of {samples} samples from one HDF5 file: {seconds:.1f} s, {used:.1f} s of processor time, {memory:.2f} GiB"
+    )
+    print(f"{counted}; {int(found.alone.sum())} fitted alone")
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="little work, which proves that everything runs")
+    parser.add_argument("--cube", action="store_true", help="the map alone")
+    chosen = parser.parse_args()
     hf.enable_x64()
-    records = [made(seed) for seed in range(RECORDS)]
+    if not chosen.cube:
+        records_of_their_own(4 if chosen.quick else RECORDS)
+    cube(*((200, 400) if chosen.quick else (10_000, 1000)))
+
+
+def records_of_their_own(count: int) -> None:
+    """Records over different inputs, beside scipy."""
+    records = [made(seed) for seed in range(count)]
     posed = [set_up_fit(hf.BoucWen(), hf.Dataset((record,)), FitOptions()) for record in records]
     tasks = {
-        count: [Task.of(p.problem, starting_vectors(p.problem, count, 0, p.points)) for p in posed] for count in (1, 8)
+        starts: [Task.of(p.problem, starting_vectors(p.problem, starts, 0, p.points)) for p in posed]
+        for starts in (1, 8)
     }
 
-    def together(count: int) -> np.ndarray:
-        return np.array([np.nan if e is None else e.cost for e in solve_together(tasks[count])])
+    def together(starts: int) -> np.ndarray:
+        return np.array([np.nan if e is None else e.cost for e in solve_together(tasks[starts])])
 
     def in_a_loop() -> np.ndarray:
         costs = []
@@ -89,7 +130,7 @@ def main() -> None:
     }
     for name, seconds in lines.items():
         print(
-            f"{name:<30} {seconds:>7.2f} s {1e3 * seconds / RECORDS:>8.2f} ms a record {reference / seconds:>6.2f} times as fast"
+            f"{name:<30} {seconds:>7.2f} s {1e3 * seconds / count:>8.2f} ms a record {reference / seconds:>6.2f} times as fast"
         )
 
 

@@ -251,15 +251,16 @@ def _descend(normal: Callable[..., Normal], objective: Objective, lane: _Lane, g
         softer = jnp.where(jnp.isinf(lane.best.cost), lane.damping, jnp.maximum(0.1 * lane.damping, _LEAST))
         damping = jnp.where(better, softer, 10.0 * lane.damping)
         best = jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, lane.best)
-        step, predicted = _step(best, damping)
-        last = lane.last | (predicted <= jnp.maximum(gain, _EQUAL) * best.cost + _ROUNDING * samples)
+        # Damping holds the directions that the data hardly determine: what is left to gain shows without it.
+        (step, _), (whole, predicted) = _step(best, damping), _step(best, _LEAST)
+        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + _ROUNDING * samples
         ended = lane.last | (damping >= _MOST) | jnp.isinf(best.cost)
-        return _Lane(best, best.z + step, damping, last, ended, lane.steps + 1)
+        return _Lane(best, best.z + jnp.where(near, whole, step), damping, lane.last | near, ended, lane.steps + 1)
 
     return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
 
 
-def _step(point: Normal, damping: Array) -> tuple[Array, Array]:
+def _step(point: Normal, damping: Array | float) -> tuple[Array, Array]:
     """The damped step, and the decrease of the cost that the linear model predicts for it."""
     diagonal = jnp.diag(point.matrix)
     scale = 1 / jnp.sqrt(jnp.maximum(diagonal, 1e-24 * jnp.max(diagonal) + 1e-300))
