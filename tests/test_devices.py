@@ -27,7 +27,8 @@ for device in ("cpu", "jax"):
     hf.use_device(device)
     kept += [hf.simulate(hf.BoucWen(), u), hf.fit("linear", u, y)]
     print(where(), end=" ")
-print(jax.numpy.ones(3).devices() == {second})
+many = jax.jit(jax.vmap(lambda c: hf.simulate(hf.Linear(k=c), u)[0]))(jax.numpy.ones(3))
+print(jax.numpy.ones(3).devices() == {second}, many.devices() == {second})
 """
 
 
@@ -43,7 +44,7 @@ def python(code: str, **variables: str) -> str:
 def test_fits_run_on_the_cpu_whatever_the_default_device_is() -> None:
     """Arrays stay where a fit leaves them; programs of the user's own run where JAX runs them."""
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
-    assert python(ON_THE_SECOND, XLA_FLAGS=flags) == "[0] [0, 1] True"
+    assert python(ON_THE_SECOND, XLA_FLAGS=flags) == "[0] [0, 1] True True"
 
 
 def test_a_device_that_is_not_there_is_refused() -> None:

@@ -25,6 +25,7 @@ _CHUNK = (
     64  # lanes that one call descends one after another: interrupts come through between calls, and arrays stay small
 )
 _BESIDE = 256  # lanes that go together on a CPU, in the cache; a step took 0.6 of the time of one after another, at 1000 samples
+_FEW = 64  # part of the lanes on a GPU that the CPU takes over: the next smaller program would take longer to compile
 _PAYS = 4096  # lanes from which their program pays
 _SAMPLES = 2**19  # of all lanes of such a call, at most
 _TOGETHER = 2**30  # numbers of the data of the lanes that a GPU holds at once
@@ -130,12 +131,11 @@ def descend_lanes(
     if device.platform != "cpu":
         for part in _parts(left, max(_TOGETHER // stack.samples, 1)):
             lane.put(part, _together(stack, numbers[part], lane.rows(part), tolerance, steps, device))
-        left = left[:0]
     elif len(z) >= _PAYS and suits_one_scan(_one(stack.objective, stack.own, 0)):
         for part in _parts(left, _BESIDE):
             going = lane.rows(part)
             lane.put(part, _together(stack, numbers[part], going, tolerance, min(_ROUND, steps), device, _BESIDE))
-        left = left[~lane.ended & (lane.steps < steps)]
+    left = left[~lane.ended & (lane.steps < steps)]
     size = _chunk(stack.samples)
     for part in _parts(left, size):
         lane.put(part, _one_by_one(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
@@ -172,14 +172,14 @@ def _together(
 ) -> _Lane:
     """Lanes at their ends, or after some steps, side by side on a device, where the data lie all the while.
 
-    There is room for `least` lanes and records, so that any smaller number takes the same program.
+    There is room for `least` lanes and records, so that any smaller number takes the same program. The last few lanes are left.
     """
     among, place = np.unique(records, return_inverse=True)
     rows = stack.take(among[np.minimum(np.arange(max(room(among.size), least)), among.size - 1)])
     objective, going, most = placed(rows.objective, device), np.arange(len(records)), max(room(len(records)), least)
-    while going.size:
-        # Few sizes, because each is a program: all lanes, or a power of an eighth of them.
-        capacity = next(size for k in range(20, -1, -1) if (size := -(-most // 8**k)) >= going.size)
+    sizes = [-(-most // part) for part in (_FEW, 8, 1)]  # each is a program
+    while going.size > most // _FEW:
+        capacity = next(size for size in sizes if size >= going.size)
         at = going[np.minimum(np.arange(capacity), going.size - 1)]
         arguments = placed((place[at], lane.rows(at)), device)
         advanced = _advance_all(objective, *arguments, gain, min(_ROUND, steps), stack.own, _unroll(device))

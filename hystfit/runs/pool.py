@@ -63,6 +63,7 @@ def _by_processes(task: Task, items: Sequence[Any], workers: int) -> Iterator[Ou
 def _follow_parent() -> None:
     """Leave interrupts to the parent of this process, and end when it is killed: tasks would be awaited forever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # several processes would each reserve most of the memory of a GPU
     parent = multiprocessing.parent_process()
     if parent is None:
         return
