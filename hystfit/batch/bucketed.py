@@ -73,8 +73,8 @@ def solve_stack(
         gain=_ROUGH,
         steps=steps,
     )
-    costs = rough.normal.cost.reshape(count, several)
-    best = rough.normal.z.reshape(count, several, p)[records, np.argmin(costs, axis=1)]
+    costs = np.asarray(rough.normal.cost).reshape(count, several)
+    best = np.asarray(rough.normal.z).reshape(count, several, p)[records, np.argmin(costs, axis=1)]
     ends = descend_lanes(full, records, best, gain=_FINE, steps=_MORE)
     return ends, costs, ends.steps + rough.steps.reshape(count, several).sum(axis=1)
 
