@@ -159,13 +159,16 @@ class _Evidence:
         """The readings, those that could be the best with the points of how the two columns are related."""
         reach = max(reading.points for reading in found) + _UNRELATED - TIE
         columns = self.table.columns
+        part = self.table.curve if self.table.part is None else self.table.part
 
         def lost(reading: Reading) -> float:
             if {reading.input, reading.output} <= self.equal:  # how they are related does not tell which drives
                 return 0.0
             u, y = columns[reading.input], columns[reading.output]
             same = self.kinds[reading.input] == self.kinds[reading.output]
-            return _UNRELATED * max(0.0, 1.0 - _explained(u, y) / _RELATED) + _COPY * (same and _proportional(u, y))
+            return _UNRELATED * max(0.0, 1.0 - _explained(u, y, part) / _RELATED) + _COPY * (
+                same and _proportional(u, y)
+            )
 
         return [
             dataclasses.replace(
@@ -247,20 +250,23 @@ def _is_held(values: np.ndarray) -> bool:
     return finite.size > 0 and float(np.ptp(finite)) < _SMALL * float(np.abs(finite).min())
 
 
-def _explained(u: np.ndarray, y: np.ndarray) -> float:
+def _explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
     """Part of the variance of an output that its input explains: that which samples of neighboring inputs have in common.
 
     Samples of a rising and of a falling input are compared apart (von Neumann's ratio of each, in the order of the input).
+
+    Args:
+        part: number of the record that a sample is in, shape (rows,); samples of different records are compared apart too.
     """
     both = np.flatnonzero(np.isfinite(u) & np.isfinite(y))
     both = both[:: max(1, both.size // _MOST_SAMPLES)]
-    u, y = u[both], y[both]
+    u, y, part = u[both], y[both], part[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
     if _crossings(y) > 2 * _crossings(u) + 1:  # twice for a butterfly, and once for the end of a record
         return 0.0
     y = (y - y.mean()) / np.ptp(y)
-    order = np.lexsort((u, np.gradient(u) > 0))
+    order = np.lexsort((u, np.gradient(u) > 0, part))
     return float(np.clip(1.0 - 0.5 * np.sum(np.diff(y[order]) ** 2) / np.sum(y**2), 0.0, 1.0))
 
 
