@@ -26,7 +26,7 @@ MODELS: dict[str, AbstractHysteresis] = {
     "bouc-wen-asymmetric": hf.AsymmetricBoucWen(mu=0.45, tau=0.6, rho=0.4, skew=0.1),
     "bouc-wen-force": hf.BoucWenForce(),
     "duhem": hf.Duhem(alpha=1.0, f=[0.1, 1.0, 0.05], g=[0.5, 0.05], w0=0.0),
-    "bouc-wen+lag": hf.Series(hf.BoucWen(mu=0.45, tau=0.6, rho=0.4), hf.Lag(tau=0.05)),
+    "bouc-wen+lag": hf.Series(hf.Lag(tau=0.05), hf.BoucWen(mu=0.45, tau=0.6, rho=0.4)),
 }
 SAME, ERRORS = 1e-5, 1e-3
 
