@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import OPEN, circulation
 from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
@@ -20,7 +21,6 @@ from hystfit.reading.header import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
 
-_LOOP, _OPEN = 8, 0.02  # samples, and area over that of the box around it, from which a loop has a direction
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -187,7 +187,7 @@ def _guess_pair(
     if nameless:  # nothing but signals and the order of the columns tells which drives the other
         swapped = f"if column {best.output} drives the device, set input='{best.output}' and output='{best.input}'"
         notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
-    if nameless and _leads(table.columns[best.input], table.columns[best.output]):
+    if nameless and circulation(table.columns[best.input], table.columns[best.output]) < -OPEN:
         notes.append(
             warn(
                 Code.COLUMN_CHOICE, f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
@@ -225,17 +225,6 @@ def _as_option(table: Table, position: int) -> str:
     """A column as it is named at the shell: by its name, where only it has that, else by its number."""
     name = table.names[position]
     return shlex.quote(name) if table.named and name and table.names.count(name) == 1 else str(position)
-
-
-def _leads(u: np.ndarray, y: np.ndarray) -> bool:
-    """Whether the loop of an output that rises with its input runs clockwise."""
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y = u[both], y[both]
-    if u.size < _LOOP or not (np.ptp(u) > 0 and np.ptp(y) > 0):
-        return False
-    u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
-    area = 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
-    return bool(area * np.sign(np.sum(u * y)) < -_OPEN)
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
