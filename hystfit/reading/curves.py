@@ -230,8 +230,8 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
     for position, name in enumerate(table.names):
         if position in (choice.time, choice.input, choice.output):
             continue
-        count = len(set(labels_of(table, position).tolist()))
-        if _plain(name) in CURVE_NAMES and 1 < count <= table.rows / 2:
+        count = len(set(labels_of(table, position).tolist())) if _plain(name) in CURVE_NAMES else 0
+        if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
         elif position not in table.labels and not _STATE.search(name) and (levels := _levels(table.columns[position])):

@@ -194,7 +194,7 @@ class _Evidence:
 
         def points(k: int) -> float:
             values = table.columns[k]
-            few = table.rows >= _MANY_ROWS and np.unique(values).size <= _FEW
+            few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (_sample(values), values))
             held = not self.alone and _is_held(values)
             return (
                 _SECONDARY * secondary(table.names[k])
@@ -244,6 +244,11 @@ def _extent(values: np.ndarray) -> float:
     return float(np.ptp(finite)) if finite.size else 0.0
 
 
+def _sample(values: np.ndarray) -> np.ndarray:
+    """Every nth sample of a long column."""
+    return values[:: max(1, values.size // _MOST_SAMPLES)]
+
+
 def _is_held(values: np.ndarray) -> bool:
     """Whether a column stays near one value far from zero."""
     finite = values[np.isfinite(values)]
@@ -258,8 +263,8 @@ def _explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
     Args:
         part: number of the record that a sample is in, shape (rows,); samples of different records are compared apart too.
     """
-    both = np.flatnonzero(np.isfinite(u) & np.isfinite(y))
-    both = both[:: max(1, both.size // _MOST_SAMPLES)]
+    u, y, part = (_sample(values) for values in (u, y, part))
+    both = np.isfinite(u) & np.isfinite(y)
     u, y, part = u[both], y[both], part[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
@@ -279,6 +284,7 @@ def _crossings(values: np.ndarray) -> int:
 
 def _proportional(u: np.ndarray, y: np.ndarray) -> bool:
     """Whether a straight line leaves nearly nothing of an output."""
+    u, y = _sample(u), _sample(y)
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
