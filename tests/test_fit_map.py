@@ -133,7 +133,7 @@ def test_tables_and_pictures(tmp_path: Path) -> None:
     table = pd.read_parquet(found.save(tmp_path / "map.parquet"))
     assert len(table) == 24
     assert table["status"].value_counts()["ok"] == 21
-    with pytest.raises(DataError, match=r"\.nc, \.zarr or \.parquet"):
+    with pytest.raises(DataError, match=r"\.nc or \.parquet"):
         found.save(tmp_path / "map.txt")
     figure = found.plot("mu")
     shown = figure.axes[0].images[0].get_array()

@@ -21,6 +21,7 @@ from devices import Case, case
 
 import hystfit as hf
 from hystfit.errors import HystfitError
+from hystfit.fitting.comparison import Fits
 from hystfit.quality.held_out import Scheme
 from hystfit.results.result import FitResult
 
@@ -40,9 +41,9 @@ def error_on(result: FitResult, record: hf.Record) -> float:
     return 100 * float(np.sqrt(np.mean(miss**2))) / result.baselines.span
 
 
-def fitted(one: Case, chosen: hf.Fits, *, all_families: bool) -> dict[str, FitResult]:
+def fitted(one: Case, chosen: Fits, *, all_families: bool) -> dict[str, FitResult]:
     """Every candidate: the fits of the comparison, and those of families that it stopped or skipped."""
-    fits = dict(chosen)
+    fits = dict(chosen.items())
     for name in FAMILIES if all_families else ():
         if not any(name in known for known in fits):
             try:

@@ -246,7 +246,7 @@ class LoopMap(WithStatus):
         return xarray.Dataset(data, attrs={"schema": SCHEMA, "model": self.model})
 
     def save(self, path: str | Path) -> Path:
-        """Write the maps: .nc (netCDF) or .zarr with the axes of the array, .parquet with one row a loop.
+        """Write the maps: .nc (netCDF) with the axes of the array, .parquet with one row a loop.
 
         Raises:
             DataError: another ending, or the file cannot be written.
@@ -257,14 +257,11 @@ class LoopMap(WithStatus):
             if path.suffix == ".nc":
                 optional("h5netcdf", "frames", "a netCDF map")
                 data.to_netcdf(path, engine="h5netcdf")
-            elif path.suffix == ".zarr":
-                optional("zarr", "frames", "a Zarr map")
-                data.to_zarr(path, mode="w")
             elif path.suffix == ".parquet":
                 optional("pyarrow", "frames", "a Parquet table")
                 data.to_dataframe().reset_index().to_parquet(path, engine="pyarrow", index=False)
             else:
-                raise DataError(f"a map is written as .nc, .zarr or .parquet, got {path.name!r}")
+                raise DataError(f"a map is written as .nc or .parquet, got {path.name!r}")
         except OSError as error:
             raise DataError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
         return path

@@ -9,7 +9,6 @@ from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.screening import best_screened, screen
-from hystfit.fitting.verdict import POOR
 from hystfit.models.registry import judged, judged_as
 from hystfit.outcome import Code
 from hystfit.quality.baselines import Baselines
@@ -17,7 +16,7 @@ from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import Verdict
 from hystfit.quality.held_out import held_out
 from hystfit.reading.in_memory import records_of
-from hystfit.results.accuracy import is_noise, is_single_valued_error
+from hystfit.results.accuracy import is_noise
 
 _INTEGRATED = ("integrate", "true")  # option that reads a current as the charge, of which the loop is made
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
@@ -49,11 +48,11 @@ def _advice(records: Dataset) -> Advice | None:
     """The best of the models with a closed form; None where none of them describes a loop."""
     try:
         baselines = Baselines.of(records)
-        best = best_screened(screen(records), sum(int(record.used.sum()) for record in records))
+        best = best_screened(screen(records), sum(int(record.used.sum()) for record in records), baselines.span)
     except HystfitError:
         return None
     percent = 100 * best.error / baselines.span
-    if is_single_valued_error(best.error, baselines) or (percent > POOR and not is_noise(best.error, baselines)):
+    if is_noise(baselines.curve, baselines) or best.error >= baselines.curve:  # a single-valued curve describes them
         return None
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
     return Advice(best.name, reason)

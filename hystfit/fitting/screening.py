@@ -11,6 +11,7 @@ from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.structure_search import search_structure
 from hystfit.fitting.thinning import thinned
+from hystfit.fitting.verdict import POOR
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.params.param import leaves_of
 from hystfit.quality.held_out import equal_errors
@@ -47,13 +48,22 @@ def screen(data: Dataset) -> Iterator[Screened]:
             model, error = found.model, found.score
         elif (first := SizeSearch(short).first(make_model(name))) is not None:
             model, error = first
+        else:  # it has no sizes to choose
+            continue
         weights = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
         yield Screened(model_name(model), error, weights, model.has_inverse)
 
 
-def best_screened(models: Iterable[Screened], samples: int) -> Screened:
-    """The model to try first: of those whose errors this number of samples does not tell apart, the one with the fewest weights."""
+def best_screened(models: Iterable[Screened], samples: int, span: float) -> Screened:
+    """The model to try first: of those whose errors this number of samples does not tell apart, the one with the fewest weights.
+
+    Where every error is poor, few weights speak for no model, and the smallest error decides.
+
+    Args:
+        span: range of the output.
+    """
     own = lambda one: one.error * (1.0 if one.inverse else MARGIN)
     every = list(models)
-    most = equal_errors(samples) * min(map(own, every))
-    return min((one for one in every if own(one) <= most), key=lambda one: one.weights)
+    least = min(map(own, every))
+    within = equal_errors(samples) if 100 * least <= POOR * span else 1.0
+    return min((one for one in every if own(one) <= within * least), key=lambda one: one.weights)

@@ -142,7 +142,9 @@ class _Evidence:
         """Column i as the input and column o as the output, by their names, units and signals, each for itself."""
         kinds, later = self.kinds, self.ranks.get(i, 0) + self.ranks.get(o, 0)
         points = (
-            _DRIVE.get(kinds[i], _SELDOM) + _RESPONSE.get(kinds[o], _SELDOM) + _PAIRS.get((kinds[i], kinds[o]), 0.0)
+            self._of_quantity(i, _DRIVE, "input")
+            + self._of_quantity(o, _RESPONSE, "output")
+            + _PAIRS.get((kinds[i], kinds[o]), 0.0)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
@@ -181,6 +183,11 @@ class _Evidence:
     def _stated(self) -> dict[int, str]:
         """The role that the name of each column states."""
         return {k: column_role(name) if self.table.named else "" for k, name in enumerate(self.table.names)}
+
+    def _of_quantity(self, position: int, usual: Mapping[str, float], role: str) -> float:
+        """Points of the quantity of a column in a role; one that the name states for it is not unusual."""
+        points = usual.get(self.kinds[position], _SELDOM)
+        return max(points, usual[""]) if self._stated[position] == role else points
 
     def _of_role(self, position: int, role: str) -> float:
         """Points of a column in a role, by the one that its name states."""
