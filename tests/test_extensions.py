@@ -266,6 +266,7 @@ def shell(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=500)
 
 
+@pytest.mark.slow
 def test_the_same_at_the_shell(folder, fitted):
     noise = ("--noise", "my_noise.py:MovingAverage")
     ended = shell(folder, "fit", "loop.csv", "--model", "bouc-wen", "--fix", "rho=0.5", *noise, "--out", "fit")

@@ -84,6 +84,7 @@ def coercivity(record: hf.Record, y: np.ndarray) -> float:
     return float(np.mean(np.abs(record.u[at] + step * (record.u[at + 1] - record.u[at]))))
 
 
+@pytest.mark.slow
 def test_coercivity_at_unseen_frequencies_over_five_decades() -> None:
     """One model fitted at three frequencies; a static one errs by the growth of the coercivity."""
     records = [ferroelectric(f, noise=0.005) for f in (0.1, 10.0, 1000.0)]
@@ -162,6 +163,7 @@ def test_kappa_is_found_at_three_rates_and_static_plays_err() -> None:
     assert found.metrics(driven(50.0)).rmse < 0.5 * static.metrics(driven(50.0)).rmse
 
 
+@pytest.mark.slow
 def test_one_rate_is_named_where_several_are_needed() -> None:
     """`check` says that the growth with the rate is not determined by one rate; nothing of the kind at three, or in a sweep."""
     lacking = lambda data, name: [text for text in hf.check(data).verdict(name).reasons if "speed" in text]

@@ -107,11 +107,12 @@ MODELS: dict[str, Entry] = {
         "Steel02 (Menegotto-Pinto-Filippou) of steel, stress against strain, as in OpenSees; 8 parameters",
         tried=("steel-02",),
     ),
+    # Not tried by default: on the first 60 % of steel_resspylab/example_1 held-out cycles prefer it to hardening plays (2.2 against
+    # 2.3 %), and it predicts the rest worse (4.1 against 3.5 %); its first fit takes 4 to 11 s.
     "voce-chaboche": Entry(
         "voce_chaboche:VoceChaboche.of",
         "core",
         "updated Voce-Chaboche of steel, stress against strain: yield plateau, isotropic hardening, backstresses",
-        tried=("voce-chaboche",),
     ),
     "jiles-atherton": Entry(
         "jiles_atherton:JilesAtherton",
