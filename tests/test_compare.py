@@ -20,7 +20,8 @@ from hystfit.fitting import sizes
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _ranked
 from hystfit.fitting.comparison import Comparison, Row
-from hystfit.fitting.comparison_run import ComparisonRun, ShownProgress
+from hystfit.fitting.comparison_progress import ShownProgress
+from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.sizes import SizeSearch

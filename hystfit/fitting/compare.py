@@ -10,7 +10,8 @@ from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
-from hystfit.fitting.comparison_run import ComparisonRun, ShownProgress
+from hystfit.fitting.comparison_progress import ShownProgress
+from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut

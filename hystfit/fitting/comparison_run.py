@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,8 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.fitting.candidates import Candidates
 from hystfit.fitting.comparison import Purpose, Row
+from hystfit.fitting.comparison_progress import ShownProgress
+from hystfit.fitting.contender import Candidate, First, contenders
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
@@ -28,7 +29,7 @@ from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.starting import output_range
-from hystfit.outcome import Code, Note, Status
+from hystfit.outcome import Code, Status
 from hystfit.quality.held_out import Scheme, correlation_length, equal_errors, held_out
 from hystfit.quality.summary import dynamics_of
 from hystfit.results.result import FitResult
@@ -37,34 +38,9 @@ from hystfit.runs.threads import Workers
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 _HOPELESS = 1.5  # a model whose first fit errs this much more than the best on held-out data is not validated
-_WAVE = 2  # models that are validated side by side before their errors may stop others
 
 _WHITE = "the residuals of the best model are noise"
 _FIRST_STARTS = 2  # starting points of that fit
-
-
-class ShownProgress:
-    """Progress of models that are fitted side by side: each line names a model, its step, and how many are done.
-
-    Args:
-        update: called with a line of text and the fraction done.
-        names: of the models.
-    """
-
-    def __init__(self, update: Callable[..., object], names: Sequence[str]):
-        self._update, self._count, self._done, self._lock = update, len(names), 0, threading.Lock()
-        update(f"{self._count} to try: {', '.join(names)}", 0.0)
-
-    def step(self, name: str, text: str) -> None:
-        """Report the step that a model has reached."""
-        with self._lock:
-            self._update(f"{name}: {text}", self._done / self._count)
-
-    def done(self, name: str) -> None:
-        """Report that a model is finished."""
-        with self._lock:
-            self._done += 1
-            self._update(f"{name}: done ({self._done} of {self._count})", self._done / self._count)
 
 
 def _score(row: Row) -> float:
@@ -76,51 +52,6 @@ def _correlation(fit: FitResult) -> int:
     """Samples over which the residuals of a fit are correlated."""
     residuals = fit.problem.residuals(fit.x)
     return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
-
-
-class _First(NamedTuple):
-    """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
-
-    `model` has the best of these elements.
-    """
-
-    error: float
-    model: AbstractHysteresis | None = None
-    parameters: int | None = None
-
-
-@dataclasses.dataclass
-class Candidate:
-    """A model in a comparison, with the results so far.
-
-    Attributes:
-        name: of its row.
-        row: once it is validated, stopped, or has failed.
-        solved: the fit, without standard errors.
-        sizes: the search for its size.
-        choices: notes on its choices.
-        result: its verdict.
-        first: the first fit, where there was one.
-        failure: why there is no result.
-        seconds: time of its fits and validation.
-    """
-
-    name: str
-    row: Row | None = None
-    solved: Solved | None = None
-    sizes: SizeSearch | None = None
-    choices: tuple[Note, ...] = ()
-    result: FitResult | None = None
-    first: _First | None = None
-    failure: Exception | None = None
-    seconds: float = 0.0
-
-
-def _contenders(waiting: Sequence[Candidate]) -> list[Candidate]:
-    """The models to validate next, because they may stop the others: those with the best first fits, of models with elements first."""
-    firsts = [(one, one.first) for one in waiting if one.first is not None]
-    ordered = sorted(firsts, key=lambda pair: (pair[1].model is None, pair[1].error))
-    return [one for one, _ in ordered[:_WAVE]]
 
 
 class ComparisonRun:
@@ -251,11 +182,11 @@ class ComparisonRun:
         while waiting:
             for one in waiting:
                 one.row = self._excluded_row(one)
-            contenders = _contenders([one for one in waiting if one.row is None])
-            self._each(self._fit, contenders, shown, workers)
-            for one in contenders:
+            ahead = contenders([one for one in waiting if one.row is None])
+            self._each(self._fit, ahead, shown, workers)
+            for one in ahead:
                 one.row = one.row or self._beaten_row(one)
-            self._each(self._validate, [one for one in contenders if one.row is None], shown, workers)
+            self._each(self._validate, [one for one in ahead if one.row is None], shown, workers)
             waiting = self._keep_finished(waiting, shown)
 
     def _each(
@@ -359,7 +290,7 @@ class ComparisonRun:
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress)
         if (found := one.sizes.first(model)) is not None:
-            one.first = _First(found[1], found[0])
+            one.first = First(found[1], found[0])
         else:
             problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
             method = ESTIMATORS.make(choose_method(problem)).quick()
@@ -368,7 +299,7 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = _First(rms if np.isfinite(rms) else np.inf, parameters=estimate.x.size)
+            one.first = First(rms if np.isfinite(rms) else np.inf, parameters=estimate.x.size)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""
