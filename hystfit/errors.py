@@ -28,7 +28,7 @@ class MissingExtraError(HystfitError):
     """An optional package is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str):
-        super().__init__(f"{purpose} needs the package {package!r}: pip install 'hystfit[{extra}]'")
+        super().__init__(f"{purpose} needs the package {package!r}: pip install 'hystfit-jax[{extra}]'")
 
 
 def optional(package: str, extra: str, purpose: str) -> Any:

@@ -314,7 +314,7 @@ def test_a_verb_names_the_extra_that_it_lacks_and_leaves_nothing(
     names |= {"BOOK": tmp_path / "a.xlsx", "TABLE": tmp_path / "a.h5"}
     monkeypatch.setitem(sys.modules, package, None)
     assert run([str(names.get(word, word)) for word in words]) == 2
-    assert f"{package!r}: pip install 'hystfit[{extra}]'" in capsys.readouterr().err
+    assert f"{package!r}: pip install 'hystfit-jax[{extra}]'" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "a.xlsx"]
 
 
