@@ -16,10 +16,10 @@ export PYTHONDONTWRITEBYTECODE :=
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit test lint types tests hard notebooks experiments mutations measured benchmarks smoke docs package records versions clean
+.PHONY: help setup fit test quick lint types tests hard notebooks experiments mutations measured benchmarks smoke docs package records versions release-check clean
 
 help:  ## this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -37,6 +37,9 @@ fit: setup  ## fit a bundled record and print the report
 test: lint  ## all checks, in the quick form
 	$(MAKE) -j 2 types package smoke
 	$(MAKE) tests notebooks experiments
+
+quick: lint  ## while working: lint, types and tests of the files changed since BASE (main where it is an ancestor, else HEAD)
+	$(BIN)/python -m tests.touched $(BASE)
 
 lint: setup
 	$(BIN)/ruff check .
@@ -83,16 +86,16 @@ docs: setup  ## build the documentation in build/docs/site; DOCS=--quick without
 package: setup  ## build the wheel and check that its data are found without the checkout
 	rm -rf build/wheel && mkdir -p build/wheel/site
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
-	$(BIN)/python -m pip install --quiet --no-deps --target build/wheel/site build/wheel/hystfit-*.whl
+	$(BIN)/python -m pip install --quiet --no-deps --target build/wheel/site build/wheel/hystfit_jax-*.whl
 	cd build/wheel && PYTHONPATH=site ../../$(BIN)/python -c "import hystfit, pathlib; \
 	  assert pathlib.Path(hystfit.__file__).is_relative_to(pathlib.Path('site').resolve()), hystfit.__file__; \
 	  print('wheel:', len(hystfit.datasets.load('stage-sine')), 'samples of stage-sine')"
 
-# Tests that touch every dependency. The oldest Python with the oldest versions that pyproject.toml declares, the newest with the newest.
+# Tests that touch every dependency. The oldest Python with the oldest versions that pyproject.toml declares, newer ones with the newest.
 VERSIONED := tests/test_versions.py tests/test_saved_fits.py tests/test_bouc_wen.py tests/test_params.py
-versions: setup  ## a selection of tests under the oldest and the newest available Python and dependencies
+versions: setup  ## a selection of tests under each available Python from 3.11 to 3.14, with the oldest and the newest dependencies
 	$(BIN)/python -m pip install --quiet 'uv>=0.8'
-	@status=0; for case in "3.11 lowest-direct" "3.13 highest"; do set -- $$case; \
+	@status=0; for case in "3.11 lowest-direct" "3.12 highest" "3.13 highest" "3.14 highest"; do set -- $$case; \
 	  found=$$(PATH=$$(printf '%s:' "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/$$1.*/bin)$$PATH \
 	    UV_PYTHON_DOWNLOADS=never $(BIN)/uv python find $$1 2>/dev/null) || { echo "skipped: no Python $$1 on this machine"; continue; }; \
 	  echo "== Python $$1, $$2"; env=build/versions/$$1; \
@@ -100,6 +103,9 @@ versions: setup  ## a selection of tests under the oldest and the newest availab
 	  $(BIN)/uv pip install --quiet --resolution $$2 --python $$env/bin/python --editable '.[bayes,files,frames]' \
 	    'pytest>=9.0' 'pytest-timeout>=2.4' 'beartype>=0.22' 'hypothesis>=6.130' && \
 	  $$env/bin/python -m pytest -q -o filterwarnings=default -m "not slow" $(VERSIONED) || status=1; done; exit $$status
+
+release-check: setup  ## version, archives (built twice, bit for bit), metadata and first fits in new environments, from a clean clone
+	$(BIN)/python -m tests.hard.release
 
 records: setup  ## rewrite the bundled records
 	$(BIN)/python data/make.py

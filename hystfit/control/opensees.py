@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.metadata
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 
 from hystfit.errors import ModelError
 from hystfit.models.registry import model_name
+from hystfit.version import __version__
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -61,7 +61,7 @@ def _comments(result: FitResult, remarks: tuple[str, ...]) -> list[str]:
     """What a reader of the line needs to know."""
     units = result.data.units
     shown = ", ".join(f"{role} in {units[of] or 'unknown units'}" for role, of in (("input", "u"), ("output", "y")))
-    lines = [f"hystfit {importlib.metadata.version('hystfit')}, model {model_name(result.model)}: {shown}"]
+    lines = [f"hystfit {__version__}, model {model_name(result.model)}: {shown}"]
     lines.append(f"rms error of the fit {result.train.nrmse_percent:.3g} % of the range, status {result.status}")
     lines.append("estimates and standard errors (1 sd), covariance in the CSV file:")
     for row in result.parameters:

@@ -18,10 +18,10 @@ import venv
 import zipfile
 from pathlib import Path
 
-from tests.conftest import ROOT
 
+ROOT = Path(__file__).resolve().parents[2]
 NAME = "hystfit-jax"
-FIRST_FIT = ("fit", "stage-sweep", "--model", "bouc-wen", "--starts", "1", "--format", "json")
+FIRST_FIT = ("fit", "stage-sweep", "--model", "bouc-wen", "--starts", "1", "--json")
 
 
 def run(*command: str | Path, cwd: Path, **variables: str) -> str:
