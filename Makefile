@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 QUICK ?= --quick
 PARTS ?= calls fit ukf reading
 CONSTRAINTS ?= constraints.txt
+# Rooms whose arrays are checked against their annotations in the full form of the tests.
+TYPED := batch control data fitting identify inference models params sampling stage uncertainty
+EVERY_SHAPE = --jaxtyping-packages=$(subst $() $(),,$(foreach room,$(TYPED),hystfit.$(room),))beartype.beartype
 # Tests and experiments compile the same programs in many processes: they share one compilation cache.
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/build/programs
 export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0.1
@@ -50,15 +53,17 @@ types: setup
 	$(BIN)/basedpyright
 
 tests: setup  ## the tests, without the slow ones (QUICK= for all)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 1 -q $(if $(QUICK),-m "not slow")
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 1 -q $(if $(QUICK),-m "not slow",$(EVERY_SHAPE))
 
 notebooks: setup  ## run every notebook, two at a time (QUICK= for the full form)
 	@ls notebooks/[0-9]*.py | xargs -n 1 basename -s .py | xargs -P 2 -I NAME $(BIN)/python notebooks/run.py $(QUICK) NAME
 
+# Experiments that take longest start first, so that both cores are busy to the end.
+LONG := recognition structures measured
 # Exit status of an experiment: 0 ok, 1 a number missed, 77 parts skipped without their measured data (experiments/common.py).
 experiments: setup  ## run every experiment, two at a time, and check its numbers (QUICK= for the full form)
 	@mkdir -p build/experiments && rm -f build/experiments/*.log
-	@ls experiments/*/run.py | xargs -P 2 -I RUN sh -c 'log=build/experiments/$$(basename $$(dirname RUN)).log; \
+	@printf '%s\n' $(LONG:%=experiments/%/run.py) $(filter-out $(LONG:%=experiments/%/run.py),$(wildcard experiments/*/run.py)) | xargs -P 2 -I RUN sh -c 'log=build/experiments/$$(basename $$(dirname RUN)).log; \
 	  $(BIN)/python RUN $(QUICK) > $$log 2>&1; status=$$?; echo "exit status $$status" >> $$log; \
 	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
