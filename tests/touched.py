@@ -2,8 +2,9 @@
 
     python -m tests.touched [COMMIT]
 
-Tested are the test files that changed, and those that belong to a changed module: they import from it or carry its name. Without
-COMMIT the comparison is with main where HEAD has left it, and with HEAD otherwise. Files that are not yet tracked count as changed.
+Tested are the test files that changed, and those of a changed module: they carry its name, or import from it. A module that many
+test files import is tested by those with its name alone, and one without tests of its own by those of its room. Without COMMIT the comparison is with main where HEAD has left it, and with
+HEAD otherwise. Files that are not yet tracked count as changed.
 """
 
 import re
@@ -11,9 +12,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = ROOT / "tests"
+MANY = 6  # test files that import a module: beyond, as for `errors` or `models`, they test other things through it
 
 
 def git(*arguments: str) -> list[str]:
@@ -35,21 +36,17 @@ def changed(commit: str) -> list[Path]:
     return sorted({ROOT / name for name in names if name.endswith(".py")})
 
 
-def belongs(test: str, text: str, module: str) -> bool:
-    """Whether a test file imports from a module of hystfit or has its name."""
-    *_, stem = module.split(".")
-    return stem in test.removesuffix(".py") or re.search(rf"\b{re.escape(module)}\b", text) is not None
-
-
 def tests_of(files: list[Path]) -> list[Path]:
     """The test files of changed files."""
-    chosen = {path for path in files if path.parent == TESTS and path.name.startswith("test_")}
-    library = [path.relative_to(ROOT).with_suffix("") for path in files if path.is_relative_to(ROOT / "hystfit")]
-    modules = [".".join(path.parts).removesuffix(".__init__") for path in library]
-    for test in TESTS.glob("test_*.py"):
-        text = test.read_text(encoding="utf-8")
-        if any(belongs(test.name, text, module) for module in modules):
-            chosen.add(test)
+    texts = {path: path.read_text(encoding="utf-8") for path in TESTS.glob("test_*.py")}
+    chosen = {path for path in files if path in texts}
+    for path in files:
+        if path.is_relative_to(ROOT / "hystfit"):
+            module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+            name = module.rpartition(".")[2]
+            importers = {test for test, text in texts.items() if re.search(rf"\b{re.escape(module)}\b", text)}
+            own = {test for test in texts if name in test.stem} | (importers if len(importers) <= MANY else set())
+            chosen |= own or {test for test in texts if path.parent.name in test.stem}
     return sorted(chosen)
 
 

@@ -18,7 +18,6 @@ import venv
 import zipfile
 from pathlib import Path
 
-
 ROOT = Path(__file__).resolve().parents[2]
 NAME = "hystfit-jax"
 FIRST_FIT = ("fit", "stage-sweep", "--model", "bouc-wen", "--starts", "1", "--json")
