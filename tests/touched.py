@@ -3,7 +3,8 @@
     python -m tests.touched [COMMIT]
 
 Tested are the test files that changed, and those of a changed module: they carry its name, or import from it. A module that many
-test files import is tested by those with its name alone, and one without tests of its own by those of its room. Without COMMIT the comparison is with main where HEAD has left it, and with
+test files import is tested by those with its name alone, and one without tests of its own by those of its room. Without COMMIT the
+comparison is with main where HEAD has left it, and with
 HEAD otherwise. Files that are not yet tracked count as changed.
 """
 

@@ -1,4 +1,9 @@
-"""The command line: `hystfit fit loop.csv` and the other verbs."""
+"""The command line: `hystfit fit loop.csv` and the other verbs.
+
+Enters: words of the shell, which cyclopts turns into the arguments of a function for each verb.
+Leaves: text on standard output, a folder of results, and an exit status.
+Open first: `fit.py`; `verbs.py` lists the verbs, `options.py` has what they share.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Inverses, feedback, loops and C code for what was fitted."""
+"""Inverses, feedback, loops and C code for what was fitted.
+
+Enters: a fit (`FitResult`) or a model, and what its output should follow.
+Leaves: the input that makes it so, with a status for each sample; controllers with margins; C99 code and lines for OpenSees.
+Open first: `inverse.py`.
+"""
 
 from hystfit.control.export import export_c as export_c
 from hystfit.control.feedback import AbstractController as AbstractController

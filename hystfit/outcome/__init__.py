@@ -1,4 +1,9 @@
-"""The typed words of every verb: its status, its notes and its tables."""
+"""The typed words of every verb: its status, its notes and its tables.
+
+Enters: facts found by other rooms.
+Leaves: `Status`, `Note(code, severity, text)` and `Table`, which print, save and show in notebooks.
+Open first: `note.py`.
+"""
 
 from hystfit.outcome.note import Code as Code
 from hystfit.outcome.note import Note as Note

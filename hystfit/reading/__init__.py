@@ -1,4 +1,9 @@
-"""Reading measured loops from files, and data sets by name."""
+"""Reading measured loops from files, and data sets by name.
+
+Enters: a path, bytes, or a data frame.
+Leaves: a `Dataset` with units, what the instrument stated, and notes on what was left out.
+Open first: `read.py`; `registry.py` lists the layouts of text, `columns.py` chooses input and output.
+"""
 
 from hystfit.reading import datasets as datasets
 from hystfit.reading.read import read as read

@@ -1,4 +1,9 @@
-"""The simulated stage: piezo actuators, their amplifiers and sensors, and the mechanism that they move."""
+"""The simulated stage: piezo actuators, their amplifiers and sensors, and the mechanism that they move.
+
+Enters: an input signal, or a controller.
+Leaves: records to train on, and a plant to control.
+Open first: `actuator.py`, then `stage.py`.
+"""
 
 from hystfit.stage.actuator import Actuator as Actuator
 from hystfit.stage.actuator import Amplifier as Amplifier
