@@ -47,6 +47,8 @@ _WORD = 4  # letters from which a unit is written as a word
 _LONGEST_NAME = 200  # characters
 _LONGEST_SETTING = 1000  # characters of a line
 
+# "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
+_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(?P<name>.*[A-Za-z].*)")
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
@@ -221,6 +223,17 @@ def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> lis
         return []
     kinds = {cells.kind(part, decimal) for part in parts[1:]}
     return parts if kinds <= {cells.NUMBER, cells.TEXT} and not any("=" in part for part in parts) else []
+
+
+def listed_names(above: Sequence[str], width: int) -> list[str]:
+    """Names of columns that stand below each other with their numbers, from 0 or 1 on; none for other lines."""
+    found = [_LISTED.fullmatch(line.strip()) for line in above]
+    for first in range(len(found) - width + 1):
+        block = [match for match in found[first : first + width] if match]
+        if width > 1 and [int(match["number"]) - int(block[0]["number"]) for match in block] == list(range(width)):
+            if block[0]["number"] in ("0", "1"):
+                return [re.sub(r",?\s+(?=[\[(])", " ", match["name"].strip()) for match in block]
+    return []
 
 
 def read_header(

@@ -11,7 +11,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import read_header, split_unit, stated_units
+from hystfit.reading.header import listed_names, read_header, split_unit, stated_units
 from hystfit.reading.number_block import Block, is_comment
 
 _BETWEEN = 3  # lines between the names and the numbers
@@ -68,8 +68,11 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         for position in nameless:
             names.insert(position, "")
             units.insert(position, "")
-    place = 0 if used else _apart(text, block)
-    if place:
+    listed = [] if used else listed_names(text.lines[:first], dialect.width)
+    place = 0 if used or listed else _apart(text, block)
+    if listed:
+        names, units = listed, [split_unit(name, listed)[1] for name in listed]
+    elif place:
         names, units, used = read_header(text.lines[low:place], dialect.width, dialect.delimiter, dialect.decimal, cut)
     elif not used and first and text.lines[first - 1].strip():
         names, used = _uneven(text, block)

@@ -116,7 +116,7 @@ def table_of_block(
     clocks = _clocks(block.cells, dialect)
     if header is None or len(header.names) != dialect.width:
         header = header_of(text, block, [k for extra in clocks.values() for k in extra])
-    names, units, named = header.names, header.units, header.used > 0
+    names, units, named = header.names, header.units, any(header.names)
     above = lines[: int(index[0])]
     metadata = sample_properties(above, names)
     stated = stated_in(above)

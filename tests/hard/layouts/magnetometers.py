@@ -39,6 +39,29 @@ def lake_shore(draw: Draw) -> Layout:
     return Layout("", {draw.pick("loop.csv", "FILM12 MvsH.csv"): packed(draw, lines)}, loops(loop(h, m)))
 
 
+@kind("columns listed in the preamble")
+def listed_columns(draw: Draw) -> Layout:
+    """Numbered names below each other, as EasyVSM, Sea-Bird and hand-written comments have them, then rows without names."""
+    n = 2 * draw.whole(80, 300)
+    field = draw.size(200, 20000) * major_loop(n)
+    m = draw.noise(draw.size(1e-4, 10) * saturating(draw, field / field.max(), begin=1), 1e-3)
+    h, m = Column("Applied Field", field, "Oe", ".4f"), Column("Moment", m, "emu", ".8e")
+    columns = [
+        Column("Time since start", 0.5 * np.arange(n) + draw.rng.uniform(0, 0.01, n), "sec", ".2f"),
+        Column("Temperature", 295 + draw.rng.normal(0, 0.02, n), "K", ".2f"),
+        h,
+        Column("Field Angle", np.zeros(n), "deg", ".1f"),
+        m,
+    ]
+    columns = [column for column in columns if column in (h, m) or draw.chance(0.7)]
+    first, (opening, closing) = draw.pick(0, 1), draw.pick("[]", "()")
+    line = draw.pick("@Column {}: {}", "# {} = {}", "# name {} = {}", "# column {}: {}", "Col{}: {}")
+    listed = [line.format(first + k, f"{c.name} {opening}{c.unit}{closing}") for k, c in enumerate(columns)]
+    above = ["VSM record", "Operator: abc", *listed, *["@@Data", "End of header", "*END*"][: draw.whole(0, 1)]]
+    lines = above + rows(columns, Dialect(draw.pick("\t", " ", ",")))
+    return Layout("", {draw.pick("film.VHD", "cast.cnv", "loop.txt"): packed(draw, lines)}, loops(loop(h, m)))
+
+
 @kind("Quantum Design .dat")
 def quantum_design(draw: Draw) -> Layout:
     n = 4 * draw.whole(40, 150)
