@@ -37,6 +37,7 @@ _SAMPLE = re.compile(
     r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
 )
+_OF_CIRCUITS = {"V": "V", "I": "A"}  # voltage of a node and current of an element in the tables of SPICE
 _NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
@@ -71,6 +72,8 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     if name.endswith(("]", ")", ">")) and (start := max(name.rfind(mark) for mark in "[(<")) > 0:
         base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
         closed = not re.search(r"[\])>]", unit)
+        if base.upper() in _OF_CIRCUITS and not (closed and is_unit(unit)):  # V(out), I(L1)
+            return name, _OF_CIRCUITS[base.upper()]
         if base and closed and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
             return base, unit
         if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix

@@ -16,6 +16,7 @@ from hystfit.reading.adjusted import with_adjusted
 from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays, parquet_arrays
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.charge_throughput import with_throughput
+from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.json_text import read_json
@@ -28,6 +29,7 @@ from hystfit.reading.specimens import divided
 from hystfit.reading.successive_tables import read_tables
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import Opening, TextFile, text_of
+from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.workbook import read_workbook
 
@@ -117,6 +119,8 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_easyexpert,
     read_sections,
     read_tables,
+    read_transposed,
+    read_drawn_table,
     plain_text,
 )
 

@@ -61,7 +61,11 @@ class TextFile:
         lines = list(self.lines)
         for k in blanked:
             lines[k] = ""
-        return dataclasses.replace(self, content="\n".join(lines) + "\n")
+        return self.of("\n".join(lines))
+
+    def of(self, content: str) -> TextFile:
+        """The file with its content arranged in another way."""
+        return dataclasses.replace(self, content=content + "\n")
 
 
 def text_of(file: FileBytes, opening: Opening) -> TextFile:

@@ -11,6 +11,7 @@ from . import (  # noqa: F401 - they register their kinds
     nameless,
     offices,
     piezo,
+    reports,
     slow,
     structures,
 )

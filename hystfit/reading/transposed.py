@@ -1,0 +1,31 @@
+"""Tables on their side: a line for each quantity, which begins with its name."""
+
+import re
+
+from hystfit.reading.raw_table import Table
+from hystfit.reading.text import plain_text
+from hystfit.reading.text_file import TextFile
+
+_MOST_LINES = 50  # lines that name a quantity; the samples stand beside each other
+_FEWEST_SAMPLES = 20  # numbers after the name, as many as a loop needs
+_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?")
+
+
+def read_transposed(text: TextFile) -> Table | None:
+    """A table whose rows are quantities; None for text of another layout."""
+    lines = [line for line in text.head if line.strip()]
+    if len(lines) > _MOST_LINES:
+        return None
+    for delimiter in (text.opening.delimiter,) if text.opening.delimiter else (";", "\t", ","):
+        rows = [[cell.strip() for cell in line.rstrip(f"\r{delimiter}").split(delimiter)] for line in lines]
+        rows = [row for row in rows if _is_quantity(row)]
+        if len(rows) > 1 and len({len(row) for row in rows}) == 1:
+            return plain_text(text.of("\n".join(delimiter.join(column) for column in zip(*rows, strict=True))))
+    return None
+
+
+def _is_quantity(row: list[str]) -> bool:
+    """Whether a line is a name and the numbers of a column."""
+    name, *numbers = row
+    named = name and not _NUMBER.fullmatch(name)
+    return bool(named) and len(numbers) >= _FEWEST_SAMPLES and all(map(_NUMBER.fullmatch, numbers))

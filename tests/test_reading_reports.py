@@ -1,0 +1,57 @@
+"""Tables of notes, spreadsheets and simulators: drawn with rules, a row for each quantity, names listed by number, SPICE names."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+
+PHASE = np.linspace(0, 4 * np.pi, 61)
+FIELD = 10 * np.sin(PHASE)
+MOMENT = np.round(0.7 * np.tanh(FIELD / 4 - 0.5 * np.cos(PHASE)), 5)
+ROWS = [f"{h:.4f} {m:.5f}" for h, m in zip(FIELD, MOMENT, strict=True)]
+BARS = [f"| {row.replace(' ', ' | ')} |" for row in ROWS]
+NAMES = ("H (kA/m)", "B (T)")
+DRAWN = {
+    "Markdown": ["# Loop 7", "", "| H (kA/m) | B (T) |", "| ---: | ---: |", *BARS],
+    "framed": ["+----------+-------+", "| H (kA/m) | B (T) |", "+----------+-------+", *BARS, "+----------+-------+"],
+    "simple": ["H (kA/m)  B (T)", "--------  -----", *ROWS],
+    "names and units": ["H     B", "kA/m  T", "====  =====", *ROWS],
+    "rows": [
+        "H (kA/m)," + ",".join(row.split()[0] for row in ROWS),
+        "B (T)," + ",".join(row.split()[1] for row in ROWS),
+        "Date,12.3.2024",
+    ],
+    "listed": ["VSM record", "@Column 0: H, [kA/m]", "@Column 1: B, [T]", "@@Data", *ROWS],
+    "listed from 1": ["# 1 = H (kA/m)", "# 2 = B (T)", *["# a remark of several words"] * 15, *ROWS],
+}
+
+
+@pytest.mark.parametrize("kind", DRAWN)
+def test_names_and_units_of_tables_in_notes(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "note.txt"
+    path.write_text("\n".join(DRAWN[kind]) + "\n", encoding="utf-8")
+    record = hf.read(path)
+    assert (record.u_unit, record.y_unit) == ("kA/m", "T")
+    np.testing.assert_allclose(record.u, FIELD, atol=6e-5)
+    np.testing.assert_allclose(record.y, MOMENT, atol=1e-9)
+
+
+def test_spice_names_its_voltages_and_currents(tmp_path: Path) -> None:
+    """V(drive) is the voltage of the node drive, not a quantity V in drives."""
+    path = tmp_path / "ltspice.txt"
+    rows = [f"{1e-3 * k}\t{row.replace(' ', chr(9))}" for k, row in enumerate(ROWS)]
+    path.write_text("\n".join(["time\tV(drive)\tI(L1)", *rows]) + "\n", encoding="utf-8")
+    record = hf.read(path, input="V(drive)", output="I(L1)")
+    assert (record.u_unit, record.y_unit) == ("V", "A")
+
+
+def test_numbered_settings_are_no_columns(tmp_path: Path) -> None:
+    """Lists of steps or channels with other numbers of entries than columns stay text."""
+    path = tmp_path / "steps.txt"
+    path.write_text(
+        "\n".join(["1: warm up", "2: sweep", "3: rest", "", "H (kA/m)  B (T)", *ROWS]) + "\n", encoding="utf-8"
+    )
+    record = hf.read(path)
+    assert record.u_name.startswith("H")
