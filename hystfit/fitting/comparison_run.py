@@ -40,6 +40,7 @@ _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeE
 _HOPELESS = 1.5  # a model whose first fit errs this much more than the best on held-out data is not validated
 
 _WHITE = "the residuals of the best model are noise"
+_TIMELESS = "the search found no term that depends on time"
 _FIRST_STARTS = 2  # starting points of that fit
 
 
@@ -97,9 +98,14 @@ class ComparisonRun:
             waiting = self._looked_at(others, shown, workers)
         self._finish(waiting, shown, workers)
         search = self.fits.get(SEARCH)
-        chosen = chosen.beside(*(structure_of(search.model) if search else (Structure(), False)))
-        self.run(chosen.closed, shown, workers)
+        found, delay = structure_of(search.model) if search else (Structure(), False)
         rings = self._rings()
+        if not (white or rings or delay or found.timed):
+            timed = tuple(name for name in chosen.iterated if not make_model(name).rate_independent)
+            self._skip((*timed, *chosen.resonant), _TIMELESS)
+            chosen = Candidates(chosen.closed, tuple(name for name in chosen.iterated if name not in timed))
+        chosen = chosen.beside(found, delay)
+        self.run(chosen.closed, shown, workers)
         steps = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
         for number, names in enumerate(steps):
             if not white and self._is_white():
@@ -107,7 +113,7 @@ class ComparisonRun:
             elif rings and number and self._resonance_needed():
                 self._skip(names, "a resonance is needed")
             else:
-                self.run(names, shown, workers)
+                self._finish(self._looked_at(names, shown, workers), shown, workers, past_white=white)
 
     def _spacing(self, waiting: Sequence[Candidate]) -> int:
         """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""
@@ -176,13 +182,19 @@ class ComparisonRun:
         self._each(self._first_fit, candidates, shown, workers)
         return candidates
 
-    def _finish(self, candidates: Sequence[Candidate], shown: ShownProgress, workers: Workers) -> None:
-        """Fit and validate candidates in the order of their first fits."""
+    def _finish(
+        self, candidates: Sequence[Candidate], shown: ShownProgress, workers: Workers, *, past_white: bool = True
+    ) -> None:
+        """Fit and validate candidates in the order of their first fits; with white residuals of the best the others go on if `past_white`."""
         waiting = self._keep_finished(candidates, shown)
         while waiting:
             for one in waiting:
                 one.row = self._excluded_row(one)
-            ahead = contenders([one for one in waiting if one.row is None])
+            if not past_white and self._is_white():
+                self._skip([one.name for one in waiting if one.row is None], _WHITE)
+                self._keep_finished([one for one in waiting if one.row is not None], shown)
+                return
+            ahead = contenders([one for one in waiting if one.row is None], self.equal)
             self._each(self._fit, ahead, shown, workers)
             for one in ahead:
                 one.row = one.row or self._beaten_row(one)

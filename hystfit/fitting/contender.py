@@ -54,8 +54,15 @@ class Candidate:
     seconds: float = 0.0
 
 
-def contenders(waiting: Sequence[Candidate]) -> list[Candidate]:
-    """The models to validate next, because they may stop the others: those with the best first fits, of models with elements first."""
+def contenders(waiting: Sequence[Candidate], equal: float = 1.0) -> list[Candidate]:
+    """The models to validate next, because they may stop the others: those with the best first fits, of models with elements first.
+
+    Args:
+        waiting: models that are not validated.
+        equal: ratio to the smallest error of a first fit up to which that with the fewest parameters goes first.
+    """
     firsts = [(one, one.first) for one in waiting if one.first is not None]
-    ordered = sorted(firsts, key=lambda pair: (pair[1].model is None, pair[1].error))
+    most = equal * min((first.error for _, first in firsts), default=0.0)
+    plain = lambda first: (first.error > most, (first.parameters or 0) if first.error <= most else first.error)
+    ordered = sorted(firsts, key=lambda pair: (pair[1].model is None, *plain(pair[1])))
     return [one for one, _ in ordered[:_WAVE]]

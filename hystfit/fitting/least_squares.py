@@ -19,7 +19,7 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
-_ROUGH = 1e-4  # relative tolerance on z of starts on the short form of the records
+_ROUGH = 1e-4  # relative tolerance on z of starts that are polished later, and of a first look
 _ROUGH_GAIN = 1e-6  # decrease of the cost, relative to it, that is left to the polish
 # Of a fit of few samples: relative decrease of the cost at which it has converged, and steps to it at most.
 _EXACT, _STEPS = 1e-14, 200
@@ -40,7 +40,7 @@ class LeastSquares(AbstractEstimator):
         gain: decrease of the cost promised by the linear model, relative to it, below which "lm" has converged too.
         max_steps: in a round.
         rounds: of further steps for the best start and the first.
-        brief: a quick first fit of a model: the polish and the trust region take few evaluations, whether they converge or not.
+        brief: a first look at a model: no polish, and no trust region for what has not converged.
     """
 
     needs_starts: ClassVar[bool] = True
@@ -54,15 +54,18 @@ class LeastSquares(AbstractEstimator):
 
     def quick(self) -> LeastSquares:
         """See the base class."""
-        return dataclasses.replace(self, brief=True)
+        return dataclasses.replace(self._rough(), brief=True)
+
+    def _rough(self) -> LeastSquares:
+        """With the tolerances of points that are polished later."""
+        return dataclasses.replace(self, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
         short = thin(problem)
         objective, settings = problem.objective, self
-        if short is not None:  # tolerances of starting points that are polished later
-            objective = short
-            settings = dataclasses.replace(self, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
+        if short is not None:
+            objective, settings = short, self._rough()
         ended = settings._run(objective, starts)
         # The first start continues too: another basin may be ahead after few steps.
         for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
@@ -70,16 +73,17 @@ class LeastSquares(AbstractEstimator):
         costs, steps = ended.cost, int(ended.evaluations.sum())
         number = int(np.argmin(costs))
         z, cost, success, linearized = ended.z[number], float(costs[number]), bool(ended.converged[number]), None
+        if self.brief:
+            return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
-            exact = () if self.brief or short is not None else (_STEPS, _EXACT)
+            exact = () if short is not None else (_STEPS, _EXACT)
             z, cost, success, more, linearized = polish(problem, z, *exact)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, _ON_BOUND)):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)
-        finisher = TrustRegion().quick() if self.brief else TrustRegion()
-        finished = finisher.estimate(problem, np.asarray(z)[None])
+        finished = TrustRegion().estimate(problem, np.asarray(z)[None])
         message = "finished by the bounded trust region" if finished.converged else finished.message
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)

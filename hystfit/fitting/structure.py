@@ -49,6 +49,11 @@ class Structure:
     rate: int = 0
     hardening: int = 0
 
+    @property
+    def timed(self) -> bool:
+        """Whether a term depends on time."""
+        return self.lag > 0 or self.creep or self.rate > 0
+
     def columns(self, plays: int, records: int) -> int:
         """Number of weights with this many plays, one offset per record included."""
         return (
@@ -77,10 +82,12 @@ class Structure:
 
 
 def structure_of(model: AbstractHysteresis) -> tuple[Structure, bool]:
-    """What the model of a search has before and beside its plays, and whether it has a pure delay."""
+    """What the model of a search has before and beside its plays, but for values, and whether it has a pure delay."""
     parts = [leaf for part in getattr(model, "parts", (model,)) for leaf in getattr(part, "parts", (part,))]
     has = lambda kind: any(isinstance(part, kind) for part in parts)
-    return Structure(falls=has(Negate), line=has(Linear), lag=float(has(Lag))), has(Delay)
+    rate = int(has(Viscous)) + int(has(SaturatingRate))
+    terms = Structure(falls=has(Negate), line=has(Linear), lag=float(has(Lag)), creep=has(LinearCreep), rate=rate)
+    return terms, has(Delay)
 
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -11,9 +10,6 @@ import scipy  # loads its subpackages when they are first used, which optimize i
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
-
-# Of a first look: tolerance, and evaluations at most.
-_QUICK, _QUICK_EVALUATIONS = 1e-3, 40
 
 
 class TrustRegion(AbstractEstimator):
@@ -29,10 +25,6 @@ class TrustRegion(AbstractEstimator):
     needs_starts: ClassVar[bool] = True
     tolerance: float = eqx.field(static=True, default=1e-10)
     max_evaluations: int = eqx.field(static=True, default=300)
-
-    def quick(self) -> TrustRegion:
-        """See the base class."""
-        return dataclasses.replace(self, tolerance=_QUICK, max_evaluations=_QUICK_EVALUATIONS)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
