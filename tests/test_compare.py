@@ -229,6 +229,11 @@ def test_every_family_that_the_records_can_drive_is_tried():
         for low in np.linspace(-1, 0.5, 8)
     ]
     assert set(candidates(hf.Dataset(tuple(curves))).names) == {"preisach-forc", "preisach-forc-signed"}
+    ramped = [  # a point at saturation, which does not count, before each curve
+        hf.Record(np.append(1.0, r.u), np.append(0.9, r.y), weight=np.append(0.0, r.weight), name=r.name)
+        for r in curves
+    ]
+    assert candidates(hf.Dataset(tuple(ramped))) == candidates(hf.Dataset(tuple(curves)))
 
 
 def test_what_the_search_finds_beside_its_plays_is_tried_beside_other_models():

@@ -33,7 +33,8 @@ _FEWEST = 10  # samples, below which no fit is usable
 def turns_back(data: Dataset) -> bool:
     """Whether any record's input reverses by more than 1 % of its range while samples count."""
     for record in data:
-        u = record.u[: int(np.flatnonzero(record.used)[-1]) + 1]
+        first, last = np.flatnonzero(record.used)[[0, -1]]
+        u = record.u[first : last + 1]
         span = float(np.ptp(u))
         lowest, highest = np.minimum.accumulate(u), np.maximum.accumulate(u)
         risen = float(np.max(np.subtract(u, lowest, out=lowest)))
