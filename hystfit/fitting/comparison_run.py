@@ -21,6 +21,7 @@ from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.left_out import LeftOut, bic, left_out_error
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.screening import MARGIN
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.structure import Structure, structure_of
 from hystfit.fitting.thinning import thinned
@@ -37,7 +38,6 @@ from hystfit.runs.threads import Workers
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
-_HOPELESS = 1.5  # a model whose first fit errs this much more than the best on held-out data is not validated
 
 _WHITE = "the residuals of the best model are noise"
 _TIMELESS = "the search found no term that depends on time"
@@ -143,7 +143,7 @@ class ComparisonRun:
     def _resonance_needed(self) -> bool:
         """Whether the search, which has no resonance, errs far more than the best model."""
         best, search = self._best(), next((_score(row) for row in self.rows if row.asked == SEARCH), 0.0)
-        return best is not None and search > _HOPELESS * best
+        return best is not None and search > MARGIN * best
 
     def _is_white(self) -> bool:
         """Whether the residuals of the best model are white, and its loop stands out of them."""
@@ -185,7 +185,7 @@ class ComparisonRun:
     def _finish(
         self, candidates: Sequence[Candidate], shown: ShownProgress, workers: Workers, *, past_white: bool = True
     ) -> None:
-        """Fit and validate candidates in the order of their first fits; with white residuals of the best the others go on if `past_white`."""
+        """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`."""
         waiting = self._keep_finished(candidates, shown)
         while waiting:
             for one in waiting:
@@ -324,7 +324,7 @@ class ComparisonRun:
         if best is None or first is None:
             return None
         error = 100 * first.error / self._span
-        if not np.isfinite(error) or error <= _HOPELESS * best:
+        if not np.isfinite(error) or error <= MARGIN * best:
             return None
         note = (
             f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "

@@ -1,16 +1,21 @@
-"""`check`: the data-quality report, and the model to try first by a competition of those with a closed form."""
+"""`check`: the data-quality report, with what a competition of models with a closed form shows: the one to try first, and a drift."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
-from hystfit.fitting.screening import best_screened, screen
+from hystfit.fitting.fit_setup import without_faults
+from hystfit.fitting.fit_warnings import drift_note
+from hystfit.fitting.screening import Screened, best_screened, screen
 from hystfit.models.registry import judged, judged_as
+from hystfit.models.starting import output_range
 from hystfit.outcome import Code
+from hystfit.outcome.note import has
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, examine
 from hystfit.quality.determination import Verdict
@@ -38,19 +43,34 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
     other = any(note.code is Code.DEGRADING or note.option == _INTEGRATED for note in report.findings)
-    advice = None if other else _advice(records)
+    screened = () if other else _screened(records)
+    advice = _advice(records, screened) if screened else None
+    searched = next((one.found for one in screened if one.found is not None), None)
+    drift = None
+    if searched is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
+        drift = drift_note(searched.rows, without_faults(records), output_range(records).width)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
-    return dataclasses.replace(report, advice=advice, determines=tuple(sorted(report.determines, key=rank)))
+    return dataclasses.replace(
+        report,
+        findings=(*report.findings, *([drift] if drift else [])),
+        advice=advice,
+        determines=tuple(sorted(report.determines, key=rank)),
+    )
 
 
-def _advice(records: Dataset) -> Advice | None:
-    """The best of the models with a closed form; None where none of them describes a loop."""
+def _screened(records: Dataset) -> tuple[Screened, ...]:
+    """The models with a closed form and their errors; none where the records drive none."""
     try:
-        baselines = Baselines.of(records)
-        best = best_screened(screen(records), sum(int(record.used.sum()) for record in records), baselines.span)
+        return tuple(screen(records))
     except HystfitError:
-        return None
+        return ()
+
+
+def _advice(records: Dataset, screened: Sequence[Screened]) -> Advice | None:
+    """The best of the models with a closed form; None where none of them describes a loop."""
+    baselines = Baselines.of(records)
+    best = best_screened(screened, sum(int(record.used.sum()) for record in records), baselines.span)
     percent = 100 * best.error / baselines.span
     if is_noise(baselines.curve, baselines) or best.error >= baselines.curve:  # a single-valued curve describes them
         return None

@@ -9,12 +9,12 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.quality.baselines import BLOCK
 
 _SHORT = 0.03  # of the samples of a record
 _LARGER = 5.0  # times the rms error of the other samples
 # Residuals belong to the stretch that are this many times that rms error, with at most so many samples between two of them.
 _OUTSIDE, _GAP = 4.0, 4
-_BLOCK = 2**16  # samples looked at together
 
 
 def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool = False) -> Note | None:
@@ -52,8 +52,8 @@ def shortest_half(squares: np.ndarray) -> tuple[int, int]:
     count, total = squares.size, np.zeros(squares.size + 1)
     np.cumsum(squares, out=total[1:])
     first, fewest = 0, count + 1
-    for begin in range(0, count, _BLOCK):
-        starts = np.arange(begin, min(begin + _BLOCK, count))
+    for begin in range(0, count, BLOCK):
+        starts = np.arange(begin, min(begin + BLOCK, count))
         stops = np.searchsorted(total, total[starts] + 0.5 * total[-1])
         length = np.where(stops <= count, stops - starts, count)
         if length.min() < fewest:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.quality.faults import clipped_samples, saturated_samples
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
 _BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_VISIBLE_DELAY = 0.3  # percent of range, below which a delay does not matter
+_MOST = 0.5  # least share of a squared error that a drift explains
+_TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
@@ -30,7 +32,9 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         _outliers(fitted.data),
         disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
-        _drifting(fitted),
+        None
+        if is_noise(fitted.train.rmse, fitted.baselines)
+        else drift_note(fitted.rows, fitted.data, fitted.baselines.span),
     )
     return [note for note in found if note is not None]
 
@@ -65,7 +69,7 @@ def _outliers(data: Dataset) -> Note | None:
 
 def _delayed(fitted: Fitted) -> Note | None:
     """A warning where the output has a delay that the model has not."""
-    if fitted.percent < _VISIBLE_DELAY or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
+    if fitted.percent < VISIBLE or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
         return None
     found = [(record, delay) for record in fitted.data if (delay := delay_of(record)) is not None]
     if not found:
@@ -79,19 +83,29 @@ def _delayed(fitted: Fitted) -> Note | None:
     )
 
 
-def _drifting(fitted: Fitted) -> Note | None:
-    """A warning where the output drifts steadily, which no model describes."""
-    if fitted.percent < VISIBLE or is_noise(fitted.train.rmse, fitted.baselines) or not fitted.may_change:
-        return None
-    drifting = next((quality for quality in fitted.qualities if quality.trend is not None), None)
-    if drifting is None:
-        return None
-    size = f"{drifting.trend:.3g} {drifting.units['y']}".rstrip()
-    return warn(
-        Code.DRIFT,
-        f"the output of {drifting.name!r} drifts by {size} over the record, apart from its loops: no model includes a steady drift, so "
-        "subtract it before the fit",
-    )
+def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
+    """A warning where most of the squared error of a record lies along a straight line in time, which no model includes.
+
+    Args:
+        rows: prediction less measurement at the samples of each record that count [y].
+        data: the records.
+        span: range of the output [y].
+    """
+    for row, record in zip(rows, data, strict=True):
+        if record.t is None or clear_reversals(record.u).size < _TURNS:
+            continue
+        passed, missed = record.t[record.used] - record.t[record.used].mean(), row.mean() - row
+        slope = float(passed @ missed / (passed @ passed))
+        change = slope * float(np.ptp(passed))
+        if slope**2 * (passed @ passed) < _MOST * (missed @ missed) or 100 * abs(change) < VISIBLE * span:
+            continue
+        size = f"{change:.3g} {record.y_unit}".rstrip()
+        return warn(
+            Code.DRIFT,
+            f"the output of {record.name!r} drifts by {size} over the record ({100 * abs(change) / span:.2g} % of the range), apart from "
+            "its loops: no model includes a steady drift, so subtract it before the fit",
+        )
+    return None
 
 
 def _at_an_end(fitted: Fitted) -> Note | None:
@@ -103,7 +117,7 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     worst = int(np.argmax([row.max() for row in size]))
     record, errors = fitted.data[worst], size[worst]
     largest = 100 * errors.max() / fitted.baselines.span if fitted.baselines.span > 0 else 0.0
-    turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
+    turns = clear_reversals(record.u)
     held = [name for name, _, info in fitted.problem.space.fixed() if info.per_record]
     if turns.size < (1 if held else 2) or largest < VISIBLE:
         return None

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import first_device
+from hystfit.fitting.polish import LEAST_DAMPING, LONGEST_STEP, MOST_DAMPING, ROUNDING
 from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_one_scan
 from hystfit.inference.objective import Objective
 
@@ -31,10 +32,8 @@ _SAMPLES = 2**19  # of all lanes of such a call, at most
 _TOGETHER = 2**30  # numbers of the data of the lanes that a GPU holds at once
 _UNROLL = 8  # samples in one turn of the scan: 4096 lanes took 5 ms a pass on an H100, and 22 ms at one sample a turn
 _ROUND = 6  # steps of lanes that go together, before those that have ended leave
-_ROUNDING = 1e-28  # decrease for each sample that is below rounding errors
 _EQUAL = 1e-12  # relative difference of two costs that rounding may cause
-_LEAST, _MOST, _FIRST = 1e-12, 1e10, 1e-3  # damping
-_LONGEST = 4.0  # step in z, infinity norm
+_FIRST = 1e-3  # damping
 
 
 class Stack(NamedTuple):
@@ -248,13 +247,13 @@ def _descend(normal: Callable[..., Normal], objective: Objective, lane: _Lane, g
         new = normal(objective, lane.trial)
         # The last step may change the cost by less than rounding does.
         better = new.cost < jnp.where(lane.last, lane.best.cost * (1 + _EQUAL), lane.best.cost)
-        softer = jnp.where(jnp.isinf(lane.best.cost), lane.damping, jnp.maximum(0.1 * lane.damping, _LEAST))
+        softer = jnp.where(jnp.isinf(lane.best.cost), lane.damping, jnp.maximum(0.1 * lane.damping, LEAST_DAMPING))
         damping = jnp.where(better, softer, 10.0 * lane.damping)
         best = jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, lane.best)
         # Damping holds the directions that the data hardly determine: what is left to gain shows without it.
-        (step, _), (whole, predicted) = _step(best, damping), _step(best, _LEAST)
-        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + _ROUNDING * samples
-        ended = lane.last | (damping >= _MOST) | jnp.isinf(best.cost)
+        (step, _), (whole, predicted) = _step(best, damping), _step(best, LEAST_DAMPING)
+        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + ROUNDING**2 * samples
+        ended = lane.last | (damping >= MOST_DAMPING) | jnp.isinf(best.cost)
         return _Lane(best, best.z + jnp.where(near, whole, step), damping, lane.last | near, ended, lane.steps + 1)
 
     return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
@@ -266,5 +265,5 @@ def _step(point: Normal, damping: Array | float) -> tuple[Array, Array]:
     scale = 1 / jnp.sqrt(jnp.maximum(diagonal, 1e-24 * jnp.max(diagonal) + 1e-300))
     scaled = point.matrix * scale[:, None] * scale[None, :]
     step = -scale * jnp.linalg.solve(scaled + damping * jnp.eye(scale.size), scale * point.gradient)
-    step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-300))
+    step = step * jnp.minimum(1.0, LONGEST_STEP / jnp.maximum(jnp.max(jnp.abs(step)), 1e-300))
     return step, -(point.gradient @ step + 0.5 * step @ point.matrix @ step)

@@ -15,10 +15,10 @@ from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
-_ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
-_BLUR = 0.01  # rounding error of an output over _ROUNDING
-_LEAST, _MOST = 1e-12, 1e10  # damping
-_LONGEST = 4.0  # step in z of parameters with bounds, infinity norm
+ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
+_BLUR = 0.01  # rounding error of an output over ROUNDING
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10
+LONGEST_STEP = 4.0  # step in z of parameters with bounds, infinity norm
 # Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays.
 _NOTHING = 1e-8
 _INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, below which it is rounding errors
@@ -60,11 +60,11 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
             break
         ordered, decrease = _step(at.factor, int(offsets.sum()), damping)
         converged = decrease <= gain * at.cost + floor
-        if converged or damping > _MOST:
+        if converged or damping > MOST_DAMPING:
             break
         step = np.zeros(z.size)
         step[order] = ordered
-        step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
+        step = step * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
         at, linearized = at._replace(linearized=None), None  # of a long record there is no room for two
         new, evaluations = _linearize(problem, at.z + step, order, samples), evaluations + 1
         blurred = _BLUR * np.sqrt(
@@ -72,7 +72,7 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         )  # where a smaller decrease cannot be seen, the linear model decides
         if new.cost < at.cost + (blurred if decrease < blurred else 0.0):
             at, linearized = new, new.linearized
-            damping = max(0.1 * damping, _LEAST)
+            damping = max(0.1 * damping, LEAST_DAMPING)
         else:
             damping *= 10.0
         del new
@@ -100,7 +100,7 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
     """
     largest = float(np.abs(x)[problem.space.offsets].max(initial=largest))
     with np.errstate(over="ignore"):
-        return float(samples * np.square(np.float64(_ROUNDING * largest / problem.scales.y)))
+        return float(samples * np.square(np.float64(ROUNDING * largest / problem.scales.y)))
 
 
 def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int) -> _Linearized:

@@ -9,15 +9,15 @@ from hystfit.data.dataset import Dataset
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.sizes import SizeSearch
-from hystfit.fitting.structure_search import search_structure
+from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import POOR
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.params.param import leaves_of
 from hystfit.quality.held_out import equal_errors
 
-# How many times the error of the others may be that of a model without an inverse: a flexible one that describes a lag or a drift of this
-# loop by weights that no other loop would have.
+# How many times the error of the best decides without further evidence: a first fit that errs more is not validated, and a model without an
+# inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err less by it.
 MARGIN = 1.5
 
 
@@ -30,12 +30,14 @@ class Screened:
         error: infinite for a model that cannot be solved for.
         weights: number of its weights.
         inverse: whether it has one.
+        found: what the search found, where it is its model.
     """
 
     name: str
     error: float
     weights: int
     inverse: bool
+    found: Found | None = None
 
 
 def screen(data: Dataset) -> Iterator[Screened]:
@@ -43,6 +45,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
     data = without_faults(data)
     short = thinned(data)  # not for the search, whose terms may depend on the rate
     for name in candidates(data).closed:
+        found = None
         if name == SEARCH:
             found = search_structure(data)
             model, error = found.model, found.score
@@ -51,7 +54,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
         else:  # it has no sizes to choose
             continue
         weights = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
-        yield Screened(model_name(model), error, weights, model.has_inverse)
+        yield Screened(model_name(model), error, weights, model.has_inverse, found)
 
 
 def best_screened(models: Iterable[Screened], samples: int, span: float) -> Screened:

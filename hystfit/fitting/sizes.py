@@ -15,9 +15,9 @@ from hystfit.models.preisach.smooth import SMOOTHNESS
 from hystfit.models.registry import model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
+from hystfit.quality.held_out import GAIN
 
 _COARSE = SMOOTHNESS[::2]
-_GAIN = 0.98  # another size is taken only if it lowers the error on held-out data by at least 2 %
 
 
 class SizeSearch:
@@ -54,7 +54,7 @@ class SizeSearch:
         for number in range(1, len(best.choices(records))):
             while True:
                 other = min(best.choices(records)[number], key=self._score, default=best)
-                if not self._score(other) < _GAIN * self._score(best):
+                if not self._score(other) < GAIN * self._score(best):
                     break
                 best = other
         error = 100 * self._score(best) / output_range(self._data).width

@@ -113,6 +113,12 @@ class Terms:
             self.scores[structure] = np.inf if against else fitted.score
         return self.scores[structure]
 
+    def residuals(self, structure: Structure) -> tuple[np.ndarray, ...]:
+        """Prediction less measurement at the samples of each record that count [y]."""
+        system = self.system(structure)
+        rows = (system.columns @ fit_ridge(system, _COARSE).weights - system.target) / np.sqrt(self.weight)
+        return tuple(np.split(rows, np.cumsum([int(record.used.sum()) for record in self.data])[:-1]))
+
     def lag_between(self, structure: Structure) -> float:
         """The lag at which a parabola through the squared errors at this lag and half a sample to either side is least [samples].
 

@@ -21,10 +21,9 @@ from hystfit.models.registry import model_name
 from hystfit.models.series import Series
 from hystfit.outcome import Code, Note
 from hystfit.quality.baselines import rounding_error
-from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.quality.held_out import GAIN, HeldOut, held_out
 from hystfit.quality.summary import delay_of, slow_lag_of
 
-_GAIN = 0.98  # a term is taken only if it lowers the error on left-out data by at least 2 %
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
 _FEWEST = 3  # plays, however few the samples are
@@ -40,6 +39,7 @@ class Found:
         structure: its terms.
         plays: number of thresholds.
         score: root mean square error on left-out blocks, output units.
+        rows: prediction less measurement at the samples of each record that count, output units.
         tried: number of candidates.
         trail: each step taken, in words.
     """
@@ -48,6 +48,7 @@ class Found:
     structure: Structure
     plays: int
     score: float
+    rows: tuple[np.ndarray, ...]
     tried: int
     trail: tuple[str, ...]
 
@@ -72,7 +73,7 @@ def search_structure(data: Dataset, *, plays: int | None = None, spacing: int = 
         return found
     delay = Delay().start(list(data))
     later = _search(data.map(lambda record: record.replace(u=output_of(delay, record))), held, plays)
-    if later.score >= _GAIN * found.score:
+    if later.score >= GAIN * found.score:
         return found
     parts = later.model.parts if isinstance(later.model, Series) else (later.model,)
     return dataclasses.replace(later, model=Series(delay, *parts), tried=found.tried + later.tried)
@@ -90,22 +91,28 @@ def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
     rounding = rounding_error(data)
     while score > rounding:
         best = _next(structure, score, terms, options)
-        if terms.score(best) >= _GAIN * score:
+        if terms.score(best) >= GAIN * score:
             break
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
         structure, score = best, terms.score(best)
-    tried, chosen = len(terms.scores), terms.plays
+    tried, chosen = len(terms.scores), terms
     for other in _OTHER_PLAYS if plays is None and score > rounding else ():
         resized = Terms(data, other, held)
         if other > most or other == terms.plays or not resized.served(structure):
             continue
         tried += 1
-        if resized.score(structure) < _GAIN * score:
+        if resized.score(structure) < GAIN * score:
             trail.append(
-                _step(f"{other} instead of {chosen} {structure.operator}s", score, resized.score(structure), terms.span)
+                _step(
+                    f"{other} instead of {chosen.plays} {structure.operator}s",
+                    score,
+                    resized.score(structure),
+                    terms.span,
+                )
             )
-            chosen, score = other, resized.score(structure)
-    return Found(build(structure, data, chosen), structure, chosen, score, tried, tuple(trail))
+            chosen, score = resized, resized.score(structure)
+    model, rows = build(structure, data, chosen.plays), chosen.residuals(structure)
+    return Found(model, structure, chosen.plays, score, rows, tried, tuple(trail))
 
 
 def _next(structure: Structure, score: float, terms: Terms, options: dict[str, tuple[Any, ...]]) -> Structure:
@@ -122,7 +129,7 @@ def _next(structure: Structure, score: float, terms: Terms, options: dict[str, t
     best = min(changes, key=terms.score, default=structure)
     finer = dataclasses.replace(structure, lag=terms.lag_between(structure)) if structure.lag else structure
     clearly = terms.score(finer) < _CLEARLY * score
-    return finer if clearly or terms.score(best) >= _GAIN * score else best
+    return finer if clearly or terms.score(best) >= GAIN * score else best
 
 
 def max_plays(data: Dataset) -> int:

@@ -11,12 +11,11 @@ from hystfit.data.dataset import Dataset
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import clear_reversals
 
 _SAMPLES = 1024  # of all records together
 _LEAST = 256  # of each record
 _A_BRANCH = 12  # samples between two reversals of the input, on average
-_TURN = 0.02  # of the input's range: smaller reversals need not be kept
 _PAYS = 2  # times as many samples make the short form worth its compilation
 
 
@@ -62,7 +61,7 @@ def thinned(data: Dataset) -> Dataset:
 
 def _plan(data: Dataset, samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:
     """Reversals of the input of every record, and the number of samples to keep of each."""
-    turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in data]
+    turns = [clear_reversals(record.u) for record in data]
     most = max(turn.size for turn in turns)
     return turns, bucket(max(samples // len(turns), _LEAST, _A_BRANCH * most))
 

@@ -19,7 +19,7 @@ from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
 _OFFSET = 0.5  # fraction of the test error that remains, below which a constant offset explains it
-_LEFT_OUT, _WORSE = 10.0, 3.0  # limit of the cross-validation error: percent of range, and times the error of the fit
+_WORSE = 3.0  # times the error of the fit, up to which that of cross-validation is no objection, as up to `POOR`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +107,7 @@ def with_left_out(result: FitResult, rmse: float) -> FitResult:
     Where there are at least as many parameters as samples, a warning states that only this error tests the fit.
     """
     result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
-    limit = max(_LEFT_OUT / 100 * span, _WORSE * result.train.rmse)
+    limit = max(POOR / 100 * span, _WORSE * result.train.rmse)
     if len(result.free_names) >= result.train.n:
         text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
         if not has(result.notes, Code.MANY_WEIGHTS):

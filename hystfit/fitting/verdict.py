@@ -16,6 +16,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
+from hystfit.quality.loops import SLACK
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise, is_single_valued_error
@@ -39,7 +40,7 @@ def turns_back(data: Dataset) -> bool:
         lowest, highest = np.minimum.accumulate(u), np.maximum.accumulate(u)
         risen = float(np.max(np.subtract(u, lowest, out=lowest)))
         fallen = float(np.max(np.subtract(highest, u, out=highest)))
-        if min(risen, fallen) > 0.01 * span > 0:
+        if min(risen, fallen) > SLACK * span > 0:
             return True
     return False
 

@@ -14,7 +14,7 @@ from hystfit.quality.faults import noise_rms, rounding_rms
 
 _DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
-_BLOCK = 2**16  # samples whose rows are held at once
+BLOCK = 2**16  # samples looked at together
 _Part = tuple[np.ndarray, np.ndarray]
 _SPARE = 4  # samples for each unknown of the plays, below which their error would be that of an overfit
 
@@ -51,7 +51,7 @@ class Baselines:
         """
         judged = list(train if test is None else test)
         frame, own = _Frame.of(train), {record.name: k for k, record in enumerate(train)}
-        short = sum(map(len, train)) <= _BLOCK  # of long records no rows are kept
+        short = sum(map(len, train)) <= BLOCK  # of long records no rows are kept
         kept = [list(frame.parts(record)) for record in train] if short else None
         fitted = lambda k: kept[k] if kept else frame.parts(train[k])
 
@@ -86,8 +86,8 @@ class _Frame:
     def parts(self, record: Record) -> Iterator[_Part]:
         """Rows of the descriptions and outputs at the samples of a record that count, block by block."""
         used, before = record.used, None
-        for start in range(0, used.size, _BLOCK):
-            at = slice(start, start + _BLOCK)
+        for start in range(0, used.size, BLOCK):
+            at = slice(start, start + BLOCK)
             place = (record.u[at] - self.middle) / self.half  # -1 to 1 over the fitted range
             rows = _rows(place, before)
             before = place[-1], rows[-_PLAYS:, -1]

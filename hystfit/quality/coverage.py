@@ -9,10 +9,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, warn
-from hystfit.quality.loops import distinct, strokes
-
-_APART = 0.05  # least difference of amplitudes that count as different, as a fraction of the largest
-_BEYOND = 0.01  # excess of the input over the covered range that counts, as a fraction of that range
+from hystfit.quality.loops import APART, SLACK, distinct, strokes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Coverage:
         """Coverage of records up to their last sample that counts, at least one record; strokes below 5 % of the range are omitted."""
         inputs = [record.u[: 1 + int(np.flatnonzero(record.used)[-1])] for record in records]
         low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
-        least = _APART * (high - low)
+        least = APART * (high - low)
         found = np.concatenate([strokes(u, least) for u in inputs])
         return cls(low, high, distinct(found[found > least], least))
 
@@ -55,7 +52,7 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
     size = lambda value: f"{value:.4g} {unit}".rstrip()
     asked = Coverage.of(others) if others else None
     notes = []
-    if len(known.strokes) == 1 and (asked is None or min(asked.strokes, default=0.0) < (1 - _APART) * known.strokes[0]):
+    if len(known.strokes) == 1 and (asked is None or min(asked.strokes, default=0.0) < (1 - APART) * known.strokes[0]):
         smaller = "" if asked is None or not asked.strokes else f" down to {size(asked.strokes[-1])}"
         notes.append(
             warn(
@@ -66,7 +63,7 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
         )
     if asked is not None:
         beyond = max(known.low - asked.low, asked.high - known.high)
-        if beyond > _BEYOND * (known.high - known.low):
+        if beyond > SLACK * (known.high - known.low):
             notes.append(
                 warn(
                     Code.EXTRAPOLATION,

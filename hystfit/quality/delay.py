@@ -11,16 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import Regressors, delayed, lagged
+from hystfit.quality.resonance import FEWEST, Regressors, delayed, explains, lagged
 
-_FEWEST, _MOST = 200, 4000  # samples used; longer records are thinned
+MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
 _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 _SHORTEST = 1.5  # samples
-_VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y
-_REMAINS = 0.7  # largest error with the delay, as a part of that without
-_DESCRIBED = 0.05  # largest error with the delay, as a fraction of the range of y
 # Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
 _EQUAL = 1.1
 
@@ -56,15 +53,15 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     used = np.isfinite(y)
-    if used.sum() < max(_FEWEST, 0.5 * y.size) or reversals.size < 2 or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+    if used.sum() < max(FEWEST, 0.5 * y.size) or reversals.size < 2 or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
         return None
     x = 2 * (u - u.min()) / np.ptp(u) - 1
     y = (y - y[used].mean()) / np.ptp(y[used])
-    stride = -(-u.size // _MOST)
+    stride = -(-u.size // MOST)
     columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
     branch = float(np.median(np.diff(reversals))) / stride
     without = _error_of_lags(columns, branch)
-    if without < _VISIBLE:
+    if not explains(0.0, without):
         return None
     behind = np.hstack([columns.hysteresis, columns.beside])
     error = lambda delay: columns.error(delayed(behind, delay))
@@ -72,7 +69,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < _SHORTEST or remaining > min(_REMAINS * without, _DESCRIBED):
+    if samples * stride < _SHORTEST or not explains(remaining, without):
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
 

@@ -11,12 +11,12 @@ from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
 from hystfit.quality.chatter import MOST
 from hystfit.quality.determination import few_samples
+from hystfit.quality.drift import ABOVE_NOISE
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.resonance import Dynamics
 
 _MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_ABOVE_NOISE = 6.0  # gap between the ends of a loop over the noise, above which the loop does not close
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
     "the time of evenly spaced samples"
@@ -140,7 +140,7 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
     elif shape.circulation is None and not record.degrading:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
-    chance = 0.0 if record.y.range == 0 else 100 * _ABOVE_NOISE * (record.y.known_noise or 0.0) / record.y.range
+    chance = 0.0 if record.y.range == 0 else 100 * ABOVE_NOISE * (record.y.known_noise or 0.0) / record.y.range
     if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
     if record.degrading:
@@ -191,14 +191,6 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         large = shape is not None and abs(drift.total) > 0.3 * shape.width
         more = "; in total this is comparable to the width of the loop: model it (creep) or remove it" if large else ""
         yield warn(Code.DRIFT, text + more)
-    if record.trend is not None:
-        share = 100 * abs(record.trend) / record.y.range
-        size = f"{record.trend:.3g} {record.units['y']}".rstrip()
-        yield warn(
-            Code.DRIFT,
-            f"the output drifts by {size} over the record ({share:.2g} % of its range), apart from the loops: no model includes a steady "
-            "drift, so subtract it before the fit",
-        )
     if lag is not None and record.lags and record.slow_lag is None and not record.dynamic:
         clock = "" if lag.seconds is None else f" ({lag.seconds:.3g} {record.units['t']})"
         yield warn(

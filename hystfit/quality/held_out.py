@@ -10,14 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.quality.loops import distinct, reversals
+from hystfit.quality.loops import SLACK, clear_reversals, distinct
 
 # Groups that are held out in turn: more refits hardly change the error (Breiman and Spector 1992).
 FOLDS = 5
+GAIN = 0.98  # another term or size is taken only if it lowers the error on held-out data by at least 2 %
 _RECORDS = 3  # from which whole records are held out: two would leave a single one to fit
 _LEVELS, _PER_LEVEL = 3, 2  # amplitude levels, and cycles of each, from which whole levels are held out
-_TURN = 0.02  # of the input's range: smaller reversals are noise
-_SLACK = 0.01  # of the input's range by which a held-out part may reach past the others: noise of the input
 _RUNS = 10  # runs of samples in each scattered group at least, so that a group covers all parts of a loop
 
 
@@ -91,7 +90,7 @@ def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
     """
     if len(records) >= _RECORDS:
         return HeldOut(Scheme.RECORDS, _whole_records(records))
-    turns = [reversals(record.u, _TURN * float(np.ptp(record.u))) for record in records]
+    turns = [clear_reversals(record.u) for record in records]
     levels = [_levels(record, turn) for record, turn in zip(records, turns, strict=True)]
     if all(level is not None for level in levels):
         return HeldOut(Scheme.LEVELS, tuple(level for level in levels if level is not None))
@@ -138,7 +137,7 @@ def _of_masks(record: Record, masks: Sequence[np.ndarray]) -> np.ndarray:
 def _whole_records(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Records dealt out to at most five groups."""
     low, high = (np.array([f(r.u[r.used]) if r.used.any() else 0.0 for r in records]) for f in (np.min, np.max))
-    slack = _SLACK * float(high.max() - low.min())
+    slack = SLACK * float(high.max() - low.min())
     inside = np.empty(len(records), dtype=bool)
     for k in range(len(records)):
         others = np.arange(len(records)) != k
@@ -168,7 +167,7 @@ def _levels(record: Record, turns: np.ndarray) -> np.ndarray | None:
 def _fifths(record: Record, turns: np.ndarray) -> np.ndarray:
     """Contiguous fifths; branches that leave the range of the other fifths stay in every fit."""
     fold = _of_masks(record, record.blocks(FOLDS))
-    slack, edges = _SLACK * float(np.ptp(record.u)), [0, *turns.tolist(), len(record)]
+    slack, edges = SLACK * float(np.ptp(record.u)), [0, *turns.tolist(), len(record)]
     ranges = {k: (record.u[fold == k].min(), record.u[fold == k].max()) for k in np.unique(fold[fold >= 0])}
     for first, last in itertools.pairwise(edges):
         branch = record.u[first : min(last + 1, len(record))]

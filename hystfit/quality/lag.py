@@ -1,4 +1,4 @@
-"""Delay of the output behind the input and dependence on speed, as distinct from hysteresis.
+"""Delay of the output behind the input, as distinct from hysteresis.
 
 The output of rate-independent hysteresis turns at the same time as the input, however wide the loop. Around every turning
 point the output is fitted by one polynomial of the delayed input before the turn and another after it, joined at the turn;
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.quality.baselines import play_positions
 from hystfit.quality.spline import cubic_spline
 
 Spline = Callable[[Any], Any]  # of positions, numbers of samples, with any shape
@@ -22,7 +21,6 @@ SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches cur
 # Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
 NEAR = 0.12, 0.2, 0.35
 MOST_TURNS = 40
-_SAMPLES = 6000  # on which the effect of speed is measured
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,35 +170,6 @@ def _over_turns(
     both = len(sides) == 2 and None not in sides
     gap = 0.5 * abs(sides[0] - sides[1]) if both else 0.5  # type: ignore[operator]
     return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
-
-
-def velocity_gain(u: np.ndarray, y: np.ndarray, t: np.ndarray) -> float | None:
-    """Share of the variance unexplained by a rate-independent model that velocity terms explain.
-
-    A flexible rate-independent model (plays, their squares, a cubic, a trend) is fitted by least squares without and with
-    the terms v, tanh(v / v_rms) and tanh(3 v / v_rms). Near 1: the output depends on speed. At a single frequency this
-    cannot be distinguished from an error in the loop's shape near its ends, nor a lag from a viscous term.
-
-    Args:
-        u: input, shape (T,).
-        y: output, shape (T,).
-        t: time, shape (T,).
-
-    Returns:
-        A number from 0 to 1; None with fewer than 100 samples.
-    """
-    u, y, t = u[:_SAMPLES], y[:_SAMPLES], t[:_SAMPLES]
-    used = np.isfinite(y)
-    if used.sum() < 100 or np.ptp(u) == 0 or (np.diff(t) <= 0).any():
-        return None
-    x = 2 * (u - u.min()) / np.ptp(u) - 1
-    speed = np.gradient(x, t)
-    scale = np.sqrt(np.mean(speed**2))
-    play = play_positions(x, np.geomspace(0.02, 0.8, 8))
-    base = [np.ones_like(x), x, x**2, x**3, t - t[0], *play.T, *(play**2).T]
-    fast = [speed / scale, np.tanh(speed / scale), np.tanh(3 * speed / scale)]
-    slow, full = (unexplained(np.stack(columns, axis=1)[used], y[used], 1e-6) for columns in (base, base + fast))
-    return float(1 - full / slow) if slow > 0 else 0.0
 
 
 def unexplained(design: np.ndarray, y: np.ndarray, rcond: float) -> float:

@@ -8,6 +8,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+_TURN = 0.02  # of the input's range: smaller reversals are noise
+APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ
+SLACK = 0.01  # of a range, which noise and rounding may make up
 _BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples
 
 
@@ -51,6 +54,11 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     return np.array(turns, dtype=int)
 
 
+def clear_reversals(u: np.ndarray) -> np.ndarray:
+    """Turning points from which the input moves back by more than 2 % of its range, as by `reversals`."""
+    return reversals(u, _TURN * float(np.ptp(u)))
+
+
 def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     """First and last sample of every stretch between turning points, shape (R + 1, 2); neighbors share a sample."""
     knots = np.concatenate([[0], reversals(u, threshold), [len(u) - 1]])
@@ -64,7 +72,7 @@ def strokes(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     return np.abs(u[last] - u[first])
 
 
-def distinct(values: Iterable[float], apart: float = 0.05) -> tuple[float, ...]:
+def distinct(values: Iterable[float], apart: float = APART) -> tuple[float, ...]:
     """Values that differ by more than `apart`, largest first."""
     kept: list[float] = []
     for value in sorted(values, reverse=True):

@@ -106,8 +106,6 @@ class RecordQuality:
     """Everything measured on one record; None where it is unknown.
 
     Attributes:
-        trend: change of the output over the record apart from its loops, where neither a drift of like cycles nor a lag is found
-            [unit of y].
         slow_lag: of the output, where it is longer than the turns of the loops show [samples].
         delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
@@ -128,7 +126,6 @@ class RecordQuality:
     correlation: float
     drift: Drift | None
     lag: Lag | None
-    velocity_gain: float | None
     rate_effect: float | None
     stiffness_left: float | None
     strength_left: float | None
@@ -137,7 +134,6 @@ class RecordQuality:
     dynamics: Dynamics | None
     clipped: int
     spikes: int
-    trend: float | None = None
     slow_lag: float | None = None
     delay: PureDelay | None = None
     sign_of_rate: float = 0.0
@@ -219,10 +215,9 @@ class RecordQuality:
 
     @property
     def speed_dependent(self) -> bool:
-        """Whether the output turns early and velocity terms explain most of what is unexplained, or the area changes."""
-        explained = self.velocity_gain is not None and self.velocity_gain > 0.5
+        """Whether the output turns early, or the area of the loop changes with its duration."""
         widens = self.rate_effect is not None and abs(self.rate_effect) > 0.1 and not self.degrading
-        return not self.dynamic and ((self.leads and explained) or widens)
+        return not self.dynamic and (self.leads or widens)
 
     @property
     def creeps(self) -> bool:

@@ -16,20 +16,29 @@ from scipy.linalg.lapack import dtbtrs
 from hystfit.quality.baselines import play_positions
 from hystfit.quality.lag import unexplained
 
-_LEAST, _MOST = 200, 12_000  # samples used
+FEWEST, _MOST = 200, 12_000  # samples used
 _EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
 _BANDS = 6  # bands of the frequency response per octave
 _APART = 1.5  # least ratio of excited frequencies between which a change of the response is visible
 _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
-_EXPLAINED = 0.75  # least share of the unexplained variance that the resonance explains
-_VISIBLE = 0.005  # least rms error without the resonance, as a fraction of the range of y
+_EXPLAINED = 0.75  # least share of the unexplained variance that a delay, a lag or a resonance explains
+_VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 # Least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency.
 _GAIN, _PHASE = 1.25, 40.0
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
+
+
+def explains(error: float, without: float) -> bool:
+    """Whether a term explains most of what is left without it.
+
+    Args:
+        error, without: rms errors with and without the term, as fractions of the range of y.
+    """
+    return without > _VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +73,7 @@ class Dynamics:
     @property
     def underdamped(self) -> bool:
         """Whether a resonance explains most of what hysteresis, lag and velocity terms leave."""
-        return self.error_without > _VISIBLE and self.explained > _EXPLAINED and self.damping_ratio < _UNDERDAMPED
+        return explains(self.error_with, self.error_without) and self.damping_ratio < _UNDERDAMPED
 
     @property
     def resonant(self) -> bool:
@@ -100,7 +109,7 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     used = np.isfinite(y)
-    if used.sum() < max(_LEAST, 0.5 * y.size) or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+    if used.sum() < max(FEWEST, 0.5 * y.size) or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
         return None
     x = 2 * (u - u.min()) / np.ptp(u) - 1
     y = (y - y[used].mean()) / np.ptp(y[used])
@@ -108,7 +117,7 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     response = _frequency_response(x, bridged)
     if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
         return None
-    stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // _LEAST))
+    stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // FEWEST))
     coarse = dataclasses.replace(response, frequency=response.frequency * stride)
     thinned = (part[::stride][:_MOST].tobytes() for part in (x, bridged, used))
     without, error, frequency, damping = _described(*thinned, *(part.tobytes() for part in coarse.parts))

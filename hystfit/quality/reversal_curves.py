@@ -11,11 +11,10 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
+from hystfit.quality.loops import SLACK
 
 _LEAST = 5  # number of curves from which records are recognized as a family
 _APART = 0.3  # least spread of the reversal points of a recognized family, as a fraction of the input's range
-_BACK = 0.01  # largest step back of a curve's input, as a fraction of its range
-_CROSS = 0.01  # crossing of neighboring curves that is reported, as a fraction of the output's range
 _CLOSE = 0.05  # spread of the curves at the largest common input that is reported, as a fraction of the output's range
 
 
@@ -57,7 +56,7 @@ def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
     for r, rising in zip(curves, rises, strict=True):
         forward = r.u if rising else -r.u
         back = np.maximum.accumulate(forward) - forward
-        if back.max() > _BACK * np.ptp(r.u):
+        if back.max() > SLACK * np.ptp(r.u):
             turn = int(np.argmax(forward[: int(np.argmax(back))]))
             raise DataError(
                 f"curve {r.name!r} reverses at sample {turn}: the input of a reversal curve is monotonic; split the curve there"
@@ -95,7 +94,7 @@ def _notes(curves: list[Record], rising: bool) -> list[str]:
             gap = sign * (at_inputs(lower, u) - at_inputs(upper, u))
             if gap.max() > worst:
                 worst, pair = float(gap.max()), (upper.name, lower.name)
-    if worst > _CROSS * span:
+    if worst > SLACK * span:
         notes.append(
             f"curves {pair[0]} and {pair[1]} cross by {100 * worst / span:.1f} % of the range: a non-negative density cannot "
             "describe this"

@@ -7,13 +7,12 @@ import itertools
 
 import numpy as np
 
-from hystfit.quality.drift import like_cycles
+from hystfit.quality.drift import LIKE, like_cycles
 from hystfit.quality.loops import Loop, closed_loops, loop_area, loop_branches
 
 _SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
 _CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
-_CLOSED = 0.03  # largest gap between the ends of a closed cycle, as a fraction of the ranges
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _CROSSING = 0.3  # net area over that between the branches below which these cross
@@ -67,7 +66,7 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     """
     begun = None if len(cycles) else _from_its_end(u, y)
     if begun is not None:
-        return loop_shape(*begun, closed_loops(begun[0], _CLOSED * float(np.ptp(u))), cycles, noise)
+        return loop_shape(*begun, closed_loops(begun[0], LIKE * float(np.ptp(u))), cycles, noise)
     spans, closed = _spans(u, loops, cycles)
     usable = [span for span in spans if _is_loop(u, y, *span[:2])]
     if not usable:
@@ -146,8 +145,8 @@ def _turn(u: np.ndarray) -> int:
 
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
-    lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= _CLOSED * np.ptp(u)
-    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= _CLOSED * np.ptp(y):
+    lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= LIKE * np.ptp(u)
+    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= LIKE * np.ptp(y):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from hystfit.quality.baselines import play_positions
+from hystfit.quality.delay import MOST
 from hystfit.quality.lag import unexplained
-from hystfit.quality.resonance import lagged
-from hystfit.quality.trend import rate_independent_columns
+from hystfit.quality.resonance import FEWEST, explains, lagged
 
 SHORT = 6.0  # samples up to which a lag is short
-_MOST = 4000  # samples used
-_FEWEST = 400
 _LAGS = 10  # that are tried
 _LONGEST = 0.25  # of a branch
-_VISIBLE = 0.005  # rms error without a lag, as a fraction of the range of y, below which none is sought
-_BETTER = 0.5, 0.7  # error with the lag over that without one, and over that with a short one, below which it is found
+_RADII = np.geomspace(0.03, 1.0, 8)  # of plays, for an input from -1 to 1
+_BETTER = 0.7  # error over that with a short lag, below which a long one is found
 
 
 def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | None:
@@ -28,9 +27,9 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
         turns: turning points of u, see `loops.reversals`.
     """
     used = np.isfinite(y)
-    if turns.size < 3 or used.sum() < _FEWEST or np.ptp(u) == 0:
+    if turns.size < 3 or used.sum() < FEWEST or np.ptp(u) == 0:
         return None
-    stride = -(-u.size // _MOST)
+    stride = -(-u.size // MOST)
     longest = _LONGEST * float(np.median(np.diff(turns)))
     if longest <= SHORT:
         return None
@@ -39,14 +38,21 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     def error(lag: float) -> float:
         behind = lagged(lagged(u[:, None], lag / 2), lag / 2)[:, 0] if lag else u
         rows = used[::stride]
-        columns = rate_independent_columns(behind)[::stride][rows]
+        columns = _rate_independent(behind)[::stride][rows]
         return float(np.sqrt(unexplained(columns, y[::stride][rows], 1e-7))) / span
 
     without = error(0.0)
-    if without < _VISIBLE:
+    if not explains(0.0, without):
         return None
     lags = np.geomspace(SHORT, longest, _LAGS)
     errors = np.array([error(lag) for lag in lags])
     best = int(np.argmin(errors))
-    found = errors[best] < _BETTER[0] * without and errors[best] < _BETTER[1] * errors[0]
+    found = explains(errors[best], without) and errors[best] < _BETTER * errors[0]
     return float(lags[best]) if found else None
+
+
+def _rate_independent(u: np.ndarray) -> np.ndarray:
+    """Regressors of a flexible rate-independent model: polynomials of the input and of plays of it, shape (T, K)."""
+    x = 2 * (u - u.min()) / np.ptp(u) - 1
+    plays = play_positions(x, _RADII)
+    return np.column_stack([np.ones_like(x), x, x**2, x**3, x**5, plays, plays**2, plays**3])

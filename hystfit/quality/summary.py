@@ -18,7 +18,7 @@ from hystfit.quality.chatter import chatter, smoothing_length
 from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
-from hystfit.quality.lag import estimate_lag, velocity_gain
+from hystfit.quality.lag import estimate_lag
 from hystfit.quality.record_quality import (
     MULLINS,
     SOFTER,
@@ -34,9 +34,7 @@ from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import loop_shape, rate_effect, stiffness_left, strength_left, unloading_left
 from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 from hystfit.quality.softening import softening_left
-from hystfit.quality.trend import linear_trend
 
-_FEWEST_CYCLES = 3  # in which a trend of the output is sought
 _UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _WAY = 0.2  # of the input's range: shortest branch whose speed counts
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
@@ -70,7 +68,7 @@ def summarize(record: Record) -> RecordQuality:
 
 @_once
 def may_change(record: Record) -> bool:
-    """Whether the output may drift or the device degrade: a first look, in a fraction of the time of `summarize`."""
+    """Whether the device may degrade: a first look, in a fraction of the time of `summarize`."""
     u, y, t = record.u, record.y, record.t
     _, turns, cycles, _ = _motion(record, _column(u))
     parts = (
@@ -79,9 +77,7 @@ def may_change(record: Record) -> bool:
         (unloading_left(u, y, cycles), SOFTER),
         (softening_left(u, y, turns), MULLINS),
     )
-    if any(left is not None and left < whole for left, whole in parts):
-        return True
-    return t is not None and linear_trend(u, y, t) is not None
+    return any(left is not None and left < whole for left, whole in parts)
 
 
 @_once
@@ -134,8 +130,7 @@ def _summarize(record: Record) -> RecordQuality:
     motion, turns, cycles, loops = _motion(record, u_column)
     moving = np.ptp(u) > 0
     sampling, interval = _sampling(record), record.sampling_interval
-    lag = gain = dynamics = slow_lag = None
-    resonates = False
+    lag = dynamics = slow_lag = None
     shape = loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0)
     if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
         lag = estimate_lag(u, y, interval, turns, u_noise=u_column.known_noise)
@@ -144,12 +139,7 @@ def _summarize(record: Record) -> RecordQuality:
         short = lag is not None and lag.samples + 2 * lag.stderr < SHORT
         if not (short or resonates) and shape is not None and not shape.crossing:
             slow_lag = estimate_slow_lag(u, y, turns)
-        if motion.cycles >= 1:
-            late = max(0, round(lag.samples)) if lag else 0
-            gain = velocity_gain(u[: u.size - late], y[late:], t[: u.size - late])
     drifts = drift(u, y, t, cycles, y_column.known_noise or 0.0) if moving else None
-    known = slow_lag is not None or (drifts is not None and drifts.law != "none")
-    trend = None if t is None or known or resonates or motion.cycles < _FEWEST_CYCLES else linear_trend(u, y, t)
     return RecordQuality(
         name=record.name,
         units={"u": record.u_unit, "y": record.y_unit, "t": record.t_unit},
@@ -163,7 +153,6 @@ def _summarize(record: Record) -> RecordQuality:
         shape=shape,
         drift=drifts,
         lag=lag,
-        velocity_gain=gain,
         rate_effect=rate_effect(u, y, t, cycles),
         stiffness_left=stiffness_left(u, y, t, cycles),
         strength_left=strength_left(u, y, cycles),
@@ -173,7 +162,6 @@ def _summarize(record: Record) -> RecordQuality:
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),
         slow_lag=slow_lag,
-        trend=trend,
     )
 
 
