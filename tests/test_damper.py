@@ -80,7 +80,11 @@ def test_the_forces_of_a_damper_are_found() -> None:
     u, dt = sweep(8.0), 1 / RATE
     clean = np.asarray(hf.simulate(truth, u, dt)[0])
     y = clean + np.random.default_rng(3).normal(0, 0.005 * np.ptp(clean), u.size)
-    fit = hf.fit("damper", hf.Record(u=u, y=y, t=np.arange(u.size) / RATE))
+    record = hf.Record(u=u, y=y, t=np.arange(u.size) / RATE)
+    advice = hf.check(record).advice
+    assert advice is not None
+    assert advice.model == "damper"
+    fit = hf.fit("damper", record)
     assert fit.train.rmse < 1.1 * 0.005 * np.ptp(clean)
     other = 0.9 * sweep(6.0)[::-1]
     expected = np.asarray(hf.simulate(truth, other, dt)[0])

@@ -6,8 +6,10 @@ import dataclasses
 from collections.abc import Iterable, Iterator
 
 from hystfit.data.dataset import Dataset
+from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.fit_setup import without_faults
+from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.fit_setup import started_problem, without_faults
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
@@ -41,7 +43,7 @@ class Screened:
 
 
 def screen(data: Dataset) -> Iterator[Screened]:
-    """Score the families with a closed form, on thinned records and with few of their choices."""
+    """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start."""
     data = without_faults(data)
     short = thinned(data)  # not for the search, whose terms may depend on the rate
     for name in candidates(data).closed:
@@ -52,7 +54,12 @@ def screen(data: Dataset) -> Iterator[Screened]:
         elif (first := SizeSearch(short).first(make_model(name))) is not None:
             model, error = first
         else:  # it has no sizes to choose
-            continue
+            try:
+                problem, _ = started_problem(make_model(name), short if make_model(name).allows_thinning else data)
+                system = LinearSystem.of(problem, problem.space.vector(problem.model))
+            except HystfitError:  # these records cannot start it
+                continue
+            model, error = problem.model, fit_ridge(system).score
         weights = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
         yield Screened(model_name(model), error, weights, model.has_inverse, found)
 
