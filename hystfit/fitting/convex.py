@@ -18,13 +18,11 @@ from hystfit.inference.problem import Problem
 from hystfit.inference.weights import weighted_columns
 from hystfit.models.design import FAR, effective_number, left_out_squares
 from hystfit.models.nonnegative import solve_nonnegative, solve_several
-from hystfit.outcome import Code, Note, Severity
+from hystfit.outcome import Code, Note
 
 # Half decades where ridges of plays lie: at a whole decade the best error can be 3 % larger, and the residuals 4 % above the noise.
 STRENGTHS = tuple(10.0**k for k in (-10, -8, -6, -5, -4.5, -4, -3.5, -3, -2.5, -2, -1, 0))
-_WITHOUT = 1e12  # strength at which the weights are zero
 _SMALL = 45  # unknowns up to which 25 systems take less time side by side than one after another
-_HARDLY = 0.9  # of the left-out error without weights, above which the weights hardly help
 _WEAK = 1e-6  # strength at which a ridge moves no lag
 _BRACKET = 0.2  # of a nonlinear parameter's natural scale: first step of its search
 _QUICK = 15  # evaluations of the outer search of a first look
@@ -274,14 +272,10 @@ class Convex(AbstractEstimator):
             f"ridge {fit.strength:.0e} chosen by cross-validation on {system.fold.max() + 1} groups "
             f"(error {100 * fit.score / (2 * size):.2f} % of the range)"
         )
-        severity = Severity.INFO
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried"
-            if fit.score > _HARDLY * fit_ridge(system, (_WITHOUT,)).score:
-                note += ", and the model hardly improves the prediction of held-out samples"
-                severity = Severity.WARNING
         cost = 0.5 * fit.rss / size**2
-        chosen = (Note(Code.CHOICE, note, severity),)
+        chosen = (Note(Code.CHOICE, note),)
         costs, effective = np.array([cost]), fit.effective + others.size
         return Estimate(
             x,

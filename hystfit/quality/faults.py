@@ -11,9 +11,7 @@ MAD_TO_RMS = 1.4826  # of a normal distribution
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
 _COARSE = 0.02  # part of the range from which levels are those of a signal with steps
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
-_ABOUT = 2  # samples on each side of an outlier that must be smooth without it
-_ROUGH = 0.5  # their largest second difference, as a part of its height
-# Times the largest step within so many samples: an outlier at a reversal, where a peak may be real.
+# Times the largest step within so many samples, that an outlier stands out.
 _FAR, _STEPS = 4.0, 6
 _JUMP = 2.0  # the same of an input that jumps there, which the output follows
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
@@ -212,28 +210,15 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return clipped
 
 
-def _is_isolated(y: np.ndarray, k: int, height: float) -> bool:
-    """Whether the output about sample k bends little beside the height of that sample, once it is replaced by the mean of its neighbors."""
-    about = y[max(k - _ABOUT, 0) : k + _ABOUT + 1].copy()
-    place = min(k, _ABOUT)
-    about[place] = 0.5 * (about[place - 1] + about[place + 1])
-    bends = np.abs(np.diff(about, 2))
-    return bool(np.nanmax(bends) < _ROUGH * height)
-
-
-def spikes(
-    y: np.ndarray, noise: float | None, u: np.ndarray | None = None, turns: np.ndarray | None = None
-) -> np.ndarray:
+def spikes(y: np.ndarray, noise: float | None, u: np.ndarray) -> np.ndarray:
     """Sample numbers of isolated outliers: beyond both neighbors on one side by more than 10 times the noise and 3 % of the range.
 
-    Without it the output about it is smooth: the peak of a wave of few samples is no outlier.
+    An outlier is also far beyond the steps about it, as the peak of a wave of few samples is not, and the input does not jump there.
 
     Args:
         y: output, shape (T,).
         noise: its rms [unit of y]; None for 0.
-        u: input, shape (T,); needed with `turns`.
-        turns: reversals of the input, where the output may have a sharp peak: an outlier there is far beyond the steps about it, and the
-            input is not.
+        u: input, shape (T,).
     """
     y = np.asarray(y, dtype=float)
     if y.size < 5:
@@ -242,13 +227,8 @@ def spikes(
     limit = max(10 * (noise or 0.0), 0.03 * float(np.nanmax(y) - np.nanmin(y)))
     with np.errstate(invalid="ignore"):
         least = np.minimum(np.abs(before), np.abs(after))
-        out = (np.sign(before) == np.sign(after)) & (least > limit)
-    outliers = np.array([k for k in np.flatnonzero(out) + 1 if _is_isolated(y, int(k), float(least[k - 1]))], dtype=int)
-    if u is None or turns is None or not turns.size or not outliers.size:
-        return outliers
-    apart = np.min(np.abs(outliers[:, None] - turns[None, :]), axis=1) > 1
-    far = np.array([_stands_out(y, int(k), _FAR) and not _stands_out(u, int(k), _JUMP) for k in outliers], dtype=bool)
-    return outliers[apart | far]
+        out = np.flatnonzero((np.sign(before) == np.sign(after)) & (least > limit)) + 1
+    return np.array([k for k in out if _stands_out(y, k, _FAR) and not _stands_out(u, k, _JUMP)], dtype=int)
 
 
 def _stands_out(values: np.ndarray, k: int, factor: float) -> bool:

@@ -26,8 +26,7 @@ _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exc
 _EXPLAINED = 0.75  # least share of the unexplained variance that a delay, a lag or a resonance explains
 _VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
-# Least change of gain (as a ratio) or phase [degrees] that the resonance makes at an excited frequency.
-_GAIN, _PHASE = 1.25, 40.0
+_CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
@@ -54,7 +53,7 @@ class Dynamics:
             [cycles per unit of time].
         gain_ratio: measured gain at `high` over that at `low`.
         phase_low, phase_high: measured phase of the output against the input; negative where the output lags [degrees].
-        filter_gain, filter_phase: gain and phase of the resonance alone at `high` [-, degrees].
+        change: |H - 1| of the resonance H alone at `high`.
     """
 
     natural_frequency: float
@@ -67,8 +66,7 @@ class Dynamics:
     gain_ratio: float
     phase_low: float
     phase_high: float
-    filter_gain: float
-    filter_phase: float
+    change: float
 
     @property
     def underdamped(self) -> bool:
@@ -78,8 +76,7 @@ class Dynamics:
     @property
     def resonant(self) -> bool:
         """Whether a resonance explains most of the change of the response with frequency, or rings after each reversal."""
-        changes = max(self.filter_gain, 1 / self.filter_gain) > _GAIN or abs(self.filter_phase) > _PHASE
-        return self.underdamped and (changes or self.damping_ratio < _RINGING)
+        return self.underdamped and (self.change > _CHANGE or self.damping_ratio < _RINGING)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,8 +132,7 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
         gain_ratio=float(response.gain[high] / response.gain[0]),
         phase_low=float(response.phase[0]),
         phase_high=float(response.phase[high]),
-        filter_gain=float(np.abs(alone[high])),
-        filter_phase=float(np.degrees(np.angle(alone[high]))),
+        change=float(np.abs(alone[high] - 1)),
     )
 
 

@@ -120,7 +120,7 @@ def outliers_of(record: Record) -> np.ndarray:
     noise, _ = noise_rms(record.y)
     if not noise:
         return np.empty(0, dtype=int)
-    found = spikes(record.y, noise, record.u, geometry.reversals(record.u, _threshold(_column(record.u))))
+    found = spikes(record.y, noise, record.u)
     return found if found.size <= _MOST_OUTLIERS * len(record) else found[:0]
 
 
