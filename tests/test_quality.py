@@ -30,7 +30,6 @@ from hystfit.quality.held_out import held_out
 from hystfit.quality.needs import Needs
 from hystfit.quality.resonance import _filtered, lagged
 from hystfit.quality.shape import loop_shape, strength_left
-from hystfit.quality.spline import cubic_spline
 from hystfit.quality.summary import outliers_of
 
 SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
@@ -324,16 +323,6 @@ def test_no_drift_is_reported_and_unlike_cycles_are_not_compared():
     assert check(Record(sweep, piezo(sweep))).records[0].drift is None
     levels = drifting.like_cycles(u, geometry.cycles(u, 0.01))
     assert len(levels) == len(geometry.cycles(u, 0.01))
-
-
-@pytest.mark.parametrize("size", [4, 5, 60])
-def test_cubic_spline_is_that_of_scipy(size):
-    from scipy.interpolate import CubicSpline
-
-    y, position = np.random.default_rng(size).normal(size=size), np.linspace(-0.7, size - 0.4, 211).reshape(1, -1)
-    np.testing.assert_allclose(
-        cubic_spline(y)(position), CubicSpline(np.arange(size), y)(position), rtol=1e-12, atol=1e-11
-    )
 
 
 # --- lag ----------------------------------------------------------------------------------------------------------

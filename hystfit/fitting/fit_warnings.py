@@ -122,41 +122,28 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     if turns.size < (1 if held else 2) or largest < VISIBLE:
         return None
     samples = np.flatnonzero(record.used)
-    first, last = samples <= turns[0], samples >= turns[-1]
-    code, inside = (Code.INITIAL_STATE, first) if first[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, last)
+    before, after = samples <= turns[0], samples >= turns[-1]
+    code, inside = (Code.INITIAL_STATE, before) if before[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, after)
     rest = fitted.rows[worst][~inside]
     if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
-    if code is Code.LAST_HALF_CYCLE:
-        place, window = _window_to(record, int(turns[-1]))
-        which, remedy = "last", f"if the device failed there, fit the record before {place} (window=)"
-    else:
-        place, window = _window_from(record, int(turns[0]))
-        which = "first"
-        remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
-        if held:
-            window = None
-            remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
+    last = code is Code.LAST_HALF_CYCLE
+    place, number = _place(record, int(turns[-1 if last else 0]))
+    which, window = ("last", f":{number}") if last else ("first", f"{number}:")
+    remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
+    if last:
+        remedy = f"if the device failed there, fit the record before {place} (window=)"
+    elif held:
+        remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
     text = (
         f"the largest error, {largest:.3g} % of the range, lies in the {which} half cycle of {record.name!r}: {remedy}"
     )
-    alone = window is not None and len(fitted.data) == 1  # a window holds for all records
+    alone = (last or not held) and len(fitted.data) == 1  # a window holds for all records
     return dataclasses.replace(warn(code, text), option=("window", window) if alone else None)
 
 
-def _window_to(record: Record, sample: int) -> tuple[str, str | None]:
-    """The place of a sample in words, and the window before it; in time, or in sample numbers where there is none."""
-    place, number = _place(record, sample)
-    return place, f":{number}"
-
-
-def _window_from(record: Record, sample: int) -> tuple[str, str | None]:
-    """As `_window_to`, and the window from it on."""
-    place, number = _place(record, sample)
-    return place, f"{number}:"
-
-
 def _place(record: Record, sample: int) -> tuple[str, str]:
+    """The place of a sample in words, and its number in a window: in time, or the sample's where there is none."""
     if record.t is None:
         return f"sample {sample}", str(sample)
     number = f"{record.t[sample]:.9g}"

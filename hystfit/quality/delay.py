@@ -18,6 +18,7 @@ _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the inpu
 _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 _SHORTEST = 1.5  # samples
+_EXPLAINED = 0.5  # least share of the variance that lags and velocity terms leave
 # Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
 _EQUAL = 1.1
 
@@ -69,7 +70,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < _SHORTEST or not explains(remaining, without):
+    if samples * stride < _SHORTEST or not explains(remaining, without, _EXPLAINED):
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
 

@@ -84,16 +84,6 @@ class _Facts:
         return self.samples < _FEWEST_SAMPLES or self.per_branch < _FEWEST_PER_BRANCH
 
 
-def falling(records: Sequence[RecordQuality]) -> bool:
-    """Whether the output falls as the input rises in most records."""
-    return 2 * sum(record.falls for record in records) > len(records)
-
-
-def delayed(records: Sequence[RecordQuality]) -> bool:
-    """Whether the output has a pure delay in most records."""
-    return 2 * sum(record.delay is not None for record in records) > len(records)
-
-
 def few_samples(records: Sequence[RecordQuality]) -> Note | None:
     """The objection to records with too few samples, or too few between reversals; None where there are enough."""
     facts = _facts(records)
@@ -129,7 +119,7 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
         asymmetry=max((shape.asymmetry_percent for shape in shapes), default=0.0),
         clockwise=most("clockwise"),
         counter_clockwise=most("counter-clockwise"),
-        falls=falling(records),
+        falls=2 * sum(r.falls for r in records) > len(records),
         longest_hold=max(r.motion.longest_hold for r in records),
         timed=all(r.sampling.rate is not None for r in records),
         dynamic=dynamic,

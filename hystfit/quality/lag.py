@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.quality.spline import cubic_spline
+from hystfit.data.preparation import smooth
+
 
 Spline = Callable[[Any], Any]  # of positions, numbers of samples, with any shape
 
@@ -54,9 +55,7 @@ class _Turn:
 def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
     if noise is None or noise <= 3e-4 * np.ptp(u) or u.size <= 7:
         return u
-    from scipy.signal import savgol_filter
-
-    return np.asarray(savgol_filter(u, 7, 2))
+    return smooth(u, 7)
 
 
 def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
@@ -127,13 +126,15 @@ def estimate_lag(
         None with fewer than three usable turns, where branches are too short or hold at the turn, or without a best delay
         within a quarter of a branch and 20 samples.
     """
+    from scipy.interpolate import CubicSpline  # its import takes 0.1 s
+
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     if reversals.size < 3 or u.size < 40:
         return None
     reach = int(min(20, np.median(np.diff(reversals)) // 4))
     if reach < 2:
         return None
-    spline = cubic_spline(_smooth(u, u_noise))
+    spline = CubicSpline(np.arange(u.size), _smooth(u, u_noise))
     delays = np.arange(-reach, reach + 0.25, 0.5)
     estimates = []
     for near in NEAR:

@@ -23,7 +23,7 @@ _APART = 1.5  # least ratio of excited frequencies between which a change of the
 _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
-_EXPLAINED = 0.75  # least share of the unexplained variance that a delay, a lag or a resonance explains
+_EXPLAINED = 0.75  # least share of the unexplained variance that a lag or a resonance explains
 _VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
@@ -31,13 +31,14 @@ _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
-def explains(error: float, without: float) -> bool:
+def explains(error: float, without: float, share: float = _EXPLAINED) -> bool:
     """Whether a term explains most of what is left without it.
 
     Args:
         error, without: rms errors with and without the term, as fractions of the range of y.
+        share: of the variance that it must explain.
     """
-    return without > _VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
+    return without > _VISIBLE and 1 - (error / without) ** 2 > share
 
 
 @dataclasses.dataclass(frozen=True)
