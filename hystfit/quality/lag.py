@@ -15,7 +15,6 @@ import numpy as np
 
 from hystfit.data.preparation import smooth
 
-
 Spline = Callable[[Any], Any]  # of positions, numbers of samples, with any shape
 
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
