@@ -22,11 +22,12 @@ from hystfit.fitting.compare import _ranked
 from hystfit.fitting.comparison import Comparison, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
+from hystfit.fitting.contender import Candidate, First, contenders
 from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import left_out_score
-from hystfit.fitting.structure import Structure, build
+from hystfit.fitting.structure import Structure, build, structure_of
 from hystfit.fitting.structure_columns import Terms
 from hystfit.fitting.structure_search import max_plays, search_structure
 from hystfit.fitting.thinning import thinned
@@ -265,6 +266,32 @@ def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison():
     assert default["bouc-wen"].in_sample_percent > 2 * min(r.score_percent for r in default.values() if r.score_percent)
     named = {row.asked: row for row in hf.compare(data, ["preisach-magnetic", "bouc-wen"]).rows}
     assert named["bouc-wen"].score_percent > default["bouc-wen"].in_sample_percent / 2
+
+
+def test_models_of_time_are_tried_where_the_search_needs_time_and_none_beside_one_that_leaves_noise():
+    t = np.arange(200) / 100
+    u = np.sin(2 * np.pi * t)
+    y = np.asarray(hf.simulate(hf.BoucWen(), u, 0.01)[0]) + 0.005 * np.random.default_rng(0).normal(size=t.size)
+    found = hf.compare(hf.Record(u, y, t))
+    rows = {row.asked: row for row in found.rows}
+    for name in ("bouc-wen+log-creep", "bouc-wen-force+viscous", "oscillator"):
+        assert rows[name].in_sample_percent is None
+        assert "time" in rows[name].note
+    assert found.rows[0].name == "bouc-wen"
+    assert any("are noise" in row.note for row in found.rows)
+    for name, timed in (
+        ("lag+prandtl-ishlinskii", True),
+        ("prandtl-ishlinskii-stop+viscous+linear", True),
+        ("preisach", False),
+    ):
+        assert structure_of(make_model(name))[0].timed == timed
+
+
+def test_of_first_fits_that_are_not_told_apart_that_with_the_fewest_parameters_is_validated_first():
+    error = {"many": (1.00, 9), "few": (1.02, 5), "worse": (1.5, 2)}
+    waiting = [Candidate(name, first=First(value, parameters=count)) for name, (value, count) in error.items()]
+    assert [one.name for one in contenders(waiting, 1.05)] == ["few", "many"]
+    assert [one.name for one in contenders(waiting)] == ["many", "few"]
 
 
 def test_only_a_model_that_serves_the_purpose_stops_others():
