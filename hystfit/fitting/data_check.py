@@ -48,7 +48,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
     if searched is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
-        drift = drift_note(searched.rows, without_faults(records), output_range(records).width)
+        drift = drift_note(searched.residuals(), without_faults(records), output_range(records).width)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(

@@ -6,6 +6,8 @@ Plays or stops, one envelope or three, the degree of the single-valued part, a l
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from typing import Any, get_args
 
 import numpy as np
@@ -39,7 +41,7 @@ class Found:
         structure: its terms.
         plays: number of thresholds.
         score: root mean square error on left-out blocks, output units.
-        rows: prediction less measurement at the samples of each record that count, output units.
+        residuals: computes prediction less measurement at the samples of each record that count, output units.
         tried: number of candidates.
         trail: each step taken, in words.
     """
@@ -48,7 +50,7 @@ class Found:
     structure: Structure
     plays: int
     score: float
-    rows: tuple[np.ndarray, ...]
+    residuals: Callable[[], tuple[np.ndarray, ...]]
     tried: int
     trail: tuple[str, ...]
 
@@ -111,8 +113,8 @@ def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
                 )
             )
             chosen, score = resized, resized.score(structure)
-    model, rows = build(structure, data, chosen.plays), chosen.residuals(structure)
-    return Found(model, structure, chosen.plays, score, rows, tried, tuple(trail))
+    model, residuals = build(structure, data, chosen.plays), functools.partial(chosen.residuals, structure)
+    return Found(model, structure, chosen.plays, score, residuals, tried, tuple(trail))
 
 
 def _next(structure: Structure, score: float, terms: Terms, options: dict[str, tuple[Any, ...]]) -> Structure:
