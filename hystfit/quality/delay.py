@@ -11,14 +11,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import FEWEST, Regressors, delayed, explains, lagged
+from hystfit.quality.resonance import FEWEST, Regressors, delayed, lagged
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
 _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 _SHORTEST = 1.5  # samples
-_EXPLAINED = 0.5  # least share of the variance that lags and velocity terms leave
+_VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y
+_REMAINS = 0.7  # largest error with the delay, as a part of that without
+_DESCRIBED = 0.05  # largest error with the delay, as a fraction of the range of y
 # Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
 _EQUAL = 1.1
 
@@ -62,7 +64,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
     branch = float(np.median(np.diff(reversals))) / stride
     without = _error_of_lags(columns, branch)
-    if not explains(0.0, without):
+    if without < _VISIBLE:
         return None
     behind = np.hstack([columns.hysteresis, columns.beside])
     error = lambda delay: columns.error(delayed(behind, delay))
@@ -70,7 +72,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < _SHORTEST or not explains(remaining, without, _EXPLAINED):
+    if samples * stride < _SHORTEST or remaining > min(_REMAINS * without, _DESCRIBED):
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
 

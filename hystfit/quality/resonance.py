@@ -31,14 +31,13 @@ _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
-def explains(error: float, without: float, share: float = _EXPLAINED) -> bool:
+def explains(error: float, without: float) -> bool:
     """Whether a term explains most of what is left without it.
 
     Args:
         error, without: rms errors with and without the term, as fractions of the range of y.
-        share: of the variance that it must explain.
     """
-    return without > _VISIBLE and 1 - (error / without) ** 2 > share
+    return without > _VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
 
 
 @dataclasses.dataclass(frozen=True)
