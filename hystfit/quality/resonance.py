@@ -28,6 +28,7 @@ _VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
+_KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis without dynamics follows a loop
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
@@ -142,8 +143,10 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
 
     Input, output and response are given as bytes: several steps of a search ask for those of the same record.
     """
-    columns = Regressors.of(np.frombuffer(x), np.frombuffer(y), np.frombuffer(used, dtype=bool))
-    return columns.error_without(), *columns.best_resonance(_Response(*map(np.frombuffer, response)))
+    u = np.frombuffer(x)
+    columns = Regressors.of(u, np.frombuffer(y), np.frombuffer(used, dtype=bool))
+    without = min(columns.error_without(), columns.error_static(u))
+    return without, *columns.best_resonance(_Response(*map(np.frombuffer, response)))
 
 
 def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
@@ -198,6 +201,22 @@ class Regressors:
         lags = np.geomspace(0.5, max(1.0, 0.02 * self.y.size), 8)
         behind = [self.error(lagged(lagged(self.hysteresis, lag), lag), *fixed) for lag in lags]
         return min(*after, *behind)
+
+    def error_static(self, x: np.ndarray) -> float:
+        """Root mean square error of hysteresis whose envelopes are free: of plays, and of the branches where the input rises and falls.
+
+        It is corrected for the number of columns. A loop of one amplitude and rate leaves nothing beyond for a resonance to explain.
+        """
+        hinges = lambda values: np.maximum(values[:, None] - _KNOTS, 0.0)
+        rises = np.gradient(x) > 0
+        branches = [
+            np.where(rises[:, None] == side, np.column_stack([np.ones_like(x), x, hinges(x)]), 0.0)
+            for side in (True, False)
+        ]
+        envelopes = [hinges(play) for play in self.hysteresis[:, 3:].T]
+        parts = np.hstack([self.hysteresis, self.beside, *branches, *envelopes])
+        freedom = 1 - parts.shape[1] / np.count_nonzero(self.used)
+        return self.error(parts) / np.sqrt(freedom) if freedom > 0 else np.inf
 
     def _error_with(self, frequency: float, damping: float) -> float:
         return self.error(_filtered(self.hysteresis, frequency, damping), self.beside)
