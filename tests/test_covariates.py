@@ -44,7 +44,14 @@ def fitted() -> hf.FitResult:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("loop_T25", 25), ("run T_degC=-5.5 b", -5.5), ("25 degC", 25), ("a_30C_2", 30), ("T=1e2", 100), ("loop_-5degC", -5)],
+    [
+        ("loop_T25", 25),
+        ("run T_degC=-5.5 b", -5.5),
+        ("25 degC", 25),
+        ("a_30C_2", 30),
+        ("T=1e2", 100),
+        ("loop_-5degC", -5),
+    ],
 )
 def test_a_value_in_the_name_of_a_record(name, value):
     assert covariate(hf.Record(u=TWO, y=TWO, name=name), "T_degC") == value
@@ -77,7 +84,10 @@ def test_the_slope_and_its_error(fitted):
     run = lambda c, mu: np.asarray(hf.simulate(dataclasses.replace(device(0), c=c, mu=mu), u)[0])
     for k, away in enumerate(np.array([10, 20, 80]) - MEAN):
         c = fitted["c"].value + fitted["c/T_degC"].value * away
-        by_c, by_mu = run(1.0, mu), (run(c, mu + step) - run(c, mu - step)) / (2 * step)  # the output is proportional to c
+        by_c, by_mu = (
+            run(1.0, mu),
+            (run(c, mu + step) - run(c, mu - step)) / (2 * step),
+        )  # the output is proportional to c
         blocks.append(np.column_stack([by_c, by_mu, np.outer(np.ones(u.size), np.eye(3)[k]), by_c * away]))
     columns, y = np.concatenate(blocks), np.concatenate([record.y for record in fitted.data])
     without_mu = np.delete(columns, 1, axis=1)
@@ -144,7 +154,8 @@ def test_a_parameter_stays_within_its_bounds():
     model = Varying.of(device(0), [("T_degC", "mu")], loops((10.0, 30.0)))
     steep = dataclasses.replace(model, slopes=(dataclasses.replace(model.slopes[0], value=10.0),))
     low, high = steep.of_record(loops((0.0,))[0]).resolved(), steep.of_record(loops((90.0,))[0]).resolved()
-    assert 0 < low.mu < 1e-5 and 1 - 1e-5 < high.mu < 1
+    assert 0 < low.mu < 1e-5
+    assert 1 - 1e-5 < high.mu < 1
 
 
 def test_what_cannot_be_determined_is_named():
@@ -173,7 +184,9 @@ def test_at_the_shell(folder, tmp_path, capsys):
     assert "w/T_degC[0,2]" in json.loads(capsys.readouterr().out)["parameters"]
     assert run(["predict", str(folder), names[2], "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["metrics"]["test"]["rmse"] < 1.2 * NOISE
-    assert run(["predict", str(folder), names[2], "--covariate", "T_degC=10", "--json"]) == 1  # another temperature than the file's
+    assert (
+        run(["predict", str(folder), names[2], "--covariate", "T_degC=10", "--json"]) == 1
+    )  # another temperature than the file's
     capsys.readouterr()
     assert run(["export", str(folder), "--c", str(tmp_path / "code")]) == 2
     assert "T_degC" in capsys.readouterr().err

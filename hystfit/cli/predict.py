@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, Covariates, FitFolder, Loop, Output, Part, Reading, Trust, bounds_of
+from hystfit.cli.options import (
+    DEFAULT_READING,
+    SPLIT,
+    STDOUT,
+    Covariates,
+    FitFolder,
+    Loop,
+    Output,
+    Part,
+    Reading,
+    Trust,
+    bounds_of,
+)
 from hystfit.cli.records import load, load_one_sided, open_fit
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written

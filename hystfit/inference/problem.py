@@ -95,9 +95,7 @@ class Problem:
         self.scales = scales_of(self.data)
         records = [record.name for record in self.data]
         trees = [model.of_record(record) for record in self.data]
-        self.space = ParameterSpace.of(
-            model, fix=fix, free=free, scales=self.scales, records=records, trees=trees
-        )
+        self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records, trees=trees)
         pairs = zip(given, self.data, strict=True)
         self.data = Dataset(tuple(self._begun(record, ready) for record, ready in pairs), given.name)
         self._spacing = spacing

@@ -320,7 +320,9 @@ def _slope(
             f"{parameter!r} has a value for each record, which may be any function of {name}: leave its dependence out"
         )
     if model.estimator == "preisach" and leaf.info.linear:
-        raise ModelError(f"the weights {parameter!r} of a Preisach model cannot depend on {name}: no penalty suits them")
+        raise ModelError(
+            f"the weights {parameter!r} of a Preisach model cannot depend on {name}: no penalty suits them"
+        )
     low, high = leaf.info.bounds
     return Slope(
         value=np.zeros(leaf.shape),

@@ -70,7 +70,9 @@ class Coordinates(eqx.Module):
     def at(self, tree: Any) -> Coordinates:
         """The same coordinates with the constants of a tree for every record: for predictions of another one."""
         leaves = jax.tree_util.tree_leaves(tree)
-        rows = [np.broadcast_to(leaves[k], np.shape(old)) for k, old in zip(self.constant_at, self.constants, strict=True)]
+        rows = [
+            np.broadcast_to(leaves[k], np.shape(old)) for k, old in zip(self.constant_at, self.constants, strict=True)
+        ]
         return eqx.tree_at(lambda c: c.constants, self, tuple(map(to_device, rows))) if rows else self
 
     @property

@@ -109,7 +109,9 @@ class FitResult(WithStatus):
         """
         if not self.problem.settled:
             names = ", ".join(f"{name}=..." for name in self.model.covariates)
-            raise ModelError(f"the parameters depend on {' and '.join(self.model.covariates)}: choose values, result.at({names})")
+            raise ModelError(
+                f"the parameters depend on {' and '.join(self.model.covariates)}: choose values, result.at({names})"
+            )
         return self.model
 
     @functools.cached_property
