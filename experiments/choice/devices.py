@@ -65,7 +65,7 @@ def relays(rng: np.random.Generator) -> Device:
 
 
 def _in_steps(slope: Callable[[float, float, float], float], stiffness: float = 0.0) -> Device:
-    """A device whose state x, from 0, changes by dx/du = slope(u, x, direction), in `FINE` steps a sample; the output is stiffness u + x."""
+    """A device of output stiffness u + x, whose state x, from 0, follows dx/du = slope(u, x, direction) in `FINE` steps a sample."""
 
     def run(u: np.ndarray) -> np.ndarray:
         x, before, y = 0.0, 0.0, np.empty(u.size)
