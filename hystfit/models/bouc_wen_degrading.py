@@ -47,7 +47,8 @@ class BoucWenBaberNoori(AbstractHysteresis):
     beta + gamma = 1 here (Ma et al. 2004). lam = 0.2 and dpsi = 0 are fixed, because loops do not determine them beside psi and zs. Where
     the loops are not pinched, zs is near zero and p, q and psi have no effect. Semi-implicit substeps of second order.
 
-    The device rests without force before the record.
+    The device rests without force before the record. Parameters of damaged loops often end on their bounds, where the bounded solver
+    (method="trf") can find a lower minimum.
 
     Raises:
         ModelError: fewer than one substep.
@@ -57,9 +58,6 @@ class BoucWenBaberNoori(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
-    # Parameters of damaged loops end on their bounds, which a solver without bounds approaches forever: on struct_slotboom/spc1 it gives up
-    # the start that leads to 2.65 % of the range, for one that leads to 3.05 %.
-    estimator: ClassVar[str] = "trf"
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
