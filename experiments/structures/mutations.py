@@ -97,6 +97,21 @@ def _one_relaxation() -> None:
     hf.Viscoelastic.start = lambda self, records: start(hf.Viscoelastic.of(2), records)
 
 
+def _held(model: str, **values: float) -> Any:
+    """Puts fits of a model in place that hold parameters."""
+
+    def apply() -> None:
+        original = hf.fit
+
+        def held(name: Any, *rest: Any, **options: Any) -> Any:
+            fix = {**options.pop("fix", {}), **(values if name == model else {})}
+            return original(name, *rest, fix=fix, **options)
+
+        hf.fit = held
+
+    return apply
+
+
 def _same_for_all() -> None:
     Varying.of_record = lambda self, record: self
 
@@ -121,7 +136,7 @@ MUTATIONS = (
     Mutation("stops that do not scale with the peak", "peak-oriented stiffness loss and slip", _plain_stops, run.walls),
     Mutation("stops that do not scale with the peak, fastener", "the same", _plain_stops, run.fastener),
     Mutation("no force of the velocity", "viscous and yield forces", _no_flow, run.dampers),
-    Mutation("no pinching", "slip", _changed(hf.BoucWenBaberNoori, zs=lambda m: 0.2 * m.zs), laws.damage),
+    Mutation("no pinching", "slip", _held("bouc-wen-baber-noori", zs=0.1), laws.damage),
     Mutation("two relaxation times", "relaxation between the rates", _one_relaxation, laws.viscoelasticity),
     Mutation("the inverse of static plays", "thresholds that grow with the rate", _inverse_at_rest, laws.rate),
     Mutation(
@@ -130,7 +145,7 @@ MUTATIONS = (
         _changed(hf.RateDependentPlays, kappa=lambda m: 0.5 * m.kappa),
         laws.rate,
     ),
-    Mutation("no static friction", "the Stribeck effect", _changed(hf.LuGre, dFs=lambda m: 0 * m.dFs), laws.friction),
+    Mutation("no static friction", "the Stribeck effect", _held("lugre", dFs=1e-6), laws.friction),
     Mutation(
         "limits that do not depend on the velocity",
         "the Stribeck effect",
