@@ -26,6 +26,7 @@ from .models import BoucWen as BoucWen
 from .models import BoucWenBaberNoori as BoucWenBaberNoori
 from .models import BoucWenForce as BoucWenForce
 from .models import BoucWenOscillator as BoucWenOscillator
+from .models import Dahl as Dahl
 from .models import Damper as Damper
 from .models import Delay as Delay
 from .models import Duhem as Duhem
@@ -34,6 +35,8 @@ from .models import Lag as Lag
 from .models import Linear as Linear
 from .models import LinearCreep as LinearCreep
 from .models import LogCreep as LogCreep
+from .models import LuGre as LuGre
+from .models import MaxwellSlip as MaxwellSlip
 from .models import Negate as Negate
 from .models import Offset as Offset
 from .models import ParametricPreisach as ParametricPreisach

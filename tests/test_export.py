@@ -65,6 +65,7 @@ CASES = {
     ),
     "voce_chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0), -1.0, 1.0),
     "viscoelastic": (hf.Sum(PIEZO, hf.Viscoelastic(g=(0.03, 0.02), tau=(0.01, 0.1))), -20.0, 120.0),
+    "dahl": (hf.Dahl(Fc=(0.4, 0.3), d=(0.05, 0.4), k=0.5, offset=0.1), -1.0, 1.0),
     "rate_plays": (hf.RateDependentPlays.of(6), -0.2, 1.2),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),
     "envelopes": (hf.PrandtlIshlinskii.of(4, 3, envelopes=3), -0.2, 1.2),
@@ -250,9 +251,16 @@ def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path
     assert subprocess.run([str(program), "i"], input="0.0", capture_output=True, text=True).returncode == 2
 
 
-def test_a_damper_is_exported_forward_only(sanitizers: None, tmp_path: Path) -> None:
-    terms = {"spring": (0.5, 0.1, -0.2, 0.1), "bent": (0.1, 0.02, -0.1), "coupling": (0.1, -0.2, 0.3, 0.1)}
-    model = hf.Damper(**terms, tau=0.004, half=1.1, speed=9.0, center=0.2, offset=0.3)
+DAMPER = {"spring": (0.5, 0.1, -0.2, 0.1), "bent": (0.1, 0.02, -0.1), "coupling": (0.1, -0.2, 0.3, 0.1)}
+OF_VELOCITY = [
+    hf.Damper(**DAMPER, tau=0.004, half=1.1, speed=9.0, center=0.2, offset=0.3),
+    hf.LuGre(sigma0=20.0, sigma1=0.05, vs=3.0, k=0.2, offset=0.1),
+    hf.MaxwellSlip(vs=3.0, half=1.1, speed=9.0, center=0.2, offset=0.1),
+]
+
+
+@pytest.mark.parametrize("model", OF_VELOCITY, ids=lambda model: type(model).__name__)
+def test_forces_of_the_velocity_are_exported_forward_only(model, sanitizers: None, tmp_path: Path) -> None:
     program, u = build(model, tmp_path, flags=SANITIZED), path(-1.0, 1.0)
     expected = np.asarray(hf.simulate(model, u, 0.002)[0])
     assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-12 * np.ptp(expected)

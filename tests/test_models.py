@@ -83,6 +83,12 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         ),
         {},
     ),
+    "dahl": (hystfit.Dahl(Fc=(0.4, 0.3), d=(0.05, 0.4), k=0.2, offset=0.1), {}),
+    "lugre": (hystfit.LuGre(sigma0=20.0, sigma1=0.05, vs=3.0, k=0.2, offset=0.1), {}),
+    "maxwell slip": (
+        hystfit.MaxwellSlip(w=(0.5, 0.3, 0.2), r=(0.05, 0.17, 0.33), vs=3.0, half=1.1, speed=9.0, offset=0.1),
+        dict(kinked=["r", "excess", "vs", "half"]),
+    ),
     "viscoelastic": (hystfit.Viscoelastic(g=(0.3, 0.2, 0.5), tau=(0.01, 0.1, 1.0)), {}),
     "rate shift": (hystfit.RateShift(c=0.1, q0=2.0), {}),
     "rate-dependent plays": (

@@ -64,61 +64,47 @@ def relays(rng: np.random.Generator) -> Device:
     return run
 
 
-def bouc_wen(rng: np.random.Generator) -> Device:
-    """dw = rho (1 - (sigma sign(du w) + 1 - sigma) |w|^n) du beside a spring."""
-    rho, sigma, n, stiff = rng.uniform(3, 10), rng.uniform(0.5, 1.2), rng.uniform(1, 2.5), rng.uniform(0.1, 1.5)
+def _in_steps(slope: Callable[[float, float, float], float], stiffness: float = 0.0) -> Device:
+    """A device of output stiffness u + x, whose state x, from 0, follows dx/du = slope(u, x, direction) in `FINE` steps a sample."""
 
     def run(u: np.ndarray) -> np.ndarray:
-        w, before, y = 0.0, 0.0, np.empty(u.size)
+        x, before, y = 0.0, 0.0, np.empty(u.size)
         for k, value in enumerate(u):
             du = (value - before) / FINE
-            for _ in range(FINE):
-                w += rho * (1 - (sigma * np.sign(du * w) + 1 - sigma) * abs(w) ** n) * du
-            before, y[k] = value, stiff * value + w
+            for step in range(FINE):
+                x += slope(before + (step + 0.5) * du, x, np.sign(du)) * du
+            before, y[k] = value, stiffness * value + x
         return y
 
     return run
+
+
+def bouc_wen(rng: np.random.Generator) -> Device:
+    """dw = rho (1 - (sigma sign(du w) + 1 - sigma) |w|^n) du beside a spring."""
+    rho, sigma, n, stiff = rng.uniform(3, 10), rng.uniform(0.5, 1.2), rng.uniform(1, 2.5), rng.uniform(0.1, 1.5)
+    return _in_steps(lambda u, w, way: rho * (1 - (sigma * np.sign(way * w) + 1 - sigma) * abs(w) ** n), stiff)
 
 
 def duhem(rng: np.random.Generator) -> Device:
     """dy = alpha |du| (f(u) - y) + g du (Coleman and Hodgdon 1986)."""
     alpha, bend, slope = rng.uniform(1, 5), rng.uniform(0, 0.5), rng.uniform(0, 0.5)
-
-    def run(u: np.ndarray) -> np.ndarray:
-        out, before, y = 0.0, 0.0, np.empty(u.size)
-        for k, value in enumerate(u):
-            du = (value - before) / FINE
-            for step in range(FINE):
-                x = before + (step + 0.5) * du
-                out += alpha * abs(du) * (x + bend * x**3 - out) + slope * du
-            before, y[k] = value, out
-        return y
-
-    return run
+    return _in_steps(lambda u, y, way: alpha * way * (u + bend * u**3 - y) + slope)
 
 
 def jiles_atherton(rng: np.random.Generator) -> Device:
     """dM/dH of Jiles and Atherton (1986), without negative susceptibility."""
     a, pinning, c, alpha = rng.uniform(0.1, 0.3), rng.uniform(0.1, 0.4), rng.uniform(0.05, 0.4), rng.uniform(0.0, 0.1)
 
-    def run(u: np.ndarray) -> np.ndarray:
-        m, before, y = 0.0, 0.0, np.empty(u.size)
-        for k, value in enumerate(u):
-            dh = (value - before) / FINE
-            for step in range(FINE):
-                x = (before + (step + 0.5) * dh + alpha * m) / a
-                inverse = 1 / x if abs(x) > 1e-3 else 0.0
-                anhysteretic = 1 / np.tanh(x) - inverse if inverse else x / 3
-                steep = (1 - 1 / np.tanh(x) ** 2 + inverse**2) / a if inverse else 1 / (3 * a)
-                miss = anhysteretic - m
-                moved = miss * np.sign(dh) > 0
-                free = miss / (np.sign(dh) * pinning - alpha * miss) if moved else 0.0
-                slope = ((1 - c) * free + c * steep) / (1 - c * alpha * steep)
-                m += max(slope, 0.0) * dh
-            before, y[k] = value, m
-        return y
+    def slope(u: float, m: float, way: float) -> float:
+        x = (u + alpha * m) / a
+        inverse = 1 / x if abs(x) > 1e-3 else 0.0
+        anhysteretic = 1 / np.tanh(x) - inverse if inverse else x / 3
+        steep = (1 - 1 / np.tanh(x) ** 2 + inverse**2) / a if inverse else 1 / (3 * a)
+        miss = anhysteretic - m
+        free = miss / (way * pinning - alpha * miss) if miss * way > 0 else 0.0
+        return max(((1 - c) * free + c * steep) / (1 - c * alpha * steep), 0.0)
 
-    return run
+    return _in_steps(slope)
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Device]] = {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hystfit.cli.options import (
     DEFAULT_REFERENCE,
     STDOUT,
+    Covariates,
     FitFolder,
     FitOrDraws,
     Limits,
@@ -17,7 +18,7 @@ from hystfit.cli.options import (
     Trust,
     input_limits,
 )
-from hystfit.cli.records import load_one_sided, open_fit
+from hystfit.cli.records import chosen_covariates, load_one_sided, open_fit
 from hystfit.cli.write import finish, items, named, progress, prose_width, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Status, Table
@@ -41,6 +42,7 @@ def invert(
     *,
     limits: Limits = None,
     rest: float | None = None,
+    covariates: Covariates = None,
     trust: Trust = False,
     reading: ReferenceReading = DEFAULT_REFERENCE,
     output: Output = STDOUT,
@@ -60,11 +62,11 @@ def invert(
 
     sampled = (fitdir / "posterior.nc").is_file()
     place = fitdir / "fit" if sampled else fitdir
-    result = open_fit(place, output, trust)
+    result = open_fit(place, output, trust, covariates=covariates)
     target = result.in_fitted_units(_target(reference, reading, result.data[0]).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
-    bands = _bands(fitdir, target.y, dt, span, rest, trust) if sampled else None
+    bands = _bands(fitdir, target.y, dt, span, rest, trust, covariates) if sampled else None
     inverse = solve(result, target.y, dt, limits=span, rest=rest) if bands is None else bands.given
     missed = [warn(Code.MISSED, note) for note in inverse.notes()]
     content = _content(fitdir, result, target, inverse, bands, span)
@@ -150,13 +152,21 @@ def _target(path: str, reading: ReferenceReading, fitted: Record) -> Record:
 
 
 def _bands(
-    folder: Path, reference: Any, dt: Any, limits: tuple[float, float] | None, rest: float | None, trust: bool
+    folder: Path,
+    reference: Any,
+    dt: Any,
+    limits: tuple[float, float] | None,
+    rest: float | None,
+    trust: bool,
+    covariates: list[str] | None,
 ) -> InverseBands:
     from hystfit.control.bands import inverse_bands
     from hystfit.sampling.files import load_posterior
 
     with progress("inverting by draws"):
-        return inverse_bands(load_posterior(folder, trust=trust), reference, dt, limits=limits, rest=rest)
+        posterior = load_posterior(folder, trust=trust)
+        posterior = posterior.at(**chosen_covariates(covariates)) if covariates else posterior
+        return inverse_bands(posterior, reference, dt, limits=limits, rest=rest)
 
 
 def _summary(bands: InverseBands) -> dict[str, Any]:
@@ -207,6 +217,7 @@ def export(
     tag: int = 1,
     name: str = "hysteresis",
     limits: Limits = None,
+    covariates: Covariates = None,
     trust: Trust = False,
 ) -> int:
     """Write a fitted model and its inverse as C99 with fixed memory, and a test program; the fit as a MATLAB file or for OpenSees.
@@ -226,7 +237,7 @@ def export(
         other = "" if s_function else ", a MATLAB file: --mat FILE, or a folder for OpenSees: --opensees FOLDER"
         raise DataError(f"name the folder for the C code: --c FOLDER{other}")
     span = input_limits(limits)
-    result = open_fit(fitdir, Output(out=c), trust)
+    result = open_fit(fitdir, Output(out=c), trust, covariates=covariates)
     if mat is not None:
         print(f"Written to {result.save_mat(mat)}")
     if opensees is not None:

@@ -51,6 +51,7 @@ def fit(
     loss: str = "linear",
     start: Literal["data", "model"] = "data",
     at: list[str] | None = None,
+    covariate: list[str] | None = None,
     starts: int = 8,
     seed: int = 0,
     sequential: SequentialSettings = NO_SETTINGS,
@@ -73,6 +74,8 @@ def fit(
         loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
         start: starting values estimated from the data, or those of the model.
         at: starting value of a parameter, as NAME=VALUE, in place of the one estimated from the data; repeatable.
+        covariate: parameters that are linear in a constant of each record (its temperature, current, preload), as T_degC:c,tau; repeatable.
+            The value is that of a constant column or of the header of the file, or stands in the name of the record.
         starts: number of starting points.
         seed: random seed for the starting points.
     """
@@ -85,7 +88,7 @@ def fit(
         )
     options = {
         "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
-        "start": named_values(at, "--at") if at else start, **settings,
+        "start": named_values(at, "--at") if at else start, "covariates": covariate or (), **settings,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):

@@ -41,6 +41,11 @@ Limits = Annotated[
     str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fitted input")
 ]
 
+Covariates = Annotated[
+    list[str] | None,
+    Parameter(name="--covariate", help="value of a covariate of the fit, as T_degC=30; repeatable"),
+]
+
 Purpose = Annotated[
     Literal["prediction", "inverse", "export"],
     Parameter(

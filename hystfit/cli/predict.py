@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from hystfit.cli.options import DEFAULT_READING, SPLIT, STDOUT, FitFolder, Loop, Output, Part, Reading, Trust, bounds_of
+from hystfit.cli.options import (
+    DEFAULT_READING,
+    SPLIT,
+    STDOUT,
+    Covariates,
+    FitFolder,
+    Loop,
+    Output,
+    Part,
+    Reading,
+    Trust,
+    bounds_of,
+)
 from hystfit.cli.records import load, load_one_sided, open_fit
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written
@@ -50,6 +62,7 @@ def predict(
     input_only: Annotated[bool, Parameter(group=SPLIT)] = False,
     window: Part = None,
     refit_offset: Annotated[bool, Parameter(group=SPLIT)] = False,
+    covariates: Covariates = None,
     trust: Trust = False,
     reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
@@ -63,7 +76,7 @@ def predict(
         window: compare only the samples in start:stop.
         refit_offset: shift the prediction to the mean of the measurement (the zero of the sensor may differ).
     """
-    result = open_fit(fitdir, output, trust)
+    result = open_fit(fitdir, output, trust, covariates=covariates)
     if input_only and reading.output is not None:
         raise DataError("--output and --input-only exclude each other")
     if input_only:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hystfit.cli.options import Output, Reading, Split, bounds_of
+from hystfit.cli.options import Output, Reading, Split, bounds_of, named_values
 from hystfit.errors import DataError
 from hystfit.registry import near
 
@@ -18,12 +18,15 @@ if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
 
-def open_fit(folder: Path, output: Output, trust: bool, own: str = "") -> FitResult:
+def open_fit(
+    folder: Path, output: Output, trust: bool, own: str = "", covariates: Sequence[str] | None = None
+) -> FitResult:
     """The saved fit of a folder, after a check that the result can be written.
 
     Args:
         trust: see `hystfit.load_fit`.
         own: see `Output.check`.
+        covariates: NAME=VALUE, for `FitResult.at`.
 
     Raises:
         HystfitError: no fit, or see `Output.check`.
@@ -32,7 +35,12 @@ def open_fit(folder: Path, output: Output, trust: bool, own: str = "") -> FitRes
 
     result = load_fit(folder, trust=trust)
     output.check(own)
-    return result
+    return result.at(**chosen_covariates(covariates)) if covariates else result
+
+
+def chosen_covariates(pairs: Sequence[str]) -> dict[str, float]:
+    """Values of covariates from NAME=VALUE."""
+    return {name: value for name, value in named_values(list(pairs), "--covariate").items() if value is not None}
 
 
 _LAYOUT = ("sheet", "delimiter", "decimal", "encoding")

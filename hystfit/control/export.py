@@ -52,7 +52,7 @@ def export_c(
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ModelError(f"name must be a C identifier in lower case, got {name!r}")
-    exported = model if isinstance(model, AbstractHysteresis) else model.model
+    exported = model if isinstance(model, AbstractHysteresis) else model.device
     part = exported.c_part()
     blocks: list[str] = []
     _emit(part, f"{name}_model", blocks)

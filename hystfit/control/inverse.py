@@ -155,7 +155,7 @@ def prepare(
     wanted = np.asarray(reference, dtype=float)
     if wanted.ndim != 1 or wanted.size == 0:
         raise DataError(f"the reference must have shape (T,) with T > 0, got {wanted.shape}")
-    inverted = model if isinstance(model, AbstractHysteresis) else model.model
+    inverted = model if isinstance(model, AbstractHysteresis) else model.device
     if dt is None and not inverted.rate_independent:
         raise ModelError(f"{type(inverted).__name__} depends on time: give dt, the time between samples")
     given = np.asarray(0.0 if dt is None else dt, dtype=float)

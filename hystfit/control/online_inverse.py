@@ -186,7 +186,7 @@ def fitted_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHyste
     """The input range of a model (for a fit, the range of the fitted input), and the model."""
     if isinstance(model, AbstractHysteresis):
         return model.reach(), model
-    return model.input_range, model.model
+    return model.input_range, model.device
 
 
 @eqx.filter_jit

@@ -39,7 +39,7 @@ def export_opensees(result: FitResult, folder: str | Path, *, name: str = "mater
         raise ModelError(f"name must be a word of letters, digits and underscores, got {name!r}")
     if tag < 1:
         raise ModelError(f"the tag of a material is a positive whole number, got {tag}")
-    material = result.model.uniaxial_material()
+    material = result.device.uniaxial_material()
     words = material.words(tag)
     comments = [f"# {line}" for line in _comments(result, (*material.lost, *material.notes))]
     kind, *numbers = words[1:]

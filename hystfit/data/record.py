@@ -52,7 +52,7 @@ class Record:
         sha256: checksum of the file that it was read from; None if it was not read from a file.
         sigma: standard deviation of the output of a sample of weight 1 [y_unit]; None if unknown (see `with_sigma`).
         reading: options of `hystfit.read` other than the defaults, by name, as at the shell.
-        metadata: properties of the sample as the header of its file states them, by name (size, mass, ...).
+        metadata: properties of the sample by name (size, mass, temperature): of the header of its file, and columns that are constant.
         stated: results that the instrument computed from this loop and wrote into its file.
         notes: what was assumed, left out or changed when the record was read or prepared.
 

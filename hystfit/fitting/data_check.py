@@ -12,12 +12,13 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.fit_warnings import drift_note
 from hystfit.fitting.screening import Screened, best_screened, screen
+from hystfit.fitting.traits import traits
 from hystfit.models.registry import judged, judged_as
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.quality.baselines import Baselines
-from hystfit.quality.check import Advice, QualityReport, examine
+from hystfit.quality.check import Advice, QualityReport, Trait, examine
 from hystfit.quality.determination import Verdict
 from hystfit.quality.held_out import held_out
 from hystfit.reading.in_memory import records_of
@@ -42,8 +43,11 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     """
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
-    other = any(note.code is Code.DEGRADING or note.option == _INTEGRATED for note in report.findings)
-    screened = () if other else _screened(records)
+    charge = any(note.option == _INTEGRATED for note in report.findings)
+    damaged = any(note.code is Code.DEGRADING for note in report.findings)
+    every = () if charge else _screened(records)
+    shown = _traits(records, every) if every else ()
+    screened = () if damaged else every
     advice = _advice(records, screened) if screened else None
     searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
@@ -55,6 +59,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
         report,
         findings=(*report.findings, *([drift] if drift else [])),
         advice=advice,
+        traits=shown,
         determines=tuple(sorted(report.determines, key=rank)),
     )
 
@@ -63,6 +68,15 @@ def _screened(records: Dataset) -> tuple[Screened, ...]:
     """The models with a closed form and their errors; none where the records drive none."""
     try:
         return tuple(screen(records))
+    except HystfitError:
+        return ()
+
+
+def _traits(records: Dataset, screened: Sequence[Screened]) -> tuple[Trait, ...]:
+    """What the loops show; nothing where a single-valued curve describes them."""
+    baselines = Baselines.of(records)
+    try:
+        return () if is_noise(baselines.curve, baselines) else traits(records, screened, baselines)
     except HystfitError:
         return ()
 

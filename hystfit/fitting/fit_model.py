@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.config import require_seed, verb
+from hystfit.data.covariates import dependences
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
@@ -31,6 +32,7 @@ from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import diagnose
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.varying import Varying
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
@@ -82,7 +84,11 @@ def solve_model(
         model, notes = found.model, list(found.notes())
         options = dataclasses.replace(options, start="model")
     options.check()
-    setup = set_up_fit(make_model(model), data, options, held=not named, notes=tuple(notes))
+    made = make_model(model)
+    if options.covariates:
+        made = Varying.of(made, dependences(options.covariates), list(data))
+        notes += made.notes(list(data))
+    setup = set_up_fit(made, data, options, held=not named, notes=tuple(notes))
     return Solved(setup, solve(setup.problem, setup.method, options.starts, options.seed, setup.points), options, watch)
 
 

@@ -56,6 +56,7 @@ class Problem:
         noise: a noise model with values, or None where there is no likelihood.
         noise_space: its parameters.
         priors: of the parameters of model and noise.
+        settled: whether the parameters are those of one device: covariates on which they depend have been chosen, or there are none.
     """
 
     def __init__(
@@ -93,7 +94,8 @@ class Problem:
         self.model = model
         self.scales = scales_of(self.data)
         records = [record.name for record in self.data]
-        self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records)
+        trees = [model.of_record(record) for record in self.data]
+        self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records, trees=trees)
         pairs = zip(given, self.data, strict=True)
         self.data = Dataset(tuple(self._begun(record, ready) for record, ready in pairs), given.name)
         self._spacing = spacing
@@ -106,6 +108,7 @@ class Problem:
             )
         bend = to_device(0.02)  # a robust loss bends at 1 % of the range
         self.objective = Objective(self.space.coordinates, batch, to_device(self.scales.y), bend, loss)
+        self.settled = not model.covariates
         self.noise: AbstractNoise | None = None
         self.noise_space: ParameterSpace | None = None
         self.priors: tuple[AbstractPrior, ...] = ()
@@ -137,6 +140,13 @@ class Problem:
         records = [record.replace(weight=weight) for record, weight in zip(self.data, weights, strict=True)]
         data = Dataset(tuple(records))
         return self._changed(data=data, objective=dataclasses.replace(self.objective, batch=Batch.of(data)))
+
+    def at(self, model: AbstractHysteresis) -> Problem:
+        """The same problem with the covariates of a model for every record: for predictions, not for fits."""
+        space = copy.copy(self.space)
+        space.coordinates = space.coordinates.at(model)
+        objective = dataclasses.replace(self.objective, coordinates=space.coordinates)
+        return self._changed(space=space, objective=objective, settled=True)
 
     @functools.cached_property
     def held_out(self) -> HeldOut:

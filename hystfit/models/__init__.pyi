@@ -7,6 +7,7 @@ from .bouc_wen_degrading import BoucWenBaberNoori as BoucWenBaberNoori
 from .bouc_wen_force import BoucWenForce as BoucWenForce
 from .creep import LinearCreep as LinearCreep
 from .creep import LogCreep as LogCreep
+from .dahl import Dahl as Dahl
 from .damper import Damper as Damper
 from .duhem import Duhem as Duhem
 from .dynamics import Delay as Delay
@@ -14,6 +15,8 @@ from .dynamics import Lag as Lag
 from .dynamics import SecondOrder as SecondOrder
 from .jiles_atherton import JilesAtherton as JilesAtherton
 from .linear import Linear as Linear
+from .lugre import LuGre as LuGre
+from .maxwell_slip import MaxwellSlip as MaxwellSlip
 from .negate import Negate as Negate
 from .offset import Offset as Offset
 from .oscillator import BoucWenOscillator as BoucWenOscillator

@@ -66,6 +66,19 @@ class AbstractHysteresis(AbstractDynamics):
         return {name: value for name, value in values if isinstance(value, (int, str))}
 
     @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of constants of a record on which its parameters depend (see `Varying`)."""
+        return ()
+
+    def of_record(self, record: Record) -> AbstractHysteresis:
+        """The same model at the covariates of a record."""
+        return self
+
+    def outside(self) -> list[str]:
+        """Covariates beyond those of the records fitted, in words."""
+        return []
+
+    @property
     def linear_in_input(self) -> bool:
         """Whether the output is linear in the input signal, apart from a constant from the initial state (linear filters)."""
         return False

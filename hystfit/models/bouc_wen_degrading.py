@@ -47,7 +47,8 @@ class BoucWenBaberNoori(AbstractHysteresis):
     beta + gamma = 1 here (Ma et al. 2004). lam = 0.2 and dpsi = 0 are fixed, because loops do not determine them beside psi and zs. Where
     the loops are not pinched, zs is near zero and p, q and psi have no effect. Semi-implicit substeps of second order.
 
-    The device rests without force before the record.
+    The device rests without force before the record. Parameters of damaged loops often end on their bounds, where the bounded solver
+    (method="trf") can find a lower minimum.
 
     Raises:
         ModelError: fewer than one substep.

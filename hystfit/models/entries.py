@@ -101,6 +101,24 @@ MODELS: dict[str, Entry] = {
         "damper: spring, valves, friction, yield force, forces that lag the velocity; convex solve; needs time",
         tried=("damper", "negate+damper"),
     ),
+    "dahl": Entry(
+        "dahl:Dahl.of",
+        "core",
+        "friction of bristles (Dahl) and a spring; smooth knees without return-point memory; convex solve",
+        tried=("dahl", "dahl+viscous"),
+    ),
+    "lugre": Entry(
+        "lugre:LuGre",
+        "core",
+        "LuGre friction: presliding, static and Coulomb friction, Stribeck velocity, viscous; needs time and several rates",
+        tried=("lugre",),
+    ),
+    "maxwell-slip": Entry(
+        "maxwell_slip:MaxwellSlip.of",
+        "core",
+        "generalized Maxwell slip: stops whose limits fall with the velocity; convex solve; needs time and several rates",
+        tried=("maxwell-slip",),
+    ),
     "steel-02": Entry(
         "steel02:Steel02",
         "core",

@@ -18,7 +18,7 @@ from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.starting import best_column, fit_linear, input_range, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
@@ -75,7 +75,11 @@ class Steel02(AbstractHysteresis):
     deadband: Scalar = param(
         0.0, bounds=(0.0, np.inf), unit="u", scale=0.001, fixed=True, doc="move back that counts as a reversal"
     )
-    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    # Fixed: a free constant stands in for kinematic hardening. On the first 60 % of steel_resspylab/example_2 it becomes -14 MPa, and the
+    # error on the rest 4.4 % of the range instead of 2.6.
+    offset: Scalar = param(
+        0.0, unit="y", fixed=True, linear=True, doc="stress of the undeformed specimen: zero of the load cell"
+    )
 
     def init(self, u0: Scalar) -> State:
         """State after loading from zero strain to u0, shape (11,).
@@ -156,7 +160,7 @@ class Steel02(AbstractHysteresis):
         return CPart(template("steel02.c"), _STATES, {name.upper(): getattr(self, name) for name in names})
 
     def start(self, records: Sequence[Record]) -> Steel02:
-        """The best of a grid over yield strain, b, cR1 and the shifts, with the yield stress and the offset by least squares.
+        """The best of a grid over yield strain, b, cR1 and the shifts, with the yield stress by least squares.
 
         Where the strain is noisy, `deadband` is set to several standard deviations of its noise.
         """
@@ -168,12 +172,11 @@ class Steel02(AbstractHysteresis):
         runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(record.u))) for record in short]
         columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
         _, y = used_samples(short)
-        offsets = offset_columns(short)
-        best = best_column(offsets, columns, y)
-        theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
+        best = best_column(np.zeros((y.size, 0)), columns, y)
+        theta, _ = fit_linear(columns[:, [best]], y)
         fy = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         shape = {"E": fy * grid[best, 0], "b": b[best], "cR1": cR1[best], "a1": a[best], "a3": a[best]}
-        return dataclasses.replace(self, fy=fy, **shape, deadband=deadband, offset=theta[1])
+        return dataclasses.replace(self, fy=fy, **shape, deadband=deadband)
 
 
 def strain_noise(records: Sequence[Record]) -> float:

@@ -19,7 +19,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.starting import best_column, fit_linear, input_range, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
@@ -74,7 +74,11 @@ class VoceChaboche(AbstractHysteresis):
     g: Float[Array, " backstresses"] = param(
         (3.0, 30.0), bounds=(0.0, np.inf), unit="1/u", scale=10.0, vector=True, doc="rate of each backstress"
     )
-    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
+    # Fixed: a free constant stands in for kinematic hardening. On the first 60 % of steel_resspylab/example_2 it becomes -14 MPa, and the
+    # error on the rest 4.4 % of the range instead of 2.6.
+    offset: Scalar = param(
+        0.0, unit="y", fixed=True, linear=True, doc="stress of the undeformed specimen: zero of the load cell"
+    )
 
     def __check_init__(self) -> None:
         if hasattr(self.S, "shape") and hasattr(self.g, "shape") and self.S.shape[-1:] != self.g.shape[-1:]:
@@ -172,14 +176,13 @@ class VoceChaboche(AbstractHysteresis):
         runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(half), jnp.asarray(r.u))) for r in short]
         columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
         _, y = used_samples(short)
-        offsets = offset_columns(short)
-        best = best_column(offsets, columns, y)
-        theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
+        best = best_column(np.zeros((y.size, 0)), columns, y)
+        theta, _ = fit_linear(columns[:, [best]], y)
         sy0 = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         unit = _on_grid(plain, grid[best], np.asarray(half))
         scaled = {name: sy0 * np.asarray(getattr(unit, name)) for name in ("E", "sy0", "Q", "D", "S")}
         rates = {name: np.asarray(getattr(unit, name)) for name in ("b", "a", "g")}
-        return dataclasses.replace(self, **scaled, **rates, offset=theta[1])
+        return dataclasses.replace(self, **scaled, **rates)
 
 
 def _on_grid(plain: VoceChaboche, row: Any, half: Any) -> VoceChaboche:

@@ -53,6 +53,7 @@ class Coordinates(eqx.Module):
         lower, upper, scale: of each free element, shape (p,).
         kinds: map of each free element.
         layout: for each leaf with free elements (leaf index, flat positions, whether it differs between records).
+        constants: values of leaves that are given for each record (covariates), shapes (R, ...), at the indices `constant_at`.
     """
 
     leaves: tuple[Any, ...]
@@ -63,6 +64,16 @@ class Coordinates(eqx.Module):
     layout: tuple[tuple[int, tuple[int, ...], bool], ...] = eqx.field(static=True)
     treedef: Any = eqx.field(static=True)
     n_records: int = eqx.field(static=True)
+    constants: tuple[Any, ...] = ()
+    constant_at: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def at(self, tree: Any) -> Coordinates:
+        """The same coordinates with the constants of a tree for every record: for predictions of another one."""
+        leaves = jax.tree_util.tree_leaves(tree)
+        rows = [
+            np.broadcast_to(leaves[k], np.shape(old)) for k, old in zip(self.constant_at, self.constants, strict=True)
+        ]
+        return eqx.tree_at(lambda c: c.constants, self, tuple(map(to_device, rows))) if rows else self
 
     @property
     def own(self) -> np.ndarray:
@@ -130,6 +141,8 @@ class Coordinates(eqx.Module):
         """
         host = isinstance(x, np.ndarray)
         leaves, start = list(self.leaves), 0
+        for index, rows in zip(self.constant_at, self.constants, strict=True):
+            leaves[index] = place(np.asarray(rows)[record]) if host else jnp.take(rows, jnp.asarray(record), axis=0)
         for index, positions, per_record in self.layout:
             count = len(positions)
             if per_record:

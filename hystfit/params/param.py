@@ -112,6 +112,7 @@ def param(
     common: Callable[[Any], bool] | None = None,
     effect: Callable[[Any], Any] | None = None,
     vector: bool = False,
+    declared: Callable[[Any], tuple[str, ParamInfo]] | None = None,
 ) -> Any:
     """A field of a model that is a parameter.
 
@@ -122,6 +123,7 @@ def param(
         effect: of a given model, the largest output of each element for a value of one, of the shape of the parameter (or one that
             broadcasts to it): 0.01 for a weighted stop that yields at a hundredth of the range. It widens the default prior; 1 by default.
         vector: the parameter is an array of one dimension; a number becomes an array of one element.
+        declared: of a given part of a model, the name and declaration of the parameter, where they are not those of the field.
 
     Raises:
         ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is not an expression.
@@ -130,7 +132,7 @@ def param(
     extra = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(
         converter=_as_vector if vector else as_array,
-        metadata={"param": info, "common": common, "effect": effect},
+        metadata={"param": info, "common": common, "effect": effect, "declared": declared},
         **extra,
     )
 
@@ -164,10 +166,12 @@ def _snake(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def _declaration(node: Any, field: dataclasses.Field[Any]) -> ParamInfo | None:
-    """What a field of a model declares; None for one that is no parameter."""
+def _declaration(node: Any, field: dataclasses.Field[Any]) -> tuple[str, ParamInfo | None]:
+    """Name of a field of a model, and what it declares; None for one that is no parameter."""
+    if declared := field.metadata.get("declared"):
+        return declared(node)
     info, common = field.metadata.get("param"), field.metadata.get("common")
-    return dataclasses.replace(info, per_record=False, common=True) if common and common(node) else info
+    return field.name, dataclasses.replace(info, per_record=False, common=True) if common and common(node) else info
 
 
 def _effect(node: Any, field: dataclasses.Field[Any]) -> Callable[[], Any] | None:
@@ -182,10 +186,12 @@ def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo
     for key in path:
         info, effect = None, None
         if isinstance(key, jax.tree_util.GetAttrKey):
+            word = key.name
             fields = dataclasses.fields(node) if dataclasses.is_dataclass(node) else ()  # a named tuple has none
             if field := next((f for f in fields if f.name == key.name), None):
-                info, effect = _declaration(node, field), _effect(node, field)
-            words.append(key.name)
+                word, info = _declaration(node, field)
+                effect = _effect(node, field)
+            words.append(word)
             node = getattr(node, key.name)
         elif isinstance(key, jax.tree_util.SequenceKey):
             siblings = [_snake(type(child).__name__) for child in node]

@@ -35,6 +35,15 @@ def _strong(leaf: Any) -> Any:
     return to_device(leaf, kind) if leaf.weak_type or leaf.dtype != kind else leaf
 
 
+def _constants(trees: Sequence[Any]) -> dict[int, np.ndarray]:
+    """Leaves of several trees that are no parameters and differ, stacked, by their index."""
+    if all(tree is trees[0] for tree in trees):
+        return {}
+    held = {leaf.index for leaf in leaves_of(trees[0])}
+    rows = enumerate(zip(*map(jax.tree_util.tree_leaves, trees), strict=True))
+    return {k: np.stack(values) for k, values in rows if k not in held and any(v is not values[0] for v in values)}
+
+
 class ParameterSpace:
     """Free parameters of a tree (a model, or (model, noise)) by name, with their maps between x and z.
 
@@ -55,6 +64,7 @@ class ParameterSpace:
         free: Sequence[str] = (),
         scales: Scales | None = None,
         records: Sequence[str] = ("",),
+        trees: Sequence[Any] = (),
     ):
         scales = scales or Scales()
         self.leaves = leaves_of(template)
@@ -66,6 +76,7 @@ class ParameterSpace:
         masks = self._masks(values, free)
         self.records = tuple(records)
         self.scales = scales
+        self._constants = _constants(trees)
         self._collect(masks)
 
     @classmethod
@@ -74,7 +85,8 @@ class ParameterSpace:
 
         Args:
             template: tree with `param` fields.
-            **options: `fix` (names, or names with values), `free` (names), `scales`, `records` (names).
+            **options: `fix` (names, or names with values), `free` (names), `scales`, `records` (names), `trees` (the tree of each
+                record where these differ in leaves that are no parameters).
 
         Raises:
             ParameterError: an unknown or ambiguous name (the message lists the names), a name both fixed and freed, a value
@@ -198,6 +210,8 @@ class ParameterSpace:
             layout=tuple(layout),
             treedef=treedef,
             n_records=len(self.records),
+            constants=tuple(to_device(rows, dtype) for rows in self._constants.values()),
+            constant_at=tuple(self._constants),
         )
         self._check_values(flat)
 

@@ -1,7 +1,8 @@
 """Units: of parameters, as expressions in the units of the data ("y/u" is um/V on a piezo record), and of measured columns.
 
 One expression gives both the printed unit and the natural size of a parameter: with u in V over 100 V and y in um
-over 10 um, "y/u" prints as "um/V" and scales as 0.1. Symbols: u input, y output, s time; "1" has no unit.
+over 10 um, "y/u" prints as "um/V" and scales as 0.1. Symbols: u input, y output, s time; "1" has no unit. A unit in brackets, such
+as [degC], is that of another quantity: it prints as it is, with the size 1.
 
 The units of columns are a table of sizes and dimensions. General packages treat Oe and emu as units of another system, which they
 do not convert to A/m and A m^2, and those are the units of magnetic loops.
@@ -16,7 +17,7 @@ import re
 
 from hystfit.errors import DataError, ParameterError
 
-_FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample)(?:\^(?P<power>-?\d+(?:\.\d+)?))?$")
+_FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample|\[\w+\])(?:\^(?P<power>-?\d+(?:\.\d+)?))?$")
 
 
 def exponents(unit: str) -> dict[str, float]:
@@ -63,14 +64,14 @@ class Scales:
     def size(self, unit: str) -> float:
         """Natural size of a parameter of this unit."""
         sizes = {"u": self.u, "y": self.y, "s": self.s, "sample": 1.0}
-        return math.prod((sizes[symbol] ** power for symbol, power in exponents(unit).items()), start=1.0)
+        return math.prod((sizes.get(symbol, 1.0) ** power for symbol, power in exponents(unit).items()), start=1.0)
 
     def label(self, unit: str) -> str:
         """The unit as printed, for example "um/V"; "" for a number without unit, symbols kept where a unit is unknown."""
         labels = {"u": self.u_unit or "[u]", "y": self.y_unit or "[y]", "s": self.s_unit or "s", "sample": "samples"}
         over, under = [], []
         for symbol, power in exponents(unit).items():
-            text = labels[symbol]
+            text = labels.get(symbol, symbol.strip("[]"))
             if abs(power) != 1:
                 text = f"{text}^{abs(power):g}"
             (over if power > 0 else under).append(text)

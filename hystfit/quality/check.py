@@ -35,6 +35,30 @@ class Advice:
 
 
 @dataclasses.dataclass(frozen=True)
+class Trait:
+    """What the loops show, because a model with a term for it errs less on held-out samples than every model without.
+
+    Attributes:
+        name: "degrading", "peak-oriented", "viscoelastic" or "rate-dependent".
+        model: with the term.
+        error_percent: its error on held-out samples, percent of the range.
+        other, other_percent: the best model without, and its error.
+    """
+
+    name: str
+    model: str
+    error_percent: float
+    other: str
+    other_percent: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name}: {self.model} errs by {self.error_percent:.2g} % of the range on held-out samples, and the best model without "
+            f"such a term ({self.other}) by {self.other_percent:.2g} %"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
 class QualityReport:
     """Quality of a data set.
 
@@ -44,6 +68,7 @@ class QualityReport:
         findings: faults and noteworthy properties of the data.
         determines: which models the data determine, the recommended one first.
         advice: which model to try first; None where the data determine none.
+        traits: what the loops show.
     """
 
     name: str
@@ -51,6 +76,7 @@ class QualityReport:
     findings: tuple[Note, ...]
     determines: tuple[Determination, ...]
     advice: Advice | None = None
+    traits: tuple[Trait, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As plain lists, dicts, numbers and None, ready for JSON."""
@@ -60,6 +86,7 @@ class QualityReport:
             "findings": [note.to_dict() for note in self.findings],
             "determines": [_plain(dataclasses.asdict(item)) for item in self.determines],
             "advice": None if self.advice is None else dataclasses.asdict(self.advice),
+            "traits": [dataclasses.asdict(trait) for trait in self.traits],
         }
 
     def verdict(self, model: str) -> Determination:
@@ -98,6 +125,8 @@ class QualityReport:
             lines.append(f"  ... and {len(self.findings) - _MOST_FINDINGS} more")
         if self.determines:
             lines += ["", "What these data determine", *self.table().lines("  ")]
+        if self.traits:
+            lines += ["", "What the loops show", *(f"  - {trait}" for trait in self.traits)]
         if self.advice is not None:
             lines += ["", f"Try first: {self.advice.model} ({self.advice.reason})"]
         return "\n".join(lines)
@@ -113,7 +142,7 @@ class QualityReport:
         more = f"and {rest} more records" if rest else ""
         return fragment(
             f"Data quality: {self.name}",
-            (*parts, more, "Findings" if notes else "No problems found", notes, self.table()),
+            (*parts, more, "Findings" if notes else "No problems found", notes, *map(str, self.traits), self.table()),
         )
 
 

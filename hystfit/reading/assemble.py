@@ -266,6 +266,13 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
         notes.append(Note(Code.TIME_STEPS, text))
 
 
+def _constants(table: Table, choice: Choice) -> dict[str, str]:
+    """Columns of one number besides those of the record, by name: a temperature, a preload, a frequency."""
+    others = [k for k in range(len(table.names)) if table.named and k not in (choice.time, choice.input, choice.output)]
+    values = {table.names[k]: table.columns[k] for k in others}
+    return {name: f"{v[0]:.15g}" for name, v in values.items() if v[0] == v[-1] and bool((v == v[0]).all())}
+
+
 def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
     time_unit = "s" if choice.time is None else table.units[choice.time]
     part = table.parts[0 if table.part is None else int(table.part[0])] if table.parts else Part()
@@ -284,7 +291,7 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             name=title,
             source=table.source,
             sha256=table.sha256,
-            metadata={**table.metadata, **part.metadata},
+            metadata={**_constants(table, choice), **table.metadata, **part.metadata},
             stated=part.stated,
             notes=tuple(notes),
         )

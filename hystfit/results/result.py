@@ -100,6 +100,20 @@ class FitResult(WithStatus):
         """The fitted model, of the type that went in; with several records, that of the first."""
         return self.models[0]
 
+    @property
+    def device(self) -> AbstractHysteresis:
+        """The fitted model, as that of one device.
+
+        Raises:
+            ModelError: its parameters depend on covariates, which have not been chosen by `at`.
+        """
+        if not self.problem.settled:
+            names = ", ".join(f"{name}=..." for name in self.model.covariates)
+            raise ModelError(
+                f"the parameters depend on {' and '.join(self.model.covariates)}: choose values, result.at({names})"
+            )
+        return self.model
+
     @functools.cached_property
     def _simulated(self) -> list[np.ndarray]:
         """Output of the model on every record fitted, by the program that the fit has compiled."""
@@ -242,6 +256,28 @@ class FitResult(WithStatus):
         factor = conversion(self.data.units["y"], record.y_unit) if record.y_unit else None
         return y if factor in (None, 1.0) else factor * y
 
+    def at(self, **covariates: float) -> FitResult:
+        """The same fit where its covariates have other values: invert it, export it, predict with it.
+
+        Args:
+            **covariates: all of them by name, `result.at(T_degC=30)`.
+
+        Raises:
+            DataError: a covariate without a value.
+            ParameterError: the fit has no such covariate.
+        """
+        known = self.model.covariates
+        if unknown := sorted(set(covariates) - set(known)):
+            raise ParameterError(f"the fit has no covariate {unknown[0]!r}; it has: {', '.join(known) or 'none'}")
+        stated = {name: repr(float(value)) for name, value in covariates.items()}
+        one = self.data[0].replace(metadata=stated, name="at", source="")
+        return dataclasses.replace(self, problem=self.problem.at(self.model.of_record(one)))
+
+    @property
+    def settled(self) -> FitResult:
+        """The same fit at the covariates of the first record, where none have been chosen by `at`."""
+        return self if self.problem.settled else dataclasses.replace(self, problem=self.problem.at(self.model))
+
     def predict(self, data: Any, t: Any = None, *, u: Any = None, refit_offset: bool = False) -> np.ndarray:
         """Simulated output over an input, shape (T,), with the parameters of the record where it was fitted.
 
@@ -268,7 +304,7 @@ class FitResult(WithStatus):
         if fitted is not None:
             y = self._simulated[fitted]
         else:
-            model = self.models[self.record_number(record)]
+            model = self._model_of(record)
             driven = self.problem.prepared(record)
             # Equinox makes a module for a bound method, which takes longer than a short run.
             y = type(model).free_run(model, driven.u, None if driven.t is None else driven.dt)[-len(record) :]
@@ -277,6 +313,11 @@ class FitResult(WithStatus):
                 raise DataError(f"record {record.name!r}: no usable output, so that its offset cannot be refitted")
             y = y + float(np.mean((record.y - y)[record.used]))
         return self.to_unit_of(given, y)
+
+    def _model_of(self, record: Record) -> AbstractHysteresis:
+        """The model that predicts a record which was not fitted: at its covariates, unless they have been chosen (`at`)."""
+        model = self.models[self.record_number(record)]
+        return model if self.problem.settled else model.of_record(record)
 
     def metrics(self, data: Any, *, refit_offset: bool = False) -> Metrics:
         """Metrics of the prediction on the samples that count, in the units of the fit: of records or a data frame."""
@@ -339,6 +380,9 @@ class FitResult(WithStatus):
         low, high = self.input_range
         outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
         outside &= record.used
+        beyond = [] if self.problem.settled else self._model_of(record).outside()
+        if beyond:
+            return warn(Code.EXTRAPOLATION, f"{record.name!r}: {', '.join(beyond)}: the prediction is an extrapolation")
         if not outside.any():
             return None
         span = f"{low:.4g} to {high:.4g} {record.u_unit}".rstrip()

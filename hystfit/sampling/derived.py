@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,6 +21,7 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
     Raises:
         ParameterError: an unknown quantity, one that these records do not have, or creep of a model without time.
     """
+    posterior = dataclasses.replace(posterior, result=posterior.result.settled)
     timed = not posterior.result.model.rate_independent
     have = applicable(posterior.result.data, timed=timed)
     names = list(quantities) if quantities else list(have)

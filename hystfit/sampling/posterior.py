@@ -181,6 +181,10 @@ class Posterior(WithStatus):
         for row in self.thinned(count, seed):
             yield coordinates.assemble(jnp.asarray(row), 0)
 
+    def at(self, **covariates: float) -> Posterior:
+        """The same draws where the covariates of the fit have other values, see `FitResult.at`."""
+        return dataclasses.replace(self, result=self.result.at(**covariates))
+
     # -- prediction ----------------------------------------------------------------------------------------------------
 
     def predict(self, record: Record, count: int = 200, seed: int = 0) -> np.ndarray:

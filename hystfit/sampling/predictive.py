@@ -50,7 +50,10 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     known = record.name in [fitted.name for fitted in result.data]
     numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
     numbers = np.full(len(x), result.record_number(record)) if known else numbers
-    return np.asarray(_simulate_all(result.problem.space.coordinates, *arrays, jnp.asarray(numbers)))
+    coordinates = result.problem.space.coordinates
+    if not (known or result.problem.settled):
+        coordinates = coordinates.at(result.model.of_record(record))
+    return np.asarray(_simulate_all(coordinates, *arrays, jnp.asarray(numbers)))
 
 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:

@@ -1,0 +1,112 @@
+"""What kind of loops records show: models with a term and without it, compared by their errors on held-out samples."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.dataset import Dataset
+from hystfit.errors import HystfitError
+from hystfit.fitting.candidates import candidates
+from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.fit_setup import without_faults
+from hystfit.fitting.screening import Screened
+from hystfit.fitting.thinning import thinned
+from hystfit.inference.problem import Problem
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.self_similar import SelfSimilarStops
+from hystfit.models.viscoelastic import Viscoelastic
+from hystfit.quality.baselines import Baselines
+from hystfit.quality.check import Trait
+from hystfit.quality.held_out import equal_errors
+from hystfit.quality.loops import distinct, reversals
+from hystfit.quality.record_quality import SPEEDS_APART
+
+_TURN = 0.02  # of the range of the input, as elsewhere: a move back that counts as a reversal
+
+_OF_TIME = ("viscoelastic", "rate-dependent")
+_STATIC = (
+    "prandtl-ishlinskii",
+    "prandtl-ishlinskii-stop",
+    "prandtl-ishlinskii-hardening",
+)  # scored beside what the search took
+
+
+def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) -> tuple[Trait, ...]:
+    """The trait of the best model, where it errs less than all models without that trait and than a curve.
+
+    The difference must be larger than what as many errors as the records have branches leave open. Traits of time need branches of several
+    durations.
+
+    Args:
+        data: records.
+        screened: models already scored, see `screen`.
+        baselines: errors of simple descriptions.
+    """
+    short = thinned(without_faults(data))
+    scores = [(one.error, one.name, _kind(make_model(one.name))) for one in screened]
+    scores.append((baselines.curve, "a single-valued curve", ""))
+    known = {one.name for one in screened}
+    for name in dict.fromkeys((*_STATIC, *candidates(data).closed)):
+        if name != SEARCH and name not in known:
+            scores += _scored(name, short)
+    branches = sum(reversals(record.u, _TURN * float(np.ptp(record.u))).size + 1 for record in short)
+    left_out = {None} if _paces(data) > 1 else {None, *_OF_TIME}
+    scores = [score for score in scores if score[2] not in left_out]
+    error, name, kind = min(scores)
+    other, rival, _ = min((score for score in scores if score[2] != kind), default=min(scores))
+    if kind == "" or error * equal_errors(branches) >= other:
+        return ()
+    percent = lambda value: float(100 * value / baselines.span)
+    found = [Trait(kind, name, percent(error), rival, percent(other))]
+    if kind == "degrading" and (still := _unscaled(name, short)) is not None and error * equal_errors(branches) < still:
+        found.append(
+            Trait("peak-oriented", name, percent(error), f"{name} over the largest input of the record", percent(still))
+        )
+    return tuple(found)
+
+
+def _paces(data: Dataset) -> int:
+    """Number of durations of branches that differ as speeds do: at one, the speed is a function of the amplitude and the place."""
+    durations = [
+        np.log10(record.t[at[1:]] - record.t[at[:-1]])
+        for record in data
+        if record.t is not None and (at := reversals(record.u, _TURN * float(np.ptp(record.u)))).size > 1
+    ]
+    return len(distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
+
+
+def _kind(model: AbstractHysteresis) -> str | None:
+    """The trait that a model has a term for; "" for static loops without damage, None where creep accounts for its time."""
+    parts = getattr(model, "parts", (model,))
+    if model.without_creep() is not None:
+        return None
+    if any(isinstance(part, Viscoelastic) for part in parts):
+        return "viscoelastic"
+    return "degrading" if model.degrades else "" if model.rate_independent else "rate-dependent"
+
+
+def _scored(name: str, short: Dataset) -> list[tuple[float, str, str | None]]:
+    """Error, name and trait of a model at its starting values; nothing where it cannot be solved for."""
+    try:
+        model = make_model(name).start(list(short))
+        return [(_error(model, short), name, _kind(model))]
+    except (HystfitError, np.linalg.LinAlgError):
+        return []
+
+
+def _unscaled(name: str, short: Dataset) -> float | None:
+    """Error of self-similar stops whose loops scale with the largest input of all from the start; None of another model."""
+    model = make_model(name).start(list(short))
+    if not isinstance(model, SelfSimilarStops):
+        return None
+    return _error(dataclasses.replace(model, floor=max(float(np.max(np.abs(record.u))) for record in short)), short)
+
+
+def _error(model: AbstractHysteresis, data: Dataset) -> float:
+    """Root mean square error on held-out samples, weights solved for [y]."""
+    problem = Problem(model, data)
+    return fit_ridge(LinearSystem.of(problem, problem.space.vector(problem.model))).score

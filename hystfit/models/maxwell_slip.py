@@ -1,0 +1,159 @@
+"""Generalized Maxwell slip: friction by stops whose limits fall as the velocity grows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.errors import ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.c_code import CPart, template
+from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.starting import input_range, output_range
+from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.param import leaves_of, param
+from hystfit.quality.needs import Needs
+
+_ELEMENTS = 10
+_SHORTEST, _LONGEST = 0.005, 1.5  # limits over half the range of the input
+_TYPICAL = 0.9  # quantile of the speeds that counts as typical
+_FIRST = (0.2, 0.2)  # excess of static friction, and Stribeck velocity over the typical one, from which a fit starts
+
+
+class MaxwellSlip(AbstractHysteresis):
+    """Elements that stick, as springs, and slip at limits that depend on the velocity v = du/dt, beside a spring and a dashpot:
+
+        y = offset + k x + viscous v / speed + sum w_i e_i,    e_i <- clip(e_i + dx, -r_i s(v), r_i s(v)),    x = (u - center) / half
+        s(v) = 1 + excess exp(-(v / vs)^2)
+
+    w_i, viscous >= 0 follow from a linear solve for given excess and vs; the r_i are log-spaced and fixed. Before the elements slip the
+    loop has return-point memory, as that of stops; excess is static over Coulomb friction less 1. It needs reversals at several speeds.
+    Limits follow the velocity at once: the attraction of the slipping force, and so friction lag, is left out.
+
+    Source: Al-Bender, Lampaert and Swevers (2005), IEEE Transactions on Automatic Control 50, 1883-1887.
+    """
+
+    rate_independent: ClassVar[bool] = False
+    estimator: ClassVar[str] = "convex"
+    needs: ClassVar[Needs] = Needs(
+        time=True,
+        symmetry="symmetric",
+        direction="clockwise",
+        rate=True,
+        speeds=2,
+        regularized=True,
+        too_few="static friction and the Stribeck velocity need reversals at several speeds",
+    )
+
+    w: Float[Array, " elements"] = param(
+        (0.1,) * _ELEMENTS,
+        bounds=(0.0, np.inf),
+        unit="y",
+        scale=0.1,
+        linear=True,
+        vector=True,
+        doc="stiffness of each element, as force over half the range",
+    )
+    r: Float[Array, " elements"] = param(
+        tuple(np.geomspace(_SHORTEST, _LONGEST, _ELEMENTS)),
+        bounds=(0.0, np.inf),
+        scale=0.1,
+        fixed=True,
+        vector=True,
+        doc="limits at high velocity, over half the range of the input",
+    )
+    k: Scalar = param(0.0, unit="y", linear=True, doc="force of the spring over half the range")
+    viscous: Scalar = param(0.1, bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="viscous force at `speed`")
+    offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the force")
+    excess: Scalar = param(0.2, bounds=(0.0, 10.0), scale=0.2, doc="static over Coulomb friction, less 1")
+    vs: Scalar = param(0.2, bounds=(0.0, np.inf), unit="u/s", scale=0.1, doc="Stribeck velocity")
+    center: Scalar = param(0.0, unit="u", fixed=True, doc="displacement where x = 0")
+    half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half the range of the displacement")
+    speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="typical velocity")
+
+    def __check_init__(self) -> None:
+        if hasattr(self.w, "shape") and hasattr(self.r, "shape") and self.w.shape[-1:] != self.r.shape[-1:]:
+            raise ModelError(f"w and r must have one value for each element, got shapes {self.w.shape}, {self.r.shape}")
+
+    @classmethod
+    def of(cls, elements: int = _ELEMENTS) -> MaxwellSlip:
+        """A model with this many elements.
+
+        Args:
+            elements: their number.
+
+        Raises:
+            ModelError: fewer than two.
+        """
+        if elements < 2:
+            raise ModelError(f"at least two elements are needed, got {elements}")
+        return cls(w=np.full(elements, 1.0 / elements), r=np.geomspace(_SHORTEST, _LONGEST, elements))
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """See the base class."""
+        return {"elements": int(self.r.shape[-1])}
+
+    def init(self, u0: Scalar) -> State:
+        """State: deflections of the elements, free of force, and the last velocity, shape (elements + 1,)."""
+        return jnp.zeros(self.r.size + 1) * u0
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """Stops with the limits of this velocity."""
+        v = jnp.where(dt > 0, (u1 - u0) / jnp.where(dt > 0, dt, 1.0), state[-1])
+        limit = self.r * (1.0 + self.excess * jnp.exp(-((v / self.vs) ** 2)))
+        e = jnp.clip(state[:-1] + (u1 - u0) / self.half, -limit, limit)
+        x = (u1 - self.center) / self.half
+        y = self.offset + self.k * x + self.viscous * v / self.speed + jnp.dot(self.w, e)
+        return jnp.concatenate([e, v[None]]), y
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """The deflections, one row after another; the spring, the velocity and the offset."""
+        u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
+        dx, passes = np.diff(u, prepend=u[0]) / float(self.half), dt > 0
+        v = dx * float(self.half) / np.where(passes, dt, 1.0)
+        v = np.append(0.0, v[passes])[np.cumsum(passes)]  # a repeated time stamp keeps the last one
+        r = np.asarray(self.r)
+        limits = (1.0 + float(self.excess) * np.exp(-((v / float(self.vs)) ** 2)))[:, None] * r
+        e, now = np.empty(limits.shape), np.zeros(r.size)
+        for row, step, limit in zip(e, dx.tolist(), limits, strict=True):
+            np.minimum(np.maximum(now + step, -limit), limit, out=row)
+            now = row
+        x = (u - float(self.center)) / float(self.half)
+        columns = {"w": e, "k": x[:, None], "viscous": v[:, None] / float(self.speed), "offset": np.ones((u.size, 1))}
+        found = (
+            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
+        )
+        return DesignMatrix(tuple(found), np.zeros(u.size), np.arange(u.size))
+
+    def start(self, records: Sequence[Record]) -> MaxwellSlip:
+        """Ranges and a typical velocity from the records; the weights follow from a linear solve."""
+        place, out = input_range(records), output_range(records)
+        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
+        speed = float(np.quantile(rates, _TYPICAL)) if rates.size else 0.0
+        ranges = {"center": place.center, "half": place.half, "speed": speed or 1.0, "vs": _FIRST[1] * (speed or 1.0)}
+        w = np.full(self.w.shape, 0.5 * out.half / self.w.size)
+        return dataclasses.replace(self, **ranges, w=w, viscous=0.1 * out.half, excess=_FIRST[0], offset=out.center)
+
+    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
+        """Refused.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(
+            "friction that depends on the velocity has no inverse: elements that slip have the same force at every place"
+        )
+
+    def c_part(self) -> CPart:
+        """The same step in C."""
+        size = int(self.r.size)
+        names = ("k", "viscous", "offset", "excess", "vs", "center", "half", "speed")
+        numbers = {name.upper(): getattr(self, name) for name in names} | {"ELEMENTS": size}
+        return CPart(template("maxwell_slip.c"), size + 1, numbers, {"w": self.w, "r": self.r})
