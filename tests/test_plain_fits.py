@@ -7,6 +7,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.batch import plain_fits, work
+from hystfit.batch.alike import Group
 from hystfit.batch.plain_judge import sound_outputs
 from hystfit.batch.row import row_of
 from hystfit.outcome import Status
@@ -53,7 +54,7 @@ def same(row: object, wanted: object) -> None:
 
 
 def test_rows_are_those_of_fit() -> None:
-    fits = plain_fits.fit_plain(hf.BoucWen(), record(outputs()[0]), outputs(), work.FitOptions(), held=False)
+    fits = plain_fits.fit_plain(hf.BoucWen(), [Group(record(outputs()[0]), outputs())], work.FitOptions(), held=False)
     assert fits.judged.plain.mean() > 0.9
     for k in (0, 5, 11):
         assert fits.judged.plain[k]
@@ -86,7 +87,7 @@ def spoiled() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("kind", spoiled())
 def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharmed(kind: str) -> None:
     y = np.concatenate([outputs(), spoiled()[kind][None]])
-    fits = plain_fits.fit_plain(hf.BoucWen(), record(outputs()[0]), y, work.FitOptions(), held=False)
+    fits = plain_fits.fit_plain(hf.BoucWen(), [Group(record(outputs()[0]), y)], work.FitOptions(), held=False)
     assert not fits.judged.plain[-1]
     assert fits.judged.plain.sum() >= LOOPS - 1
 
@@ -94,11 +95,11 @@ def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharme
 def test_sound_outputs_of_white_noise_are_most() -> None:
     rng = np.random.default_rng(3)
     y = 100 + np.sin(T)[None] * rng.uniform(0.5, 2, (200, 1)) + 0.01 * rng.normal(size=(200, SAMPLES))
-    assert sound_outputs(U, y).mean() > 0.9
+    assert sound_outputs(Group(record(y[0]), y)).mean() > 0.9
 
 
 def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows in the order given; two loops that are not plain, and one over another input, are fitted alone."""
+    """Rows in the order given; two loops that are not plain are fitted alone, and one over another input is not."""
     records = [record(y, f"loop {k}") for k, y in enumerate(outputs())]
     others = [record(spoiled()["an outlier"], "outlier"), record(spoiled()["a constant"], "constant")]
     others.append(hf.Record(u=2 * U, y=outputs()[1], t=T, u_unit="V", y_unit="um", name="other input"))
@@ -106,7 +107,9 @@ def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(work, "_pose", lambda task, loop: posed.append(loop.name) or pose(task, loop))
     fits = hf.fit_many("bouc-wen", [*records[:6], *others, *records[6:]], starts=2)
     assert [row.name for row in fits][5:10] == ["loop 5", "outlier", "constant", "other input", "loop 6"]
-    assert {"outlier", "constant", "other input"} <= set(posed)
+    assert {"outlier", "constant"} <= set(posed)
+    assert "other input" not in posed
+    same(fits["other input"], row_of("", "", others[-1], hf.fit("bouc-wen", others[-1])))
     assert len(posed) < 6
     assert fits["constant"].status is Status.FAILED
     same(fits["loop 5"], alone(5))
