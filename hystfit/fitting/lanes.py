@@ -33,6 +33,7 @@ _UNROLL = 8  # samples in one turn of the scan: 4096 lanes took 5 ms a pass on a
 _ROUND = 6  # steps of lanes that go together, before those that have ended leave
 _ROUNDING = 1e-28  # decrease for each sample that is below rounding errors
 _EQUAL = 1e-12  # relative difference of two costs that rounding may cause
+_SETTLED = 1e-3  # of the gain at which a lane takes its last step: what may be left after it, or it takes another
 _LEAST, _MOST, _FIRST = 1e-12, 1e10, 1e-3  # damping
 _LONGEST = 4.0  # step in z, infinity norm
 
@@ -253,8 +254,10 @@ def _descend(normal: Callable[..., Normal], objective: Objective, lane: _Lane, g
         best = jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, lane.best)
         # Damping holds the directions that the data hardly determine: what is left to gain shows without it.
         (step, _), (whole, predicted) = _step(best, damping), _step(best, _LEAST)
-        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + _ROUNDING * samples
-        ended = lane.last | (damping >= _MOST) | jnp.isinf(best.cost)
+        floor = _ROUNDING * samples
+        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + floor
+        settled = ~better | (predicted <= _SETTLED * gain * best.cost + floor)
+        ended = (lane.last & settled) | (damping >= _MOST) | jnp.isinf(best.cost)
         return _Lane(best, best.z + jnp.where(near, whole, step), damping, lane.last | near, ended, lane.steps + 1)
 
     return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
