@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.batch.loop_map import LoopMap
 from hystfit.batch.alike import Group
+from hystfit.batch.loop_map import LoopMap
 from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain, setup_of
 from hystfit.batch.row import Row
 from hystfit.batch.work import Work, fit_alone_rows
-from hystfit.config import first_device, verb
+from hystfit.config import device_of_many, verb
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.models.base import AbstractHysteresis
@@ -104,7 +104,7 @@ def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Rec
 
 def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
     """Slices of the first axis, each with as many loops as are solved at once."""
-    size = _SAMPLES if first_device("gpu") is None else _ON_GPU
+    size = _SAMPLES if device_of_many() is None else _ON_GPU
     most = max(1, size // (samples * int(np.prod(shape[1:-1]))))
     edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
     yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())

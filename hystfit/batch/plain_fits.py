@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
-from jaxtyping import Float
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
 from hystfit.batch.bucketed import STEPS
@@ -202,7 +201,9 @@ def _quantities(common: Common, loops: Loops, stack: Stack, z: np.ndarray) -> di
     datasets = [Dataset.of(group.record) for group in loops.groups]
     excitations = [Excitation.of(data, hardens=model.hardens) for data in datasets]
     counts = [len(group.y) for group in loops.groups]
-    drives = {"loop": [one.loop for one in excitations]} | ({"step": [one.step for one in excitations]} if timed else {})
+    drives = {"loop": [one.loop for one in excitations]} | (
+        {"step": [one.step for one in excitations]} if timed else {}
+    )
     outputs = {
         name: _outputs(stack, z, records, counts, timed=timed, causal=model.causal) for name, records in drives.items()
     }

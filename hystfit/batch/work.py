@@ -11,8 +11,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.alike import Group
+from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.plain_fits import FEWEST, fit_plain, setup_of
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
@@ -36,7 +36,7 @@ from hystfit.results.timing import Stopwatch
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
-_SAMPLES = 2**19  # read before they are fitted, so that memory is bounded
+_SAMPLES = 2**20  # read before they are fitted, so that memory is bounded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,13 +133,19 @@ def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, An
     pending: list[tuple[int, _Loop]] = []
     for number, source in enumerate(sources):
         pending += [(number, loop) for loop in _read(work, source)]
-        samples = sum(len(loop.record) for _, loop in pending if loop.record is not None)
-        if samples > _SAMPLES or number == len(sources) - 1:
-            _fit(work, [loop for _, loop in pending])
-            for k, loop in pending:
+        while pending and (number == len(sources) - 1 or _samples(pending) > _SAMPLES):
+            part = 1 + sum(np.cumsum([_samples([one]) for one in pending[1:]]) < _SAMPLES - _samples(pending[:1]))
+            some, pending = pending[:part], pending[part:]
+            _fit(work, [loop for _, loop in some])
+            for k, loop in some:
                 rows[k].append(cast(Row, loop.row).to_dict())
-            pending = []
+                loop.record = None
     return rows
+
+
+def _samples(pending: Sequence[tuple[int, _Loop]]) -> int:
+    """Samples of some loops."""
+    return sum(len(loop.record) for _, loop in pending if loop.record is not None)
 
 
 def fit_alone_rows(

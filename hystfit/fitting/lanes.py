@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import first_device
+from hystfit.config import device_of_many, first_device
 from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_one_scan
 from hystfit.inference.objective import Objective
 
@@ -146,7 +146,7 @@ def descend_lanes(
 
 def device_for(lanes: int) -> Any:
     """A GPU for many lanes where JAX finds one, else the CPU."""
-    return (first_device("gpu") if lanes >= MANY else None) or first_device("cpu")
+    return (device_of_many() if lanes >= MANY else None) or first_device("cpu")
 
 
 def _chunk(samples: int) -> int:
