@@ -133,19 +133,17 @@ def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, An
     pending: list[tuple[int, _Loop]] = []
     for number, source in enumerate(sources):
         pending += [(number, loop) for loop in _read(work, source)]
-        while pending and (number == len(sources) - 1 or _samples(pending) > _SAMPLES):
-            part = 1 + sum(np.cumsum([_samples([one]) for one in pending[1:]]) < _SAMPLES - _samples(pending[:1]))
+        while pending:
+            samples = np.cumsum([0 if loop.record is None else len(loop.record) for _, loop in pending])
+            if samples[-1] <= _SAMPLES and number < len(sources) - 1:
+                break
+            part = int(np.searchsorted(samples, _SAMPLES, side="right")) + 1
             some, pending = pending[:part], pending[part:]
             _fit(work, [loop for _, loop in some])
             for k, loop in some:
                 rows[k].append(cast(Row, loop.row).to_dict())
                 loop.record = None
     return rows
-
-
-def _samples(pending: Sequence[tuple[int, _Loop]]) -> int:
-    """Samples of some loops."""
-    return sum(len(loop.record) for _, loop in pending if loop.record is not None)
 
 
 def fit_alone_rows(
