@@ -145,9 +145,10 @@ def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...
         for k in range(len(out), len(out) + len(y)):
             if not judged.plain[k]:
                 out.append(())
-            elif advises:
+            elif advises or judged.slow[k]:
                 one = space.coordinates.assemble(judged.x[k], 0, np.asarray)
-                out.append((*first, *notes_of_model(data, one), *last))
+                slow = [Note(Code.ERROR_RATIO, "residuals are autocorrelated")] if judged.slow[k] else []
+                out.append((*first, *notes_of_model(data, one), *slow, *last))
             else:
                 out.append(same)
     return out

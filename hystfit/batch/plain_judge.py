@@ -1,8 +1,8 @@
 """Judgment of many solved loops at once: those whose fit is beyond doubt.
 
-A loop is plain where its residuals are white, no larger than the noise of its output, and where its errors are those of a regular least-
-squares problem: no bound, no undetermined direction, no outlier near. The verdict of `hystfit.fit` on such a loop is `Status.OK`, and its
-standard errors those of independent noise. Every other loop is judged alone.
+A loop is plain where its residuals are no larger than the noise of its output, and where its errors are those of a regular least-squares
+problem: no bound, no undetermined direction, no outlier near. The verdict of `hystfit.fit` on such a loop is `Status.OK`. Its standard
+errors are those of independent noise where its residuals are white, else those of slow noise. Every other loop is judged alone.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.batch.alike import Common, Group, Loops
+from hystfit.batch.slow_rows import slow_information
 from hystfit.data.steady_cycle import steady_rows
 from hystfit.fitting.lanes import Ends, Stack, device_for, placed, room
 from hystfit.fitting.verdict import turns_back
@@ -43,6 +44,7 @@ _OPEN = 0.9  # largest standard error of a direction, beside the parameters' own
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
 _FEWEST = 64  # residuals
 _NUMBERS = 2**24  # of outputs simulated in one call
+_SLOW = 0.95  # percent of the range: largest rms error of a loop under slow noise, whose device may change where it is larger
 _AT_BOUND = 2e-4  # relative distance to a bound
 
 
@@ -51,12 +53,14 @@ class Judged(NamedTuple):
 
     Attributes:
         plain: which loops are beyond doubt.
+        slow: of these, those with autocorrelated residuals.
         close: which are described as well as a usable fit is, without a parameter at its bound: another start would not end lower.
         x, stderr: estimates and standard errors, shape (N, p).
         rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
     """
 
     plain: np.ndarray
+    slow: np.ndarray
     close: np.ndarray
     x: Float[np.ndarray, "N p"]
     stderr: Float[np.ndarray, "N p"]
@@ -85,17 +89,26 @@ def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack) -> Judge
         ends: of their descents.
         stack: their problems.
     """
-    x = physical_rows(stack, ends.normal.z)
-    described, close, rmse, percent, largest = loops.each(_accuracy, predicted(stack, ends.normal.z))
+    z, coordinates = ends.normal.z, stack.objective.coordinates
+    x = coordinates.physical(z, np)
+    described, white, close, rmse, percent, largest = loops.each(_accuracy, predicted(stack, z))
+    samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
+    scale, slope = np.asarray(coordinates.scale), coordinates.slope(z, np)
     with np.errstate(all="ignore"):
-        samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
-        stderr, inside, regular = _errors(common, x, stack, ends, samples)
-    good = ends.converged & regular & described
-    return Judged(good, ends.converged & inside & close, x, stderr, rmse, percent, largest)
+        gram = ends.normal.matrix / slope[:, :, None] / slope[:, None, :]
+        variance = 2 * ends.normal.cost / np.maximum(samples - x.shape[1], 1)
+        stderr, inside, regular = _errors(common, x, scale, gram, variance)
+        good = ends.converged & described & regular
+        slow = good & ~white & (percent < _SLOW)
+        if (at := np.flatnonzero(slow)).size:
+            information, slow[at] = slow_information(loops.take(at), stack.take(at), z[at])
+            stderr[at], _, regular = _errors(common, x[at], scale[at], information, np.ones(at.size))
+            slow[at] &= regular
+    return Judged(good & white | slow, slow, ends.converged & inside & close, x, stderr, rmse, percent, largest)
 
 
 def _accuracy(group: Group, predicted: Float[np.ndarray, "N T"]) -> tuple[np.ndarray, ...]:
-    """Which loops are described beyond doubt, which well enough; rms error [y], and in percent of the range, beside the largest error."""
+    """Which loops are described beyond doubt, and with white residuals, and which well enough; and the errors of `Judged`."""
     record, used = group.record, group.record.used
     y = group.y[:, used]
     residual = predicted[:, : len(record)][:, used] - y
@@ -106,25 +119,21 @@ def _accuracy(group: Group, predicted: Float[np.ndarray, "N T"]) -> tuple[np.nda
         close = np.isfinite(residual).all(axis=1) & (percent < _PERCENT)
         close &= rmse < _OF_CURVE * curve_errors(record.u[used], y, _DEGREE)
         good = close & (rmse < _OF_NOISE * row_noise(group.y))
-        good &= _is_plain(np.where(good[:, None], residual, 0.0), record.u, used, span)
+        good &= _is_even(np.where(good[:, None], residual, 0.0), record.u, used, span)
+        white = ~correlated_rows(np.where(good[:, None], residual, 0.0))
     if record.weight[used].min() < record.weight[used].max():
         good[:] = close[:] = False
     steady = steady_rows(record.u, group.y)[1]
-    return good & ~steady, close & ~steady, rmse, percent, largest
+    return good & ~steady, white, close & ~steady, rmse, percent, largest
 
 
-def physical_rows(stack: Stack, z: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N p"]:
-    """Physical parameters of each loop."""
-    return stack.objective.coordinates.physical(z, np)
-
-
-def _is_plain(
+def _is_even(
     residual: Float[np.ndarray, "N m"], u: Float[np.ndarray, " T"], used: np.ndarray, span: Float[np.ndarray, " N"]
 ) -> np.ndarray:
-    """Which residuals are white, without heavy tails, without a stretch or an end of the record unlike the rest, shape (N,), bool."""
+    """Which residuals are without heavy tails, without a stretch or an end of the record unlike the rest, shape (N,), bool."""
     squares = residual**2
     total = squares.sum(axis=1)
-    plain = ~correlated_rows(residual) & (residual.shape[1] >= _FEWEST)
+    plain = np.full(len(residual), residual.shape[1] >= _FEWEST)
     change = np.diff(residual, axis=1)
     change = (change - change.mean(axis=1, keepdims=True)) ** 2
     plain &= np.mean(change**2, axis=1) / np.mean(change, axis=1) ** 2 - 3 < _TAILS
@@ -143,16 +152,20 @@ def _is_plain(
 
 
 def _errors(
-    common: Common, x: Float[np.ndarray, "N p"], stack: Stack, ends: Ends, samples: np.ndarray
+    common: Common,
+    x: Float[np.ndarray, "N p"],
+    scale: Float[np.ndarray, "N p"],
+    gram: Float[np.ndarray, "N p p"],
+    variance: Float[np.ndarray, " N"],
 ) -> tuple[Float[np.ndarray, "N p"], np.ndarray, np.ndarray]:
-    """Standard errors for independent noise; which loops are inside their bounds, and which problems are regular, shape (N,), bool."""
-    space, scale = common.setup.problem.space, np.asarray(stack.objective.coordinates.scale)
-    slope = stack.objective.coordinates.slope(ends.normal.z, np)
-    gram = ends.normal.matrix / slope[:, :, None] / slope[:, None, :]
+    """Standard errors; which loops are inside their bounds, and which problems are regular, shape (N,), bool.
+
+    The information about x is `gram` over `variance`; `scale` is that of the parameters.
+    """
+    space = common.setup.problem.space
     size = np.sqrt(np.einsum("npp->np", gram))
     sound = np.isfinite(gram).all(axis=(1, 2)) & (size > 0).all(axis=1)
     gram, size = np.where(sound[:, None, None], gram, np.eye(x.shape[1])), np.where(sound[:, None], size, 1.0)
-    variance = 2 * ends.normal.cost / np.maximum(samples - x.shape[1], 1)
     inverse = np.linalg.inv(gram / size[:, :, None] / size[:, None, :]) / size[:, :, None] / size[:, None, :]
     stderr = np.sqrt(variance[:, None] * np.einsum("npp->np", inverse))
     others = ~space.offsets

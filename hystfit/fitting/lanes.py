@@ -132,14 +132,14 @@ def descend_lanes(
     if device.platform != "cpu":
         for part in _parts(left, max(_TOGETHER // stack.samples, 1)):
             lane.put(part, _together(stack, numbers[part], lane.rows(part), tolerance, steps, device))
-    elif len(z) >= _PAYS and suits_one_scan(_one(stack.objective, stack.own, 0)):
+    elif len(z) >= _PAYS and suits_one_scan(objective_at(stack.objective, stack.own, 0)):
         for part in _parts(left, _BESIDE):
             going = lane.rows(part)
             lane.put(part, _together(stack, numbers[part], going, tolerance, min(_ROUND, steps), device, _BESIDE))
     left = left[~lane.ended & (lane.steps < steps)]
     size = _chunk(stack.samples)
     for part in _parts(left, size):
-        lane.put(part, _one_by_one(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
+        lane.put(part, _one_byobjective_at(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
     good = lane.last & lane.ended & np.isfinite(lane.best.cost)
     return Ends(lane.best, good, lane.steps)
 
@@ -160,7 +160,9 @@ def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
         yield lanes[begin : begin + size]
 
 
-def _one_by_one(stack: Stack, records: np.ndarray, lane: _Lane, capacity: int, *, gain: Any, steps: int) -> _Lane:
+def _one_byobjective_at(
+    stack: Stack, records: np.ndarray, lane: _Lane, capacity: int, *, gain: Any, steps: int
+) -> _Lane:
     """Lanes at their ends, on the CPU; there is room for `capacity`, so that any number of lanes takes one program."""
     count = len(records)
     pad = np.minimum(np.arange(capacity), count - 1)
@@ -216,7 +218,7 @@ def _descend_each(
     """The first `count` lanes at their ends, one after another; lane k is of record k."""
 
     def one(k: Array, lanes: _Lane) -> _Lane:
-        new = _descend(normal_at, _one(objective, own, k), lanes.rows(k), gain, steps)
+        new = _descend(normal_at, objective_at(objective, own, k), lanes.rows(k), gain, steps)
         return jax.tree_util.tree_map(lambda rows, value: rows.at[k].set(value), lanes, new)
 
     return jax.lax.fori_loop(0, count, one, lane)
@@ -228,14 +230,14 @@ def _advance_all(
 ) -> _Lane:
     """All lanes after at most `most` steps, side by side."""
     in_scan = functools.partial(normal_in_scan, unroll=unroll)
-    normal = in_scan if suits_one_scan(_one(objective, own, 0)) else normal_at
-    rows = _one(objective, own, records)
+    normal = in_scan if suits_one_scan(objective_at(objective, own, 0)) else normal_at
+    rows = objective_at(objective, own, records)
     axes = jax.tree_util.tree_structure(objective).unflatten([0 if one else None for one in own])
     advanced = lambda objective, lane: _descend(normal, objective, lane, gain, most)
     return jax.vmap(advanced, in_axes=(axes, 0))(rows, lane)
 
 
-def _one(objective: Objective, own: tuple[bool, ...], k: Any) -> Objective:
+def objective_at(objective: Objective, own: tuple[bool, ...], k: Any) -> Objective:
     """The objective of one record, or of several."""
     leaves, treedef = jax.tree_util.tree_flatten(objective)
     return treedef.unflatten([leaf[k] if one else leaf for leaf, one in zip(leaves, own, strict=True)])
