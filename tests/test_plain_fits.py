@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import hystfit as hf
 from hystfit.batch import plain_fits, work
@@ -113,3 +114,40 @@ def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch)
     assert len(posed) < 6
     assert fits["constant"].status is Status.FAILED
     same(fits["loop 5"], alone(5))
+
+
+def slow_noise(rng: np.random.Generator, samples: int) -> np.ndarray:
+    """White noise of standard deviation 1, and a slower part of 0.7 on top."""
+    return rng.normal(size=samples) + 0.3 * lfilter([1.0], [1.0, -0.9], rng.normal(size=samples))
+
+
+def test_slow_noise_is_judged_with_the_others() -> None:
+    """Standard errors under slow noise, and the notes, of loops with inputs and lengths of their own."""
+    rng, records = np.random.default_rng(5), []
+    for k in range(10):
+        count = 440 + 5 * k
+        t = np.arange(count) / 100
+        u = (2 + 0.1 * k) * np.sin(2 * np.pi * t + 0.1 * k) * (0.4 + 0.6 * t / t[-1])
+        y = np.asarray(hf.simulate(hf.BoucWen(c=1 + 0.1 * k, mu=0.4, tau=0.5, rho=0.4, offset=k), u)[0])
+        noise = slow_noise(rng, count) if k % 2 else rng.normal(size=count)
+        record = hf.Record(u=u, y=y + 0.004 * np.ptp(y) * noise, t=t, u_unit="V", y_unit="um", name=f"loop {k}")
+        records.append(record)
+    fits = plain_fits.fit_plain(
+        hf.BoucWen(), [Group(record, record.y[None]) for record in records], work.FitOptions(), held=False
+    )
+    assert fits.judged.plain.sum() >= 9
+    assert fits.judged.slow.sum() >= 3
+    for k in (4, int(np.argmax(fits.judged.slow))):
+        wanted = row_of("", "", records[k], hf.fit("bouc-wen", records[k]))
+        assert ("error-ratio" in wanted.codes) is bool(fits.judged.slow[k])
+        same(fits.row(k, "", "", wanted.sha256), wanted)
+
+
+def test_a_loop_that_is_described_but_not_plain_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Error that recurs every loop: the estimate stays, and the judgment is that of a fit alone."""
+    recurs = outputs()[0] + 0.01 * np.ptp(outputs()[0]) * np.sin(3 * U)
+    records = [record(y, f"loop {k}") for k, y in enumerate([*outputs(), recurs])]
+    monkeypatch.setattr(work, "solve", None)
+    row = hf.fit_many("bouc-wen", records)["loop 12"]
+    same(row, row_of("", "", records[-1], hf.fit("bouc-wen", records[-1])))
+    assert "repeating-residuals" in row.codes
