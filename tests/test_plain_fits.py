@@ -144,10 +144,12 @@ def test_slow_noise_is_judged_with_the_others() -> None:
 
 
 def test_a_loop_that_is_described_but_not_plain_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Error that recurs every loop: the estimate stays, and the judgment is that of a fit alone."""
-    recurs = outputs()[0] + 0.01 * np.ptp(outputs()[0]) * np.sin(3 * U)
-    records = [record(y, f"loop {k}") for k, y in enumerate([*outputs(), recurs])]
+    """Slow noise twice as large as the white: the estimate stays, and the judgment is that of a fit alone."""
+    noise = lfilter([0.31], [1.0, -0.95], np.random.default_rng(11).normal(size=SAMPLES))
+    noisy = outputs()[3] + 0.005 * np.ptp(outputs()[3]) * noise
+    records, judged, judge = [record(y, f"loop {k}") for k, y in enumerate([*outputs(), noisy])], [], work._judge
+    monkeypatch.setattr(work, "_judge", lambda task, loop: judged.append(loop.name) or judge(task, loop))
     monkeypatch.setattr(work, "solve", None)
     row = hf.fit_many("bouc-wen", records)["loop 12"]
+    assert "loop 12" in judged
     same(row, row_of("", "", records[-1], hf.fit("bouc-wen", records[-1])))
-    assert "repeating-residuals" in row.codes

@@ -34,6 +34,9 @@ _ROUND = 6  # steps of lanes that go together, before those that have ended leav
 _ROUNDING = 1e-28  # decrease for each sample that is below rounding errors
 _EQUAL = 1e-12  # relative difference of two costs that rounding may cause
 _SETTLED = 1e-3  # of the gain at which a lane takes its last step: what may be left after it, or it takes another
+# At a crease of the cost, as the limits of a branch make them, no step is shorter than what the linear model promises. A hundredth of a
+# standard error may be left, which is this part of the cost times the number of samples.
+_CREASE, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step is short
 _LEAST, _MOST, _FIRST = 1e-12, 1e10, 1e-3  # damping
 _LONGEST = 4.0  # step in z, infinity norm
 
@@ -259,8 +262,11 @@ def _descend(normal: Callable[..., Normal], objective: Objective, lane: _Lane, g
         floor = _ROUNDING * samples
         near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + floor
         settled = ~better | (predicted <= _SETTLED * gain * best.cost + floor)
-        ended = (lane.last & settled) | (damping >= _MOST) | jnp.isinf(best.cost)
-        return _Lane(best, best.z + jnp.where(near, whole, step), damping, lane.last | near, ended, lane.steps + 1)
+        crease = ~better & (damping >= _SHORT_STEP) & (predicted <= _CREASE / samples * best.cost)
+        ended = (lane.last & settled) | crease | (damping >= _MOST) | jnp.isinf(best.cost)
+        return _Lane(
+            best, best.z + jnp.where(near, whole, step), damping, lane.last | near | crease, ended, lane.steps + 1
+        )
 
     return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
 
