@@ -1,9 +1,9 @@
 """Time of many fits at once, with ratios in one run: `python benchmarks/many.py [--quick]`.
 
-100 Bouc-Wen records of 10 000 samples, each over an input of its own, beside scipy's trust region on a numba loop, one after another. Both
-start from the values read off each record, on one core. scipy gives estimates alone; the last line adds starting values from eight points,
-standard errors, noise and verdict. Then 10 000 loops of 1000 samples over one input from an HDF5 file, with everything; one loop in a hundred
-has slow noise. Times are those of the processor, which other work on the machine changes less than the clock.
+100 Bouc-Wen records of 10 000 samples, each over an input of its own, beside scipy's trust region on a numba loop, one after another.
+Both start from the values read off each record, on one core. scipy gives estimates alone; the last line adds starting values from eight
+points, standard errors, noise and verdict. Then 10 000 loops of 1000 samples over one input from an HDF5 file, with everything; one in a
+hundred has slow noise. Times are those of the processor, which other work on the machine changes less than the clock.
 """
 
 import argparse
