@@ -186,7 +186,7 @@ def _errors(
     regular &= (stderr[:, space.offsets] < _OPEN * relative[:, space.offsets]).all(axis=1)
     room = np.minimum(x - space.lower, space.upper - x)
     width = np.where(space.kinds == BOTH, space.upper - space.lower, scale)
-    inside = (room > _AT_BOUND * width).all(axis=1)
+    inside = np.all(room > _AT_BOUND * width, axis=1)
     regular &= inside
     regular &= (room > np.where(space.linear, _FAR, _REACH) * stderr).all(axis=1)
     return stderr, inside, regular
