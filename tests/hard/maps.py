@@ -3,7 +3,7 @@
     python -m tests.hard.maps            # 1000 loops, half an hour
     python -m tests.hard.maps --quick    # 60
 
-Half of the loops share one input, as those of a map do; the others have inputs and lengths of their own. Estimates must agree to 1e-6 of
+Half of the loops share one input, as those of a map do; the others have inputs and lengths of their own. Estimates must agree to 3e-6 of
 their standard errors, errors to 1e-3, and status and notes exactly. Exit status 1 otherwise.
 """
 
@@ -30,7 +30,8 @@ MODELS: dict[str, AbstractHysteresis] = {
     "duhem": hf.Duhem(alpha=1.0, f=[0.1, 1.0, 0.05], g=[0.5, 0.05], w0=0.0),
     "bouc-wen+lag": hf.Series(hf.Lag(tau=0.05), hf.BoucWen(mu=0.45, tau=0.6, rho=0.4)),
 }
-SAME, ERRORS = 1e-6, 1e-3
+# A fit alone ends where the cost may decrease by 1e-14 of itself: at 900 samples that is 3e-6 standard errors.
+SAME, ERRORS = 3e-6, 1e-3
 
 
 class Difference(NamedTuple):
