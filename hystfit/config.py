@@ -67,23 +67,32 @@ def require_x64() -> None:
 
 # A fit is hundreds of small programs that wait for each other. On one H100 a fit took 6 times as long as on its host's CPU, `sample` and
 # small batches 3 to 4 times, so that a processor for many lanes is left to the batches that fill it.
-_platform = "cpu"
+_platform = "auto"
 
 
 def use_device(platform: str) -> None:
     """Choose the device on which hystfit computes in this process, whatever the default device of JAX is.
 
     Args:
-        platform: "cpu", the default and the fastest for single fits; "gpu" or "tpu"; "jax": the default device of JAX. `fit_many` has a
-            choice of its own.
+        platform: "auto", the default: the CPU, which is the fastest for single fits, and a GPU for 1024 loops or more that are solved
+            together; "cpu", "gpu" or "tpu" for everything; "jax": the default device of JAX.
 
     Raises:
         ParameterError: JAX finds no such device.
     """
     global _platform
-    if platform != "jax" and first_device(platform) is None:
+    if platform not in ("auto", "jax") and first_device(platform) is None:
         raise ParameterError(f"JAX finds no device of the platform {platform!r}")
     _platform = platform
+
+
+def device_of_many() -> Any:
+    """The device for many loops that are solved together: the one chosen, else a GPU; None where that is the CPU."""
+    if _platform == "jax":
+        device = _default_device()
+        return None if device.platform == "cpu" else device
+    chosen = "gpu" if _platform == "auto" else _platform
+    return None if chosen == "cpu" else first_device(chosen)
 
 
 @functools.cache
@@ -101,7 +110,7 @@ def on_device() -> AbstractContextManager[Any]:
     """A context in which JAX computes on the device of hystfit; it has no effect where that is the default device anyway."""
     import jax
 
-    device = None if _platform == "jax" else first_device(_platform)
+    device = None if _platform == "jax" else first_device("cpu" if _platform == "auto" else _platform)
     if device is None or device == (jax.config.jax_default_device or _default_device()):  # type: ignore[attr-defined]
         return contextlib.nullcontext()
     return jax.default_device(device)

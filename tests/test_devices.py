@@ -11,6 +11,8 @@ import jax
 import pytest
 
 import hystfit as hf
+from hystfit import config
+from hystfit.fitting import lanes
 
 PACKAGE = Path(hf.__file__).parent
 # Two devices of the CPU stand for a host and its GPU; the second is the default device of JAX, from before the package is imported.
@@ -52,6 +54,19 @@ def test_a_device_that_is_not_there_is_refused() -> None:
         hf.use_device("abacus")
 
 
+@pytest.mark.parametrize(
+    ("chosen", "there", "taken"), [("auto", 2000, "gpu"), ("auto", 20, "cpu"), ("cpu", 2000, "cpu")]
+)
+def test_many_loops_go_to_the_gpu_unless_the_cpu_is_chosen(
+    chosen: str, there: int, taken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (config, lanes):
+        monkeypatch.setattr(module, "first_device", lambda platform: platform)
+    monkeypatch.setattr(config, "_platform", "auto")
+    hf.use_device(chosen)
+    assert lanes.device_for(there) == taken
+
+
 def test_a_fit_needs_no_installed_metadata(tmp_path: Path) -> None:
     """The package on the path, and zipped."""
     archive = tmp_path / "hystfit.zip"
@@ -84,4 +99,4 @@ def test_a_gpu_is_used_where_it_is_asked_for() -> None:
     try:
         assert hf.simulate(hf.Linear(), [0.0, 1.0])[0].devices() == {jax.devices("gpu")[0]}
     finally:
-        hf.use_device("cpu")
+        hf.use_device("auto")

@@ -11,7 +11,7 @@ import pytest
 import hystfit as hf
 from hystfit.outcome import Status
 
-from .hard import devices, strd
+from .hard import devices, maps, strd
 
 # -- NIST's reference problems (`python -m tests.hard.strd` runs all, from both starts, alone and with seven others) ------------------
 
@@ -115,3 +115,11 @@ def test_a_penalty_that_fits_worse_wins_no_tie_between_left_out_errors():
     """A device of relays with equal left-out errors (0.03 % apart) with and without smoothing, which puts residuals 11 % above."""
     counts, wrong = devices.run("preisach", range(825, 826))
     assert counts == {"right": 1}, wrong
+
+
+@pytest.mark.parametrize("common", [True, False], ids=["one input", "inputs of their own"])
+def test_loops_fitted_together_are_those_of_fit(common: bool) -> None:
+    for row in maps.compared("bouc-wen", 10, 1, common=common):
+        assert row.same
+        assert row.estimates < maps.SAME
+        assert row.errors < maps.ERRORS

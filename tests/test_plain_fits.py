@@ -4,9 +4,11 @@ import functools
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import hystfit as hf
 from hystfit.batch import plain_fits, work
+from hystfit.batch.alike import Group
 from hystfit.batch.plain_judge import sound_outputs
 from hystfit.batch.row import row_of
 from hystfit.outcome import Status
@@ -53,7 +55,7 @@ def same(row: object, wanted: object) -> None:
 
 
 def test_rows_are_those_of_fit() -> None:
-    fits = plain_fits.fit_plain(hf.BoucWen(), record(outputs()[0]), outputs(), work.FitOptions(), held=False)
+    fits = plain_fits.fit_plain(hf.BoucWen(), [Group(record(outputs()[0]), outputs())], work.FitOptions(), held=False)
     assert fits.judged.plain.mean() > 0.9
     for k in (0, 5, 11):
         assert fits.judged.plain[k]
@@ -86,7 +88,7 @@ def spoiled() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("kind", spoiled())
 def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharmed(kind: str) -> None:
     y = np.concatenate([outputs(), spoiled()[kind][None]])
-    fits = plain_fits.fit_plain(hf.BoucWen(), record(outputs()[0]), y, work.FitOptions(), held=False)
+    fits = plain_fits.fit_plain(hf.BoucWen(), [Group(record(outputs()[0]), y)], work.FitOptions(), held=False)
     assert not fits.judged.plain[-1]
     assert fits.judged.plain.sum() >= LOOPS - 1
 
@@ -94,11 +96,11 @@ def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharme
 def test_sound_outputs_of_white_noise_are_most() -> None:
     rng = np.random.default_rng(3)
     y = 100 + np.sin(T)[None] * rng.uniform(0.5, 2, (200, 1)) + 0.01 * rng.normal(size=(200, SAMPLES))
-    assert sound_outputs(U, y).mean() > 0.9
+    assert sound_outputs(Group(record(y[0]), y)).mean() > 0.9
 
 
 def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows in the order given; two loops that are not plain, and one over another input, are fitted alone."""
+    """Rows in the order given; two loops that are not plain are fitted alone, and one over another input is not."""
     records = [record(y, f"loop {k}") for k, y in enumerate(outputs())]
     others = [record(spoiled()["an outlier"], "outlier"), record(spoiled()["a constant"], "constant")]
     others.append(hf.Record(u=2 * U, y=outputs()[1], t=T, u_unit="V", y_unit="um", name="other input"))
@@ -106,7 +108,48 @@ def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(work, "_pose", lambda task, loop: posed.append(loop.name) or pose(task, loop))
     fits = hf.fit_many("bouc-wen", [*records[:6], *others, *records[6:]], starts=2)
     assert [row.name for row in fits][5:10] == ["loop 5", "outlier", "constant", "other input", "loop 6"]
-    assert {"outlier", "constant", "other input"} <= set(posed)
+    assert {"outlier", "constant"} <= set(posed)
+    assert "other input" not in posed
+    same(fits["other input"], row_of("", "", others[-1], hf.fit("bouc-wen", others[-1])))
     assert len(posed) < 6
     assert fits["constant"].status is Status.FAILED
     same(fits["loop 5"], alone(5))
+
+
+def slow_noise(rng: np.random.Generator, samples: int) -> np.ndarray:
+    """White noise of standard deviation 1, and a slower part of 0.7 on top."""
+    return rng.normal(size=samples) + 0.3 * lfilter([1.0], [1.0, -0.9], rng.normal(size=samples))
+
+
+def test_slow_noise_is_judged_with_the_others() -> None:
+    """Standard errors under slow noise, and the notes, of loops with inputs and lengths of their own."""
+    rng, records = np.random.default_rng(5), []
+    for k in range(10):
+        count = 440 + 5 * k
+        t = np.arange(count) / 100
+        u = (2 + 0.1 * k) * np.sin(2 * np.pi * t + 0.1 * k) * (0.4 + 0.6 * t / t[-1])
+        y = np.asarray(hf.simulate(hf.BoucWen(c=1 + 0.1 * k, mu=0.4, tau=0.5, rho=0.4, offset=k), u)[0])
+        noise = slow_noise(rng, count) if k % 2 else rng.normal(size=count)
+        record = hf.Record(u=u, y=y + 0.004 * np.ptp(y) * noise, t=t, u_unit="V", y_unit="um", name=f"loop {k}")
+        records.append(record)
+    fits = plain_fits.fit_plain(
+        hf.BoucWen(), [Group(record, record.y[None]) for record in records], work.FitOptions(), held=False
+    )
+    assert fits.judged.plain.sum() >= 9
+    assert fits.judged.slow.sum() >= 3
+    for k in (4, int(np.argmax(fits.judged.slow))):
+        wanted = row_of("", "", records[k], hf.fit("bouc-wen", records[k]))
+        assert ("error-ratio" in wanted.codes) is bool(fits.judged.slow[k])
+        same(fits.row(k, "", "", wanted.sha256), wanted)
+
+
+def test_a_loop_that_is_described_but_not_plain_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slow noise twice as large as the white: the estimate stays, and the judgment is that of a fit alone."""
+    noise = lfilter([0.31], [1.0, -0.95], np.random.default_rng(11).normal(size=SAMPLES))
+    noisy = outputs()[3] + 0.005 * np.ptp(outputs()[3]) * noise
+    records, judged, judge = [record(y, f"loop {k}") for k, y in enumerate([*outputs(), noisy])], [], work._judge
+    monkeypatch.setattr(work, "_judge", lambda task, loop: judged.append(loop.name) or judge(task, loop))
+    monkeypatch.setattr(work, "solve", None)
+    row = hf.fit_many("bouc-wen", records)["loop 12"]
+    assert "loop 12" in judged
+    same(row, row_of("", "", records[-1], hf.fit("bouc-wen", records[-1])))

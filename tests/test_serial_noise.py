@@ -68,7 +68,7 @@ def test_even_samples_have_the_dense_covariance_in_cosine_coordinates(ratio, tim
     apart = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     dense = weight * np.exp(-apart / time) + ratio * np.eye(n)
     even = EvenRows.of([rows], gap, np.full(n, weight))
-    gram, log_det = even.at(ratio, time)
+    (gram,), (log_det,) = even.at(np.array([ratio]), np.array([time]))
     np.testing.assert_allclose(gram, rows.T @ np.linalg.solve(dense, rows), rtol=1e-9)
     assert log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
 
@@ -93,7 +93,7 @@ def test_the_restricted_likelihood_is_that_of_the_filter():
     full[samples.on] = np.column_stack([J, r]) / np.sqrt(samples.weight)[:, None]
     both = []
     for ratio, time in ((0.3, 2.0), (4.0, 15.0)):
-        value, slow, _ = contrasts.at(ratio, time)
+        (value,), (slow,), _ = contrasts.at(np.array([ratio]), np.array([time]))
         noise = OrnsteinUhlenbeck(noise_white=np.sqrt(ratio * slow), noise_slow=np.sqrt(slow), noise_time=time)
         other = restricted(noise, setting, jnp.asarray(full[..., 2]), jnp.asarray(full[..., :2]), jnp.ones(2, bool))
         both.append((-0.5 * value, float(other)))
@@ -117,7 +117,7 @@ def test_the_likelihood_with_shapes_is_the_dense_one_at_its_best_strength():
         return (n - 2) * np.log(square) + np.linalg.slogdet(cover)[1] + prior
 
     best = min(value(s) for s in np.geomspace(1e-2, 1e3, 400))
-    assert made.at(ratio, time)[0] == pytest.approx(best, abs=0.05)
+    assert made.at(np.array([ratio]), np.array([time]))[0][0] == pytest.approx(best, abs=0.05)
 
 
 def test_least_squares_errors_are_those_of_the_dense_covariance():

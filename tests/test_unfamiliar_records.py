@@ -457,6 +457,30 @@ def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:
     assert (record.u_unit, record.y_unit) == ("V", "um")
 
 
+@pytest.mark.parametrize("long", [True, False], ids=["a sample a row", "a loop a row"])
+def test_parquet_tables_of_many_loops(tmp_path: Path, long: bool) -> None:
+    pandas = pytest.importorskip("pandas")
+    path, loops = tmp_path / "loops.parquet", []
+    for k, name in enumerate(("b", "a", "c")):
+        t = np.arange(50 + k) / 10
+        loops.append({"specimen": name, "T_K": 300 + k, "t_s": t, "u_V": np.sin(t), "x_um": np.sin(t - 0.1 * k)})
+    table = pandas.concat(map(pandas.DataFrame, loops)) if long else pandas.DataFrame(loops)
+    table.to_parquet(path, engine="pyarrow")
+    data = hf.read(path, by="specimen") if long else hf.read(path)
+    assert [record.name for record in data] == (["specimen=b", "specimen=a", "specimen=c"] if long else ["b", "a", "c"])
+    for record, loop in zip(data, loops, strict=True):
+        np.testing.assert_array_equal(record.y, loop["x_um"])
+        np.testing.assert_array_equal(record.t, loop["t_s"])
+
+
+def test_lists_of_unequal_lengths_in_a_parquet_row_are_refused(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    rows = [{"u_V": np.arange(5.0), "x_um": np.arange(4.0)}]
+    pandas.DataFrame(rows).to_parquet(tmp_path / "loops.parquet", engine="pyarrow")
+    with pytest.raises(hf.HystfitError, match="'u_V' and 'x_um' differ in length"):
+        hf.read(tmp_path / "loops.parquet")
+
+
 @pytest.mark.parametrize(
     ("header", "driven"), [("I (A),U (V)", 0), ("I (A),U (V)", 1), ("U_V,I_mA", 0), ("U_V,I_mA", 1)]
 )

@@ -1,9 +1,14 @@
-"""Loops over one input, as a map has them: their problems differ in the output alone, and are solved together from common starts."""
+"""Loops of one structure, as a map or a folder has them: their problems differ in numbers alone, and are solved together.
+
+Loops over one input, such as those of a map, share its arrays. Records over inputs of their own are groups of one loop each.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.batch.bucketed import solve_stack
+from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fit_options import FitOptions
@@ -24,8 +30,87 @@ from hystfit.params.units import Scales
 
 _FIRST = 3  # loops from whose starting values all others begin
 _LOOKED_AT = 512  # loops among which these are chosen
-_GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is fitted alone, from all
+_GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all
 _SHORT = 256  # samples on which starts are compared, and loops are compared with each other
+_TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
+
+
+class Group(NamedTuple):
+    """Loops over one input: a record with its numbers and labels, and their outputs, shape (N, T)."""
+
+    record: Record
+    y: Float[np.ndarray, "N T"]
+
+    @property
+    def sizes(self) -> Float[np.ndarray, "N 3"]:
+        """Natural sizes of input, output and time of each loop."""
+        y, record = self.y[:, self.record.used], self.record
+        interval = 100 * (record.sampling_interval or _TYPICAL)
+        same = np.tile([0.5 * np.ptp(record.u), 1.0, interval], (len(y), 1))
+        same[:, 1] = 0.5 * np.ptp(y, axis=1)
+        return same
+
+    @property
+    def levels(self) -> Float[np.ndarray, " N"]:
+        """Middle of each output over its half range."""
+        y = self.y[:, self.record.used]
+        return (y.max(axis=1) + y.min(axis=1)) / np.ptp(y, axis=1)
+
+    def take(self, rows: np.ndarray) -> Group:
+        """Some of the loops."""
+        return self._replace(y=self.y[rows])
+
+
+@dataclasses.dataclass(frozen=True)
+class Loops:
+    """Loops in groups of one input each, one group after another, padded to a common length."""
+
+    groups: tuple[Group, ...]
+
+    def __len__(self) -> int:
+        return sum(len(group.y) for group in self.groups)
+
+    def each(self, function: Callable[..., Any], *rows: np.ndarray) -> Any:
+        """What a function gives for each group and its rows of some arrays, an array or a tuple of them, for all loops."""
+        stops = np.cumsum([len(group.y) for group in self.groups])
+        parts = [
+            function(group, *(row[stop - len(group.y) : stop] for row in rows))
+            for group, stop in zip(self.groups, stops.tolist(), strict=True)
+        ]
+        if not isinstance(parts[0], tuple):
+            return np.concatenate(parts)
+        return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+
+    def take(self, rows: np.ndarray) -> Loops:
+        """Some of the loops; `rows` are their numbers, rising."""
+        stops = np.cumsum([0, *(len(group.y) for group in self.groups)])
+        edges = np.searchsorted(rows, stops)
+        pairs = zip(self.groups, stops.tolist(), edges.tolist(), edges[1:].tolist(), strict=False)
+        return Loops(tuple(group.take(rows[a:b] - start) for group, start, a, b in pairs if b > a))
+
+    @functools.cached_property
+    def length(self) -> int:
+        """Samples of a padded loop."""
+        return bucket(max(len(group.record) for group in self.groups))
+
+    def columns(self, kept: Sequence[np.ndarray] | None, length: int) -> tuple[np.ndarray, ...]:
+        """u, dt and weight of each group, shape (G, 1, length), and y of each loop, shape (N, 1, length), padded as in `Batch`.
+
+        Args:
+            kept: numbers of the samples of each group; None for all.
+            length: to which they are padded.
+        """
+        u, dt, weight = (np.zeros((len(self.groups), 1, length)) for _ in range(3))
+        outputs = np.zeros((len(self), 1, length))
+        start = 0
+        for k, (record, y) in enumerate(self.groups):
+            at = np.arange(len(record)) if kept is None else kept[k]
+            elapsed = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
+            u[k, 0], dt[k, 0, : at.size] = record.u[-1], elapsed
+            u[k, 0, : at.size], weight[k, 0, : at.size] = record.u[at], np.where(record.used, record.weight, 0.0)[at]
+            outputs[start : start + len(y), 0, : at.size] = y[:, at]
+            start += len(y)
+        return u, dt, weight, outputs
 
 
 class Common(NamedTuple):
@@ -33,9 +118,9 @@ class Common(NamedTuple):
 
     Attributes:
         setup: the fit of one of them.
-        starts: shape (S, p), relative to the size of each output.
+        starts: shape (S, p), relative to the sizes of each loop.
         levels: middle of the output over its half range, of the loop that each start is from, shape (S,).
-        powers: of the output's size in the scale of each parameter, shape (p,).
+        powers: of the sizes of input, output and time in the scale of each parameter, shape (3, p).
     """
 
     setup: FitSetup
@@ -43,83 +128,83 @@ class Common(NamedTuple):
     levels: np.ndarray
     powers: np.ndarray
 
-    @property
-    def record(self) -> Record:
-        """The loop of the setup."""
-        return self.setup.problem.data[0]
-
-    def sizes(self, y: Float[np.ndarray, "N T"]) -> Float[np.ndarray, " N"]:
-        """Half ranges of outputs."""
-        used = self.record.used
-        return 0.5 * np.ptp(y[:, used], axis=1)
-
-    def scale(self, y: Float[np.ndarray, "N T"]) -> Float[np.ndarray, "N p"]:
+    def scale(self, loops: Loops) -> Float[np.ndarray, "N p"]:
         """Natural scale of each parameter of each loop."""
         own = self.setup.problem
-        return own.space.scale * (self.sizes(y) / own.scales.y)[:, None] ** self.powers
+        ratio = loops.each(lambda group: group.sizes) / [own.scales.u, own.scales.y, own.scales.s]
+        return own.space.scale * np.exp(np.log(ratio) @ self.powers)
 
-    def stack(self, y: Float[np.ndarray, "N T"], kept: np.ndarray | None = None) -> Stack:
+    def stack(self, loops: Loops, kept: Sequence[np.ndarray] | None = None, length: int | None = None) -> Stack:
         """The problems of loops, on all samples or on some."""
         on_host: Objective = jax.tree_util.tree_map(np.asarray, self.setup.problem.objective)
-        scale, size = self.scale(y), self.sizes(y)
-        if kept is not None:
-            count, batch = len(self.record), on_host.batch
-            u, dt, weight = (rows[0, :count] for rows in (batch.u, batch.dt, batch.weight))
-            rows = u[kept], np.diff(np.cumsum(dt)[kept], prepend=0.0), weight[kept]
-            short = lambda o: (o.batch.u, o.batch.dt, o.batch.weight)
-            on_host, y = eqx.tree_at(short, on_host, tuple(row[None] for row in rows)), y[:, kept]
-        padded = np.zeros((len(y), 1, on_host.batch.u.shape[1]))
-        padded[:, 0, : y.shape[1]] = y
+        u, dt, weight, y = loops.columns(kept, length or loops.length)
+        sizes = loops.each(lambda group: group.sizes)[:, 1]
+        inputs = lambda o: (o.batch.u, o.batch.dt, o.batch.weight)
         places = lambda o: (o.batch.y, o.coordinates.scale, o.size)
         own = eqx.tree_at(places, jax.tree_util.tree_map(lambda _: False, on_host), (True, True, True))
-        return Stack(eqx.tree_at(places, on_host, (padded, scale, size)), tuple(jax.tree_util.tree_leaves(own)))
+        columns = [rows[0] for rows in (u, dt, weight)]
+        if len(loops.groups) > 1:
+            of_loop = np.repeat(np.arange(len(u)), [len(group.y) for group in loops.groups])
+            columns = [rows[of_loop] for rows in (u, dt, weight)]
+            own = eqx.tree_at(inputs, own, (True, True, True))
+        on_host = eqx.tree_at(inputs, on_host, tuple(columns))
+        on_host = eqx.tree_at(places, on_host, (y, self.scale(loops), sizes))
+        return Stack(on_host, tuple(jax.tree_util.tree_leaves(own)))
 
 
-def common_of(
-    model: AbstractHysteresis, record: Record, y: Float[np.ndarray, "N T"], options: FitOptions, *, held: bool
-) -> Common | None:
-    """What loops over the input of a record have in common; None where their fits differ in more than the output.
+def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, held: bool) -> Common | None:
+    """What loops have in common; None where their fits differ in more than numbers.
 
     Args:
         model: that is fitted.
-        record: gives input, time, weights and units.
-        y: outputs without faults.
+        loops: outputs without faults.
         options: of each fit.
         held: parameters in `fix` without a value keep that of the model.
     """
-    chosen = _different(y[np.linspace(0, len(y) - 1, min(len(y), _LOOKED_AT)).astype(int)])
-    setups = [set_up_fit(model, Dataset.of(record.replace(y=row)), options, held=held) for row in chosen]
+    chosen = _different(loops)
+    setups = [set_up_fit(model, Dataset.of(record), options, held=held) for record in chosen]
     first = setups[0]
     alike = all(
         one.method == "lm" == first.method
         and one.problem.space.names == first.problem.space.names
         and [p[:2] for p in one.problem.space.fixed()] == [p[:2] for p in first.problem.space.fixed()]
+        and np.array_equal(one.problem.space.lower, first.problem.space.lower)
+        and np.array_equal(one.problem.space.upper, first.problem.space.upper)
         and len(one.problem.data[0]) == len(record)
-        and np.array_equal(one.problem.data[0].weight, first.problem.data[0].weight)
+        and np.array_equal(one.problem.data[0].weight, record.weight)
         and jax.tree_util.tree_structure(one.problem.objective) == jax.tree_util.tree_structure(first.problem.objective)
-        for one in setups
+        for one, record in zip(setups, chosen, strict=True)
     )
-    if not alike or first.problem.model.derived():
+    found = first.problem.model
+    if not alike or found.derived() or type(found).hysteretic_share is not AbstractHysteresis.hysteretic_share:
         return None
     starts, levels = _starts(setups, options)
-    infos, scales = first.problem.space.infos, first.problem.scales
-    doubled = Scales(scales.u, 2.0, scales.s)
-    single = dataclasses.replace(doubled, y=1.0)
-    powers = np.log2([doubled.size(info.unit) / single.size(info.unit) for info in infos])
+    unit = Scales(1.0, 1.0, 1.0)
+    doubled = [dataclasses.replace(unit, **{symbol: 2.0}) for symbol in "uys"]
+    units = [info.unit for info in first.problem.space.infos]
+    powers = np.log2([[sizes.size(one) / unit.size(one) for one in units] for sizes in doubled])
     return Common(first, starts, levels, np.round(powers, 9))
 
 
-def _different(y: Float[np.ndarray, "N T"]) -> np.ndarray:
-    """A few loops unlike each other, each beside its own range; the first is a typical one."""
-    at = np.linspace(0, y.shape[1] - 1, min(y.shape[1], _SHORT)).astype(int)
-    shapes = y[:, at] - 0.5 * (y.min(axis=1) + y.max(axis=1))[:, None]
-    shapes = shapes / np.ptp(y, axis=1)[:, None]
+def _different(loops: Loops) -> list[Record]:
+    """Records of a few loops unlike each other, each beside its own range; the first is a typical one."""
+    chosen = np.linspace(0, len(loops) - 1, min(len(loops), _LOOKED_AT)).astype(int)
+    some = loops.take(chosen)
+    samples = min(min(len(group.record) for group in some.groups), _SHORT)
+
+    def shape(group: Group) -> np.ndarray:
+        at = np.linspace(0, len(group.record) - 1, samples).astype(int)
+        y = group.y
+        return (y[:, at] - 0.5 * (y.min(axis=1) + y.max(axis=1))[:, None]) / np.ptp(y, axis=1)[:, None]
+
+    shapes = some.each(shape)
     far = np.linalg.norm(shapes - np.median(shapes, axis=0), axis=1)
-    chosen = [int(np.argmin(far))]
-    while len(chosen) < min(_FIRST, len(y)):
-        apart = np.min([np.linalg.norm(shapes - shapes[k], axis=1) for k in chosen], axis=0)
-        chosen.append(int(np.argmax(apart)))
-    return y[chosen]
+    first = [int(np.argmin(far))]
+    while len(first) < min(_FIRST, len(some)):
+        apart = np.min([np.linalg.norm(shapes - shapes[k], axis=1) for k in first], axis=0)
+        first.append(int(np.argmax(apart)))
+    single = [some.take(np.array([k])).groups[0] for k in first]
+    return [group.record.replace(y=group.y[0]) for group in single]
 
 
 def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np.ndarray]:
@@ -135,18 +220,21 @@ def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np
     return np.stack([*rows, *spread]), np.array([*levels, *[levels[0]] * len(spread)])
 
 
-def solve_alike(common: Common, y: Float[np.ndarray, "N T"]) -> tuple[Ends, Stack]:
-    """Where the best start of each loop ended, and their problems.
+def solve_alike(common: Common, loops: Loops, steps: int = _GLANCE) -> tuple[Ends, Stack, np.ndarray]:
+    """Where the best start of each loop ended, their problems, and the costs of all starts, shape (N, S).
 
     Args:
         common: what they have in common.
-        y: outputs without faults, finite.
+        loops: outputs without faults, finite.
+        steps: of every start, before the best one goes on.
     """
-    problem = common.setup.problem
-    full, kept = common.stack(y), kept_samples(problem, _SHORT)
-    short = None if kept is None else common.stack(y, kept[0])
-    used = problem.data[0].used
-    level = 0.5 * (y[:, used].max(axis=1) + y[:, used].min(axis=1)) / np.asarray(full.objective.size)
-    starts = np.repeat(common.starts[None], len(y), axis=0)
-    starts[:, :, problem.space.offsets] += (level[:, None] - common.levels)[..., None]
-    return solve_stack(full, short, starts, _GLANCE)[0], full
+    problem, full = common.setup.problem, common.stack(loops)
+    short = None
+    if problem.model.allows_thinning:
+        found = kept_samples([group.record for group in loops.groups], loops.length, _SHORT)
+        short = None if found is None else common.stack(loops, *found)
+    starts = np.repeat(common.starts[None], len(loops), axis=0)
+    levels = loops.each(lambda group: group.levels)
+    starts[:, :, problem.space.offsets] += (levels[:, None] - common.levels)[..., None]
+    ends, costs, _ = solve_stack(full, short, starts, steps)
+    return ends, full, costs

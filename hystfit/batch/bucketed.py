@@ -15,7 +15,7 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
 _SHORT = 256  # samples of the short form on which starts are compared
-_STEPS, _MORE = 25, 60  # of every start, of the best one
+STEPS, _MORE = 25, 60  # of every start, of the best one
 # Predicted decrease of the cost, relative to it, at which starts and the best one have converged.
 _ROUGH, _FINE = 1e-5, 1e-13
 _ON_BOUND = 1e-6  # relative distance below which a bounded solver decides whether a parameter is on its bound
@@ -54,7 +54,7 @@ def solve_together(tasks: Sequence[Task]) -> list[Estimate | None]:
 
 
 def solve_stack(
-    full: Stack, short: Stack | None, starts: np.ndarray, steps: int = _STEPS
+    full: Stack, short: Stack | None, starts: np.ndarray, steps: int = STEPS
 ) -> tuple[Ends, np.ndarray, np.ndarray]:
     """Where the best start of each record ended, the costs of all, shape (N, S), and the linearizations for each record.
 

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.batch.alike import Group
 from hystfit.batch.loop_map import LoopMap
-from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain
+from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain, setup_of
 from hystfit.batch.row import Row
 from hystfit.batch.work import Work, fit_alone_rows
-from hystfit.config import first_device, verb
+from hystfit.config import device_of_many, verb
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.models.base import AbstractHysteresis
@@ -103,7 +104,7 @@ def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Rec
 
 def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
     """Slices of the first axis, each with as many loops as are solved at once."""
-    size = _SAMPLES if first_device("gpu") is None else _ON_GPU
+    size = _SAMPLES if device_of_many() is None else _ON_GPU
     most = max(1, size // (samples * int(np.prod(shape[1:-1]))))
     edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
     yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
@@ -139,7 +140,7 @@ def _fit_part(work: Work, frame: Record, y: np.ndarray) -> Columns:
     fits = None
     if work.plain and len(y) >= FEWEST:
         try:
-            fits = fit_plain(make_model(work.model), frame, y, work.options, held=work.held)
+            fits = fit_plain(make_model(work.model), [Group(frame, y)], work.options, held=work.held)
         except HystfitError:  # each is fitted alone, and has the reason
             fits = None
     plain = np.zeros(len(y), bool) if fits is None else fits.judged.plain
@@ -151,7 +152,12 @@ def _fit_part(work: Work, frame: Record, y: np.ndarray) -> Columns:
             records[k] = frame.replace(y=y[k])
         except DataError as error:
             rows[k] = Row("loop", "", None, Status.FAILED, str(error))
-    fitted = fit_alone_rows(work, [("loop", record) for record in records.values()])
+    solved = {
+        number: (setup_of(fits.common, record, work.options), fits.estimates[k])
+        for number, (k, record) in enumerate(records.items())
+        if fits is not None and k in fits.estimates
+    }
+    fitted = fit_alone_rows(work, [("loop", record) for record in records.values()], solved)
     rows |= dict(zip(records, fitted, strict=True))
     return _columns(len(y), plain, fits, rows)
 
@@ -185,15 +191,17 @@ def _columns(count: int, plain: np.ndarray, fits: PlainFits | None, rows: Mappin
     together = {} if fits is None else fits.quantities
     for name in dict.fromkeys([*together, *(name for row in rows.values() for name in row.quantities)]):
         put(f"quantity {name}", together.get(name), lambda row, name=name: row.quantities.get(name))
-    of = lambda k: rows[k] if k in rows else fits.examples[len(fits.judged.advice[k])][0]  # type: ignore[union-attr]
-    every = [of(k) for k in range(count)]
-    columns["status"] = np.array([str(row.status) for row in every])
-    columns["codes"] = np.array([" ".join(row.codes) for row in every])
+    status = lambda k: str(rows[k].status if k in rows else Status.OK)
+    codes = lambda k: rows[k].codes if k in rows else fits.codes(k)  # type: ignore[union-attr]
+    columns["status"] = np.array([status(k) for k in range(count)])
+    columns["codes"] = np.array([" ".join(codes(k)) for k in range(count)])
     numbers = sorted(rows)
     columns["reason_of"], columns["reason"] = (
         np.array(numbers, int),
         np.array([rows[k].reason for k in numbers], dtype=str),
     )
-    units = next((row.units for row in every if row.units), {})
+    example = None if fits is None else fits.example
+    known = [row.units for row in rows.values() if row.units] if example is None else [example.units]
+    units = known[0] if known else {}
     columns["unit_of"], columns["unit"] = np.array(list(units), dtype=str), np.array(list(units.values()), dtype=str)
     return columns

@@ -18,6 +18,7 @@ from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.colors import MODEL, SECOND
+from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.map/1"
@@ -25,6 +26,7 @@ _OUTER = (0.05, 0.5, 0.95)
 _NUMBERS = ("rmse", "error_percent", "max_error_percent")
 _FAR = 6.0  # median deviations from the median, beyond which a usable loop is an outlier
 _AXES = ("x", "y", "z")
+_LISTED = 100  # loops without a usable fit that `to_dict` names
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -221,6 +223,28 @@ class LoopMap(WithStatus):
         axes[2].set_xlabel(label)
         axes[2].set_ylabel("usable loops")
         return figure
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`: counts and distributions; the maps themselves are in the files of `save`."""
+        bad = [
+            {"place": list(place), "status": str(self.statuses[place]), "reason": text}
+            for place, text in self.reasons.items()
+            if not self.ok[place]
+        ]
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "status": str(self.status),
+            "advice": self.advice,
+            "shape": list(self.shape),
+            "counts": self.counts,
+            "fitted_alone": int(self.alone.sum()),
+            "units": dict(self.units),
+            "settings": {name: repr(value) for name, value in vars(self.work.options).items()},
+            "summary": self.summary().to_list(),
+            "not_usable": bad[:_LISTED],
+            "provenance": provenance((), self.work.options.seed),
+        }
 
     # -- files -----------------------------------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-_TOGETHER = 32  # loops in one task, where each takes milliseconds
+_FEW, _MOST = 32, 128  # loops in one task, where each takes milliseconds; an interruption loses that of a task
 _ROWS = "rows.jsonl"
 
 
@@ -70,7 +70,8 @@ def fit_many(
     journal = None if folder is None else Journal(claim(Path(folder), "batch.json", _described(work)) / _ROWS)
     rows: dict[str, Sequence[Row]] = {} if journal is None else dict(journal.rows)
     missing = [source for source in sources if source.key not in rows]
-    size = max(1, min(_TOGETHER, -(-len(missing) // workers))) if work.quick else 1
+    share = -(-len(missing) // workers)  # of each process, in several tasks where that is worth it
+    size = max(1, min(share, max(_FEW, min(_MOST, share // 4)))) if work.quick else 1
     chunks = [missing[k : k + size] for k in range(0, len(missing), size)]
     for number, outcome in computed(partial(fit_sources, work), chunks, workers, scheduler):
         finished = _finished(chunks[number], outcome)

@@ -1,25 +1,30 @@
-"""The fits of loops over one input that are beyond doubt, as columns of numbers."""
+"""The fits of loops of one structure that are beyond doubt, as columns of numbers, and the estimates of others that are solved."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, cast
 
 import numpy as np
-from jaxtyping import Float
 
-from hystfit.batch.alike import Common, common_of, solve_alike
+from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
+from hystfit.batch.bucketed import STEPS
 from hystfit.batch.plain_judge import Judged, judge_plain, simulated, sound_outputs
 from hystfit.batch.row import Row, row_of
+from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.fitting.assessment import notes_of_model, notes_on_time
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.fit_setup import FitSetup, set_up_fit
+from hystfit.fitting.fit_setup import FitSetup, without_faults
 from hystfit.fitting.lanes import Stack
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Note, Severity, Status
+from hystfit.quality.coverage import coverage_notes
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
 from hystfit.results.timing import Stopwatch
@@ -29,33 +34,40 @@ _SAME = 1e-3  # relative difference of two standard errors that is none
 
 
 class PlainFits(NamedTuple):
-    """Results of N loops over one input, of which some are plain.
+    """Results of N loops, group by group, of which some are plain.
 
     Attributes:
         names: of the free parameters.
         judged: numbers of each loop.
         quantities: of the fitted loops by name, shape (N,), NaN where unknown.
-        examples: rows of loops judged alone, by the number of their pieces of advice: notes and units of the others are theirs.
+        notes: on each loop besides its accuracy; of plain loops alone.
+        samples: of each loop that count, shape (N,).
+        example: the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain.
+        common: what the loops have in common.
+        estimates: of loops that are solved, but not plain, by their number.
     """
 
     names: tuple[str, ...]
     judged: Judged
     quantities: dict[str, np.ndarray]
-    examples: dict[int, tuple[Row, tuple[str, ...]]]
+    notes: Sequence[Sequence[Note]]
+    samples: np.ndarray
+    example: Row | None
+    common: Common
+    estimates: Mapping[int, Estimate]
 
     def row(self, k: int, name: str, file: str, sha256: str | None) -> Row:
         """The row of a plain loop."""
-        one, advice = self.judged, self.judged.advice[k]
-        example, _ = self.examples[len(advice)]
+        one, example = self.judged, cast(Row, self.example)
         return Row(
             name=name,
             file=file,
             sha256=sha256,
             status=Status.OK,
-            reason=self.reason(k),
-            codes=example.codes,
+            reason=_reason(self.notes[k]),
+            codes=_codes(self.notes[k]),
             model=example.model,
-            samples=example.samples,
+            samples=int(self.samples[k]),
             values=dict(zip(self.names, one.x[k].tolist(), strict=True)),
             stderr=dict(zip(self.names, one.stderr[k].tolist(), strict=True)),
             rmse=float(one.rmse[k]),
@@ -65,75 +77,166 @@ class PlainFits(NamedTuple):
             units=example.units,
         )
 
-    def reason(self, k: int) -> str:
-        """The warnings of a plain loop: those of the example, with its own advice."""
-        advice = self.judged.advice[k]
-        example, said = self.examples[len(advice)]
-        text = example.reason
-        for mine, other in zip(advice, said, strict=True):
-            text = text.replace(other, mine)
-        return text
+    def codes(self, k: int) -> tuple[str, ...]:
+        """The codes of the notes on a plain loop."""
+        return _codes(self.notes[k])
+
+
+def setup_of(common: Common, record: Record, options: FitOptions) -> FitSetup:
+    """The fit of another loop, without starting values of its own."""
+    own = common.setup.problem
+    settings = {"fix": options.fix, "free": options.free, "loss": options.loss, "spacing": options.spacing}
+    problem = Problem(own.model, without_faults(Dataset.of(record)), **settings)
+    return dataclasses.replace(common.setup, problem=problem, points=(own.model,))
+
+
+def _codes(notes: Sequence[Note]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys([str(Code.ACCURACY), *(str(note.code) for note in notes)]))
+
+
+def _reason(notes: Sequence[Note]) -> str:
+    return "; ".join(note.text for note in notes if note.severity is not Severity.INFO)
 
 
 def fit_plain(
-    model: AbstractHysteresis, record: Record, y: Float[np.ndarray, "N T"], options: FitOptions, *, held: bool
+    model: AbstractHysteresis, groups: Sequence[Group], options: FitOptions, *, held: bool
 ) -> PlainFits | None:
-    """Fit loops over the input of a record; None where none of them can be judged beside others.
+    """Fit loops in groups of one input each; None where they cannot be solved together.
 
     Args:
         model: that is fitted.
-        record: gives input, time, weights, units and names.
-        y: outputs, NaN where one is missing.
+        groups: records with the same labels, and lengths of one bucket; outputs with NaN where one is missing.
         options: of each fit, without a robust loss or a noise model of its own.
         held: parameters in `fix` without a value keep that of the model.
     """
-    sound = np.flatnonzero(sound_outputs(record.u, y))
+    every = Loops(tuple(groups))
+    sound = np.flatnonzero(every.each(sound_outputs))
     if sound.size < FEWEST:
         return None
-    common = common_of(model, record, y[sound], options, held=held)
+    loops = every.take(sound)
+    common = common_of(model, loops, options, held=held)
     if common is None:
         return None
-    ends, stack = solve_alike(common, y[sound])
-    judged = judge_plain(common, y[sound], ends, stack)
-    set_up = lambda record: set_up_fit(model, Dataset.of(record), options, held=held)
-    examples = _examples(common, y[sound], judged, ends.normal.cost, options, set_up)
+    ends, stack, _ = solve_alike(common, loops)
+    judged = judge_plain(common, loops, ends, stack)
+    notes = _notes(common, loops, judged)
+    examples = _examples(common, loops, judged, ends.normal.cost, notes, options)
     if examples is None:
-        return None
-    quantities = _quantities(common, stack, ends.normal.z)
-    return _spread(PlainFits(common.setup.problem.space.names, judged, quantities, examples), sound, len(y))
+        judged = judged._replace(plain=np.zeros(len(loops), bool))
+    example = examples[0] if examples else None
+    quantities = _quantities(common, loops, stack, ends.normal.z)
+    samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
+    estimates = _estimates(common, loops, judged)
+    names = common.setup.problem.space.names
+    fits = PlainFits(names, judged, quantities, notes, samples, example, common, estimates)
+    return _spread(fits, sound, len(every))
+
+
+def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...]]:
+    """Notes on each plain loop, in the order of a fit that is judged alone."""
+    model, space = common.setup.problem.model, common.setup.problem.space
+    advises, of_range = type(model).advice is not AbstractHysteresis.advice, not model.from_saturation
+    out = list[tuple[Note, ...]]()
+    for record, y in loops.groups:
+        data = Dataset.of(record)
+        first = [*(coverage_notes(data) if of_range else ()), *common.setup.notes, *notes_on_time(data)]
+        last = [note for note in record.notes if note.code is Code.UNITS]
+        same = (*first, *last)
+        for k in range(len(out), len(out) + len(y)):
+            if not judged.plain[k]:
+                out.append(())
+            elif advises or judged.slow[k]:
+                one = space.coordinates.assemble(judged.x[k], 0, np.asarray)
+                slow = [Note(Code.ERROR_RATIO, "residuals are autocorrelated")] if judged.slow[k] else []
+                out.append((*first, *notes_of_model(data, one), *slow, *last))
+            else:
+                out.append(same)
+    return out
 
 
 def _examples(
     common: Common,
-    y: Float[np.ndarray, "N T"],
+    loops: Loops,
     judged: Judged,
     cost: np.ndarray,
+    notes: Sequence[Sequence[Note]],
     options: FitOptions,
-    set_up: Callable[[Record], FitSetup],
-) -> dict[int, tuple[Row, tuple[str, ...]]] | None:
-    """A loop judged alone for each number of pieces of advice; None where such a judgment is another one."""
-    found: dict[int, tuple[Row, tuple[str, ...]]] = {}
+) -> list[Row] | None:
+    """Plain loops judged alone, one of each set of notes; None where such a judgment is another one."""
+    rows, seen = list[Row](), set[tuple[str, ...]]()
     for k in np.flatnonzero(judged.plain):
-        advice = judged.advice[k]
-        if len(advice) in found:
+        codes = _codes(notes[k])
+        if codes in seen:
             continue
-        record, watch = common.record.replace(y=y[k]), Stopwatch()
+        seen.add(codes)
+        (record, y), watch = loops.take(np.array([k])).groups[0], Stopwatch()
+        record = record.replace(y=y[0])
         estimate = Estimate(judged.x[k], float(cost[k]), True, "converged", 1, np.array([cost[k]]))
-        row = row_of("", "", record, judge(set_up(record), estimate, options, watch))
+        row = row_of("", "", record, judge(setup_of(common, record, options), estimate, options, watch))
         errors = np.array([np.nan if value is None else value for value in row.stderr.values()])
-        same = row.status is Status.OK and np.allclose(errors, judged.stderr[k], rtol=_SAME)
-        if not same:
+        same = (row.status, row.codes, row.reason) == (Status.OK, codes, _reason(notes[k]))
+        if not same or not np.allclose(errors, judged.stderr[k], rtol=_SAME):
             return None
-        found[len(advice)] = row, advice
-    return found or None
+        rows.append(row)
+    return rows
 
 
-def _quantities(common: Common, stack: Stack, z: np.ndarray) -> dict[str, np.ndarray]:
+def _estimates(common: Common, loops: Loops, judged: Judged) -> dict[int, Estimate]:
+    """Estimates of loops that are not plain, but close: from every start to its end."""
+    rest = np.flatnonzero(judged.close & ~judged.plain)
+    if not rest.size:
+        return {}
+    ends, stack, costs = solve_alike(common, loops.take(rest), STEPS)
+    x = stack.objective.coordinates.physical(ends.normal.z, np)
+    ended = zip(rest.tolist(), x, ends.normal.cost, ends.converged, costs, strict=True)
+    return {
+        k: Estimate(x, float(cost), True, "converged", 1, costs * (float(cost) / costs.min()))
+        for k, x, cost, converged, costs in ended
+        if converged and np.isfinite(x).all()
+    }
+
+
+def _quantities(common: Common, loops: Loops, stack: Stack, z: np.ndarray) -> dict[str, np.ndarray]:
     """Quantities of the steady loop of each fitted model."""
-    problem, model = common.setup.problem, common.setup.problem.model
-    excitation = Excitation.of(problem.data, hardens=model.hardens)
-    outputs = lambda record: simulated(stack, z, record.u, 0 * record.u if model.rate_independent else record.dt)
-    return values_of_outputs(problem.data, excitation, outputs, timed=not model.rate_independent)
+    model, timed = common.setup.problem.model, not common.setup.problem.model.rate_independent
+    datasets = [Dataset.of(group.record) for group in loops.groups]
+    excitations = [Excitation.of(data, hardens=model.hardens) for data in datasets]
+    counts = [len(group.y) for group in loops.groups]
+    drives = {"loop": [one.loop for one in excitations]} | (
+        {"step": [one.step for one in excitations]} if timed else {}
+    )
+    outputs = {
+        name: _outputs(stack, z, records, counts, timed=timed, causal=model.causal) for name, records in drives.items()
+    }
+    found, stop = list[dict[str, np.ndarray]](), 0
+    for data, excitation, count in zip(datasets, excitations, counts, strict=True):
+        start, stop = stop, stop + count
+        of = lambda record, a=start, b=stop, one=excitation: outputs["loop" if record is one.loop else "step"][
+            a:b, : len(record)
+        ]
+        found.append(values_of_outputs(data, excitation, of, timed=timed))
+    names = dict.fromkeys(name for values in found for name in values)
+    pairs = list(zip(found, counts, strict=True))
+    return {name: np.concatenate([v.get(name, np.full(n, np.nan)) for v, n in pairs]) for name in names}
+
+
+def _outputs(
+    stack: Stack, z: np.ndarray, records: Sequence[Record], counts: Sequence[int], *, timed: bool, causal: bool
+) -> np.ndarray:
+    """Outputs of each loop's model over the input of its group, shape (N, T), padded with outputs that mean nothing."""
+    drive = lambda record: (record.u, record.dt if timed else 0 * record.u)
+    if len(records) == 1:
+        return simulated(stack, z, *drive(records[0]))
+    lengths = np.repeat([bucket(len(record)) if causal else len(record) for record in records], counts)
+    of_group, out = np.repeat(np.arange(len(records)), counts), np.full((len(z), lengths.max()), np.nan)
+    for length in np.unique(lengths).tolist():
+        at = np.flatnonzero(lengths == length)
+        u, dt = (np.empty((at.size, length)) for _ in range(2))
+        for row, group in enumerate(of_group[at]):
+            now, step = drive(records[group])
+            u[row], dt[row] = np.pad(now, (0, length - now.size), mode="edge"), np.pad(step, (0, length - step.size))
+        out[at, :length] = simulated(stack.take(at), z[at], u, dt)
+    return out
 
 
 def _spread(fits: PlainFits, at: np.ndarray, count: int) -> PlainFits:
@@ -144,9 +247,13 @@ def _spread(fits: PlainFits, at: np.ndarray, count: int) -> PlainFits:
         out[at] = values
         return out
 
-    *arrays, advice = fits.judged
-    said: list[Sequence[str]] = [()] * count
-    for k, lines in zip(at, advice, strict=True):
-        said[k] = lines
-    judged = Judged(*map(among, arrays), tuple(map(tuple, said)))
-    return fits._replace(judged=judged, quantities={name: among(v) for name, v in fits.quantities.items()})
+    notes: list[Sequence[Note]] = [()] * count
+    for k, lines in zip(at.tolist(), fits.notes, strict=True):
+        notes[k] = lines
+    return fits._replace(
+        judged=Judged(*map(among, fits.judged)),
+        quantities={name: among(values) for name, values in fits.quantities.items()},
+        notes=notes,
+        samples=among(fits.samples),
+        estimates={int(at[k]): estimate for k, estimate in fits.estimates.items()},
+    )

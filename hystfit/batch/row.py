@@ -55,7 +55,9 @@ class Row(WithStatus):
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return dataclasses.asdict(self) | {"status": str(self.status), "codes": list(self.codes)}
+        content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        content |= {name: dict(content[name]) for name in ("values", "stderr", "quantities", "units")}
+        return content | {"status": str(self.status), "codes": list(self.codes)}
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Row:

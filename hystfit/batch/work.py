@@ -11,11 +11,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from hystfit.batch.alike import Group
 from hystfit.batch.bucketed import Task, solve_together
-from hystfit.batch.plain_fits import FEWEST, fit_plain
+from hystfit.batch.plain_fits import FEWEST, fit_plain, setup_of
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
 from hystfit.config import enable_x64
+from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
@@ -34,7 +36,7 @@ from hystfit.results.timing import Stopwatch
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
-_SAMPLES = 2**19  # read before they are fitted, so that memory is bounded
+_SAMPLES = 2**20  # read before they are fitted, so that memory is bounded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,18 +133,32 @@ def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, An
     pending: list[tuple[int, _Loop]] = []
     for number, source in enumerate(sources):
         pending += [(number, loop) for loop in _read(work, source)]
-        samples = sum(len(loop.record) for _, loop in pending if loop.record is not None)
-        if samples > _SAMPLES or number == len(sources) - 1:
-            _fit(work, [loop for _, loop in pending])
-            for k, loop in pending:
+        while pending:
+            samples = np.cumsum([0 if loop.record is None else len(loop.record) for _, loop in pending])
+            if samples[-1] <= _SAMPLES and number < len(sources) - 1:
+                break
+            part = int(np.searchsorted(samples, _SAMPLES, side="right")) + 1
+            some, pending = pending[:part], pending[part:]
+            _fit(work, [loop for _, loop in some])
+            for k, loop in some:
                 rows[k].append(cast(Row, loop.row).to_dict())
-            pending = []
+                loop.record = None
     return rows
 
 
-def fit_alone_rows(work: Work, records: Sequence[tuple[str, Record]]) -> list[Row]:
-    """Rows of named records, none of which is plain."""
+def fit_alone_rows(
+    work: Work, records: Sequence[tuple[str, Record]], solved: Mapping[int, tuple[FitSetup, Estimate]] | None = None
+) -> list[Row]:
+    """Rows of named records, none of which is plain.
+
+    Args:
+        work: what is done with every loop.
+        records: the loops.
+        solved: fits of some of them, by their number, that need judgment alone.
+    """
     loops = [_Loop(Source(name, "", record), name, record) for name, record in records]
+    for k, (setup, estimate) in (solved or {}).items():
+        loops[k].fit_setup, loops[k].estimate = setup, estimate
     _fit(work, loops, plain=False)
     return [cast(Row, loop.row) for loop in loops]
 
@@ -191,38 +207,51 @@ def _search(work: Work, loop: _Loop) -> None:
 
 
 def _fit_plain(work: Work, loops: Sequence[_Loop]) -> None:
-    """Give the rows of loops over one input whose fit is beyond doubt."""
-    groups: dict[bytes, list[_Loop]] = defaultdict(list)
+    """Give the rows of loops whose fit is beyond doubt, and the estimates of others of their kind that are solved."""
+    kinds: dict[Any, list[_Loop]] = defaultdict(list)
     for loop in loops:
         if loop.row is None and loop.record is not None and loop.record.sigma is None:
-            groups[_frame(loop.record)].append(loop)
-    for alike in groups.values():
+            kinds[_kind(loop.record)].append(loop)
+    for alike in kinds.values():
         if len(alike) < FEWEST:
             continue
-        records = [cast(Record, loop.record) for loop in alike]
+        inputs: dict[bytes, list[_Loop]] = defaultdict(list)
+        for loop in alike:
+            inputs[_input(cast(Record, loop.record))].append(loop)
+        ordered = [loop for same in inputs.values() for loop in same]
         try:
-            y = np.stack([record.y for record in records])
-            fits = fit_plain(make_model(work.model), records[0], y, work.options, held=work.held)
+            records = [[cast(Record, loop.record) for loop in same] for same in inputs.values()]
+            groups = [Group(same[0], np.stack([record.y for record in same])) for same in records]
+            fits = fit_plain(make_model(work.model), groups, work.options, held=work.held)
         except HystfitError:  # each is fitted alone, and its row has the reason
             continue
         if fits is None:
             continue
-        for k in np.flatnonzero(fits.judged.plain):
-            loop, record = alike[k], records[k]
-            loop.row = fits.row(int(k), loop.name, loop.source.file, record.sha256 or record.digest())
+        for k, loop in enumerate(ordered):
+            record = cast(Record, loop.record)
+            if fits.judged.plain[k]:
+                loop.row = fits.row(k, loop.name, loop.source.file, record.sha256 or record.digest())
+            elif k in fits.estimates:
+                loop.fit_setup, loop.estimate = setup_of(fits.common, record, work.options), fits.estimates[k]
 
 
-def _frame(record: Record) -> bytes:
-    """A digest of all of a record but its output."""
+def _kind(record: Record) -> Any:
+    """What records have in common that are judged together: labels, and the length of their arrays."""
+    labels = (record.u_unit, record.y_unit, record.t_unit, record.u_name, record.y_name)
+    return labels, record.t is None, repr(record.notes), bucket(len(record))
+
+
+def _input(record: Record) -> bytes:
+    """A digest of input, weights and time."""
     digest = hashlib.sha256()
     for column in (record.u, record.weight, record.t):
         digest.update(b"" if column is None else column.tobytes())
-    labels = (record.u_unit, record.y_unit, record.t_unit, record.u_name, record.y_name)
-    digest.update(repr((labels, record.t is None, record.notes)).encode())
     return digest.digest()
 
 
 def _pose(work: Work, loop: _Loop) -> None:
+    if loop.estimate is not None:
+        return
     data = Dataset.of(cast(Record, loop.record))
     loop.fit_setup = fit_setup = set_up_fit(make_model(work.model), data, work.options, held=work.held)
     if fit_setup.method == _TOGETHER:

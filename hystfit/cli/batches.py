@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists, named_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, terminal_width
+from hystfit.config import use_device
 from hystfit.errors import DataError, HystfitError, ParameterError, optional
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.inference.noise.registry import NOISES
@@ -23,9 +24,9 @@ if TYPE_CHECKING:
 
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
 Format = Literal["parquet", "netcdf"]
-_ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
-_PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
-_RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
+ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
+PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
+RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
 _FEW = 32  # loops below which further processes take longer to start than to compute
 
 
@@ -43,6 +44,7 @@ def batch(
     seed: int = 0,
     workers: int | None = None,
     scheduler: str | None = None,
+    device: Device = "auto",
     table: list[Format] | None = None,
     reports: str = "5",
     reading: Reading = DEFAULT_READING,
@@ -73,16 +75,17 @@ def batch(
     from hystfit.batch.sources import sources_of
 
     output.check()
+    use_device(device)
     if not loops:
         raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
     count = _count(reports)
     for form in table or []:  # before hours of fits
-        for package in _PACKAGES[form]:
+        for package in PACKAGES[form]:
             optional(package, "frames", f"--table {form}")
     found = len(sources_of(list(loops)))
     options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "start": start}
     options |= {"starts": starts, "seed": seed, "fix": named_values(fix or []), "free": free or []}
-    run = None if output.out is None else output.out / _RUN
+    run = None if output.out is None else output.out / RUN
     processes = workers or (1 if found < _FEW else os.cpu_count() or 1)
     with progress(f"fitting {model}") as update, resumable(run):
         fits = fit_many(
@@ -99,7 +102,7 @@ def batch(
     def save(folder: Path) -> None:
         from hystfit.batch.overview import overview
 
-        for ending in (".csv", *(_ENDINGS[form] for form in table or [])):
+        for ending in (".csv", *(ENDINGS[form] for form in table or [])):
             fits.save(folder / f"fits{ending}")
         addresses = _write_reports(fits, len(fits) if count is None else count, folder)
         (folder / "overview.html").write_text(overview(fits, addresses, as_options), encoding="utf-8")

@@ -37,6 +37,10 @@ Loop = Annotated[
 ]
 Number = Annotated[float | None, Parameter(group=FILE)]
 Setting = Annotated[float | None, Parameter(group=SEQUENTIAL)]
+Device = Annotated[
+    Literal["auto", "cpu", "gpu"],
+    Parameter(help="where to compute: auto takes a GPU for 1024 or more loops that are solved together, else the CPU"),
+]
 Limits = Annotated[
     str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fitted input")
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.preparation import CoarseClock
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
@@ -19,18 +20,11 @@ _MANY = 12  # weights above this number are counted in a note, not listed
 
 def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, errors: Uncertainty) -> list[Note]:
     """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed."""
-    notes = list(estimate.notes)
-    if all(record.t is None for record in problem.data):
-        notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))
-    coarse = [record.name for record in problem.data if record.t is not None and CoarseClock.of(record.t)]
-    if coarse:
-        text = f"time stamps of {coarse[0]!r} repeat, and the model was driven with these steps: Record.sampled gives even ones"
-        notes.append(warn(Code.COARSE_CLOCK, text))
+    notes = [*estimate.notes, *notes_on_time(problem.data)]
     if (stated := problem.data[0].sigma) is not None:
         text = f"the residuals are {errors.sigma / stated:.2g} times the standard deviations given; only their ratios are used"
         notes.append(Note(Code.WEIGHTED, text))
-    advice = dict.fromkeys(line for record in problem.data for line in model.advice(record.u, record.dt))
-    notes += [warn(Code.MODEL_ADVICE, line) for line in advice]
+    notes += notes_of_model(problem.data, model)
     notes += _bounds_reached(problem, estimate.x)
     notes += _undetermined(problem, errors)
     if estimate.penalty is not None and np.any(estimate.penalty > 0):
@@ -46,6 +40,24 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
         )
         notes.append(Note(Code.ERROR_RATIO, text))
     return notes
+
+
+def notes_on_time(data: Dataset) -> list[Note]:
+    """Notes on records without time, or with time stamps that repeat."""
+    notes = []
+    if all(record.t is None for record in data):
+        notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))
+    coarse = [record.name for record in data if record.t is not None and CoarseClock.of(record.t)]
+    if coarse:
+        text = f"time stamps of {coarse[0]!r} repeat, and the model was driven with these steps: Record.sampled gives even ones"
+        notes.append(warn(Code.COARSE_CLOCK, text))
+    return notes
+
+
+def notes_of_model(data: Dataset, model: AbstractHysteresis) -> list[Note]:
+    """What a fitted model says about the records."""
+    advice = dict.fromkeys(line for record in data for line in model.advice(record.u, record.dt))
+    return [warn(Code.MODEL_ADVICE, line) for line in advice]
 
 
 def _bounds_reached(problem: Problem, x: np.ndarray) -> list[Note]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import first_device
+from hystfit.config import device_of_many, first_device
 from hystfit.fitting.polish import LEAST_DAMPING, LONGEST_STEP, MOST_DAMPING, ROUNDING
 from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_one_scan
 from hystfit.inference.objective import Objective
@@ -33,6 +33,10 @@ _TOGETHER = 2**30  # numbers of the data of the lanes that a GPU holds at once
 _UNROLL = 8  # samples in one turn of the scan: 4096 lanes took 5 ms a pass on an H100, and 22 ms at one sample a turn
 _ROUND = 6  # steps of lanes that go together, before those that have ended leave
 _EQUAL = 1e-12  # relative difference of two costs that rounding may cause
+_SETTLED = 1e-3  # of the gain at which a lane takes its last step: what may be left after it, or it takes another
+# At a crease of the cost, as the limits of a branch make them, no step is shorter than what the linear model promises. A hundredth of a
+# standard error may be left, which is this part of the cost times the number of samples.
+_CREASE, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step is short
 _FIRST = 1e-3  # damping
 
 
@@ -130,21 +134,21 @@ def descend_lanes(
     if device.platform != "cpu":
         for part in _parts(left, max(_TOGETHER // stack.samples, 1)):
             lane.put(part, _together(stack, numbers[part], lane.rows(part), tolerance, steps, device))
-    elif len(z) >= _PAYS and suits_one_scan(_one(stack.objective, stack.own, 0)):
+    elif len(z) >= _PAYS and suits_one_scan(objective_at(stack.objective, stack.own, 0)):
         for part in _parts(left, _BESIDE):
             going = lane.rows(part)
             lane.put(part, _together(stack, numbers[part], going, tolerance, min(_ROUND, steps), device, _BESIDE))
     left = left[~lane.ended & (lane.steps < steps)]
     size = _chunk(stack.samples)
     for part in _parts(left, size):
-        lane.put(part, _one_by_one(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
+        lane.put(part, _one_byobjective_at(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
     good = lane.last & lane.ended & np.isfinite(lane.best.cost)
     return Ends(lane.best, good, lane.steps)
 
 
 def device_for(lanes: int) -> Any:
     """A GPU for many lanes where JAX finds one, else the CPU."""
-    return (first_device("gpu") if lanes >= MANY else None) or first_device("cpu")
+    return (device_of_many() if lanes >= MANY else None) or first_device("cpu")
 
 
 def _chunk(samples: int) -> int:
@@ -158,7 +162,9 @@ def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
         yield lanes[begin : begin + size]
 
 
-def _one_by_one(stack: Stack, records: np.ndarray, lane: _Lane, capacity: int, *, gain: Any, steps: int) -> _Lane:
+def _one_byobjective_at(
+    stack: Stack, records: np.ndarray, lane: _Lane, capacity: int, *, gain: Any, steps: int
+) -> _Lane:
     """Lanes at their ends, on the CPU; there is room for `capacity`, so that any number of lanes takes one program."""
     count = len(records)
     pad = np.minimum(np.arange(capacity), count - 1)
@@ -214,7 +220,7 @@ def _descend_each(
     """The first `count` lanes at their ends, one after another; lane k is of record k."""
 
     def one(k: Array, lanes: _Lane) -> _Lane:
-        new = _descend(normal_at, _one(objective, own, k), lanes.rows(k), gain, steps)
+        new = _descend(normal_at, objective_at(objective, own, k), lanes.rows(k), gain, steps)
         return jax.tree_util.tree_map(lambda rows, value: rows.at[k].set(value), lanes, new)
 
     return jax.lax.fori_loop(0, count, one, lane)
@@ -226,14 +232,14 @@ def _advance_all(
 ) -> _Lane:
     """All lanes after at most `most` steps, side by side."""
     in_scan = functools.partial(normal_in_scan, unroll=unroll)
-    normal = in_scan if suits_one_scan(_one(objective, own, 0)) else normal_at
-    rows = _one(objective, own, records)
+    normal = in_scan if suits_one_scan(objective_at(objective, own, 0)) else normal_at
+    rows = objective_at(objective, own, records)
     axes = jax.tree_util.tree_structure(objective).unflatten([0 if one else None for one in own])
     advanced = lambda objective, lane: _descend(normal, objective, lane, gain, most)
     return jax.vmap(advanced, in_axes=(axes, 0))(rows, lane)
 
 
-def _one(objective: Objective, own: tuple[bool, ...], k: Any) -> Objective:
+def objective_at(objective: Objective, own: tuple[bool, ...], k: Any) -> Objective:
     """The objective of one record, or of several."""
     leaves, treedef = jax.tree_util.tree_flatten(objective)
     return treedef.unflatten([leaf[k] if one else leaf for leaf, one in zip(leaves, own, strict=True)])
@@ -252,9 +258,14 @@ def _descend(normal: Callable[..., Normal], objective: Objective, lane: _Lane, g
         best = jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, lane.best)
         # Damping holds the directions that the data hardly determine: what is left to gain shows without it.
         (step, _), (whole, predicted) = _step(best, damping), _step(best, LEAST_DAMPING)
-        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + ROUNDING**2 * samples
-        ended = lane.last | (damping >= MOST_DAMPING) | jnp.isinf(best.cost)
-        return _Lane(best, best.z + jnp.where(near, whole, step), damping, lane.last | near, ended, lane.steps + 1)
+        floor = ROUNDING**2 * samples
+        near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + floor
+        settled = ~better | (predicted <= _SETTLED * gain * best.cost + floor)
+        crease = ~better & (damping >= _SHORT_STEP) & (predicted <= _CREASE / samples * best.cost)
+        ended = (lane.last & settled) | crease | (damping >= MOST_DAMPING) | jnp.isinf(best.cost)
+        return _Lane(
+            best, best.z + jnp.where(near, whole, step), damping, lane.last | near | crease, ended, lane.steps + 1
+        )
 
     return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
 

@@ -107,7 +107,8 @@ def bic(result: FitResult) -> float:
     none = np.zeros((residuals.residual.size, 0))
     contrasts = Contrasts(residuals.samples, residuals.residual, none, none)
     noise, n = fit_slow_noise(contrasts).noise, residuals.residual.size
-    deviance = contrasts.at((noise.white / noise.slow) ** 2, noise.time)[0] + n * (1 + np.log(2 * np.pi))
+    point = np.array([(noise.white / noise.slow) ** 2]), np.array([noise.time])
+    deviance = float(contrasts.at(*point)[0][0]) + n * (1 + np.log(2 * np.pi))
     deviance -= float(np.sum(np.log(residuals.samples.weight)))
     count = np.count_nonzero(~problem.on_bound(x)) + 3
     return float(deviance + count * np.log(n))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
 from hystfit.data.batch import Batch, bucket
 from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
@@ -24,10 +26,11 @@ def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
 
     All records together keep `samples`, or more where the input has many reversals.
     """
-    numbers = kept_samples(problem, samples)
-    if numbers is None:
+    found = kept_samples(problem.data, problem.objective.batch.u.shape[1], samples)
+    if found is None or not problem.model.allows_thinning:
         return None
-    batch, length = problem.objective.batch, _plan(problem.data, samples)[1]
+    numbers, length = found
+    batch = problem.objective.batch
     u, y, dt, weight = (np.asarray(values) for values in (batch.u, batch.y, batch.dt, batch.weight))
     rows = []
     for number, kept in enumerate(numbers):
@@ -39,14 +42,21 @@ def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
     return dataclasses.replace(problem.objective, batch=short)
 
 
-def kept_samples(problem: Problem, samples: int = _SAMPLES) -> list[np.ndarray] | None:
-    """Numbers of the samples of each record in the short form; None where there is none, see `thin`."""
-    if not problem.model.allows_thinning:
+def kept_samples(
+    records: Iterable[Record], padded: int, samples: int = _SAMPLES
+) -> tuple[list[np.ndarray], int] | None:
+    """Numbers of the samples of each record in the short form, and its length; None for short records, see `thin`.
+
+    Args:
+        records: the records.
+        padded: samples of a record, padding included.
+        samples: that all records together keep, or more where the input has many reversals.
+    """
+    records = list(records)
+    turns, length = _plan(records, samples)
+    if _PAYS * length > padded:
         return None
-    turns, length = _plan(problem.data, samples)
-    if _PAYS * length > problem.objective.batch.u.shape[1]:
-        return None
-    return [_kept_samples(len(record), turn, length) for record, turn in zip(problem.data, turns, strict=True)]
+    return [_kept_samples(len(record), turn, length) for record, turn in zip(records, turns, strict=True)], length
 
 
 def thinned(data: Dataset) -> Dataset:
@@ -59,7 +69,7 @@ def thinned(data: Dataset) -> Dataset:
     )
 
 
-def _plan(data: Dataset, samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:
+def _plan(data: Iterable[Record], samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:
     """Reversals of the input of every record, and the number of samples to keep of each."""
     turns = [clear_reversals(record.u) for record in data]
     most = max(turn.size for turn in turns)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.fitting.fit_warnings import warnings_of
 from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.inference.autocorrelation import is_correlated
@@ -31,7 +32,7 @@ _ENOUGH = 30  # residuals of a record needed to call them white
 _FEWEST = 10  # samples, below which no fit is usable
 
 
-def turns_back(data: Dataset) -> bool:
+def turns_back(data: Iterable[Record]) -> bool:
     """Whether any record's input reverses by more than 1 % of its range while samples count."""
     for record in data:
         first, last = np.flatnonzero(record.used)[[0, -1]]

@@ -128,8 +128,8 @@ class ResidualAnalysis:
     @functools.cached_property
     def _curved(self) -> SlowNoiseFit:
         slow = self.slow.noise
-        ratio = (slow.white / slow.slow) ** 2
-        length = min(_LENGTHS, key=lambda length: self._with_curve(length).at(ratio, slow.time)[0])
+        point = np.array([(slow.white / slow.slow) ** 2]), np.array([slow.time])
+        length = min(_LENGTHS, key=lambda length: self._with_curve(length).at(*point)[0][0])
         return fit_slow_noise(self._with_curve(length))
 
     @functools.cached_property

@@ -1,4 +1,4 @@
-"""Arrays in numpy, MATLAB, HDF5 and Parquet files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
+"""Arrays in numpy, MATLAB and HDF5 files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
 
 from __future__ import annotations
 
@@ -122,15 +122,6 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
             elif isinstance(values, np.ndarray):
                 arrays[name] = _text(values) if values.dtype.kind in "SO" else values
     return arrays
-
-
-def parquet_arrays(raw: bytes) -> dict[str, np.ndarray]:
-    """The columns of a Parquet file; needs the extra "frames"."""
-    parquet = optional("pyarrow.parquet", "frames", "reading Parquet files")
-    file = parquet.ParquetFile(io.BytesIO(raw))
-    check_size(_DOUBLE * file.metadata.num_rows * file.metadata.num_columns, raw)
-    table = file.read()
-    return {name: np.asarray(column.to_numpy()) for name, column in zip(table.column_names, table.columns, strict=True)}
 
 
 def _text(values: np.ndarray) -> np.ndarray:

@@ -120,18 +120,26 @@ def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str,
     labels = labels_of(table, divider)
     if blank := int((labels == "").sum()):
         notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
-    order = [value for value in dict.fromkeys(labels.tolist()) if value]
+    first, number = np.unique(labels, return_index=True, return_inverse=True)[1:]
+    order = [value for value in labels[np.sort(first)].tolist() if value]
     if len(order) > 1000 and len(order) > table.rows / 2:
         raise DataError(
             f"{table.source}: by={table.names[divider]!r} has {len(order)} values in {table.rows} rows; it does not separate curves"
         )
     title = split_unit(table.names[divider])[0]
-    return [(f"{title}={value}", np.flatnonzero(labels == value)) for value in order]
+    rows = _rows_of(number, first.size)
+    return [(f"{title}={labels[k]}", rows[number[k]]) for k in np.sort(first).tolist() if labels[k]]
+
+
+def _rows_of(number: np.ndarray, count: int) -> list[np.ndarray]:
+    """Rows with each number from 0 to `count` - 1."""
+    return np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number, minlength=count))[:-1])
 
 
 def _by_part(table: Table, choice: Choice, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
     """Name and rows of the records into which the layout of the file divides it, those without an input left out."""
-    groups = [(part.name, rows) for k, part in enumerate(table.parts) if (rows := np.flatnonzero(table.part == k)).size]
+    pairs = zip(table.parts, _rows_of(table.part, len(table.parts)), strict=True)
+    groups = [(part.name, rows) for part, rows in pairs if rows.size]
     filled = [group for group in groups if np.isfinite(table.columns[choice.input][group[1]]).any()]
     filled = [group for group in filled if np.isfinite(table.columns[choice.output][group[1]]).any()]
     if len(filled) < len(groups):

@@ -85,7 +85,10 @@ def _quality(pattern: str) -> float:
 
 def dialect_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: str) -> Dialect:
     """The most frequent pattern of cells among some rows; score 0 where no row holds a number."""
-    counts = collections.Counter("".join([cells.kind(cell, decimal) for cell in row]) for row in rows if row)
+    plain, number = cells.patterns(decimal)[0].fullmatch, cells.NUMBER  # most cells are plain numbers
+    counts = collections.Counter(
+        "".join([number if plain(cell) else cells.kind(cell, decimal) for cell in row]) for row in rows if row
+    )
     top = max(counts, key=lambda pattern: (counts[pattern] * _quality(pattern), pattern), default="")
     missing, text = cells.MISSING, cells.TEXT
     fits = [
@@ -161,8 +164,8 @@ def _is_plain(dialect: Dialect, filled: Sequence[str]) -> bool:
     """Whether nearly all lines are plain numbers between one mark, so that no other mark can find more of them."""
     if dialect.delimiter is None or set(dialect.kinds) != {cells.NUMBER} or dialect.rows < len(filled) - 3:
         return False
-    others = {",", ";", "\t", "|", " "} - {dialect.delimiter}
-    return not any(mark in line for line in filled[3:] for mark in others)
+    text = "\n".join(filled[3:])
+    return not any(mark in text for mark in {",", ";", "\t", "|", " "} - {dialect.delimiter})
 
 
 def _sample(lines: Sequence[str]) -> list[str]:

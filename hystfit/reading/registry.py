@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from hystfit.errors import DataError
 from hystfit.reading.adjusted import with_adjusted
-from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays, parquet_arrays
+from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.charge_throughput import with_throughput
 from hystfit.reading.drawn_table import read_drawn_table
@@ -22,6 +22,7 @@ from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.json_text import read_json
 from hystfit.reading.magic_tables import read_magic
 from hystfit.reading.micromag import read_micromag
+from hystfit.reading.parquet import read_parquet
 from hystfit.reading.raw_table import Table
 from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
@@ -99,9 +100,9 @@ FORMATS = (
     ),
     Format(
         (".parquet",),
-        'the columns of a Parquet file; needs the extra "frames"',
+        'Parquet tables: columns of numbers, or one loop a row as lists; needs the extra "frames"',
         lambda file: file.raw.startswith(b"PAR1"),
-        functools.partial(read_arrays, parquet_arrays),
+        read_parquet,
     ),
     Format(
         (".xlsx", ".xlsm"),

@@ -9,6 +9,7 @@ are triangular. The creep is that after a step over the same range, of a device 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from jaxtyping import Float
@@ -136,21 +137,21 @@ class Excitation:
         count = _cycles_of_path(data, high - low) if hardens else _CYCLES
         return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count)
 
-    @property
+    @functools.cached_property
     def inputs(self) -> np.ndarray:
         """Inputs of one branch, rising, shape (points / 2 + 1,), evenly spaced in time."""
         phase = np.linspace(0.0, 1.0, self.points // 2 + 1)
         share = 0.5 * (1 - np.cos(np.pi * phase)) if self.sine else phase
         return self.low + (self.high - self.low) * share
 
-    @property
+    @functools.cached_property
     def loop(self) -> Record:
         """The cycles, of which the last shows the steady loop."""
         inputs = self.inputs
         u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), self.cycles)
         return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
 
-    @property
+    @functools.cached_property
     def step(self) -> Record:
         """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
         size = max(self.cycles * self.points, _AT_10S + 1)

@@ -8,6 +8,7 @@ at other parameters then needs a few sums over frequencies in place of a tridiag
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from jaxtyping import Float
 
 _EVEN = 1e-9  # largest relative difference between steps that are even
 _BLOCK = 2**14  # frequencies summed at once
+_NUMBERS = 2**22  # largest number of products of rows that are kept
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,8 +58,10 @@ class EvenRows:
             transformed, np.stack([first, last]), 4 * np.sin(angle / 2) ** 2, float(steps.mean()), float(weight[0])
         )
 
-    def at(self, ratio: float, time: float) -> tuple[Float[np.ndarray, "k k"], float]:
-        """X' M^-1 X and log det M of the columns X, for M = correlation of the slow part + ratio.
+    def at(
+        self, ratio: Float[np.ndarray, " m"], time: Float[np.ndarray, " m"]
+    ) -> tuple[Float[np.ndarray, "m k k"], Float[np.ndarray, " m"]]:
+        """X' M^-1 X and log det M of the columns X, for M = correlation of the slow part + ratio, at m points.
 
         Args:
             ratio: of white to slow variance.
@@ -65,18 +69,43 @@ class EvenRows:
         """
         decay, fresh = np.exp(-self.gap / time), -np.expm1(-2 * self.gap / time)
         low, white = np.expm1(-self.gap / time) ** 2, fresh * self.weight / ratio
-        corner = decay * -np.expm1(-self.gap / time)
-        square, beside, ends = 0.0, 0.0, 0.0
-        for k in range(0, self.curvature.size, _BLOCK):
-            at = slice(k, k + _BLOCK)
-            slow = low + decay * self.curvature[at]
-            rows, edge = self.rows[:, at], self.ends[:, at] / (slow + white)
-            square = square + (rows * (slow / (ratio * (slow + white)))) @ rows.T
-            beside, ends = beside + rows @ edge.T, ends + self.ends[:, at] @ edge.T
-        inner = np.eye(2) + corner * ends
-        gram = square + corner * white / ratio * beside @ np.linalg.solve(inner, beside.T)
+        corner, k = decay * -np.expm1(-self.gap / time), len(self.rows)
+        pairs = np.triu_indices(k)
+        square, edges = np.zeros((len(ratio), pairs[0].size)), np.zeros((len(ratio), 2 * k + 3))
+        for begin in range(0, self.curvature.size, _BLOCK):
+            block = slice(begin, begin + _BLOCK)
+            slow = low[:, None] + decay[:, None] * self.curvature[block]
+            part = 1 / (slow + white[:, None])
+            with_ends = self._with_ends[:, block]
+            edges += part @ with_ends.T
+            part *= slow / ratio[:, None]
+            if self._products is not None:
+                square += part @ self._products[:, block].T
+                continue
+            rows = self.rows[:, block]
+            for total, one in zip(square, part, strict=True):
+                total += ((rows * one) @ rows.T)[pairs]
+        beside, ends = edges[:, : 2 * k].reshape(-1, k, 2), edges[:, 2 * k :][:, [[0, 1], [1, 2]]]
+        inner = np.eye(2) + corner[:, None, None] * ends
+        gram = np.empty((len(ratio), k, k))
+        gram[:, pairs[0], pairs[1]] = gram[:, pairs[1], pairs[0]] = square
+        correction = beside @ np.linalg.solve(inner, beside.swapaxes(1, 2))
+        gram += (corner * white / ratio)[:, None, None] * correction
         # The product of the eigenvalues low + white + decay * curvature, by Chebyshev polynomials.
         n, angle = self.curvature.size, 2 * np.arcsinh(0.5 * np.sqrt((low + white) / decay))
         product = np.log(low + white) + (n - 1) * (np.log(decay) + angle)
         product += np.log(-np.expm1(-2 * n * angle)) - np.log(-np.expm1(-2 * angle))
-        return gram, float(n * np.log(ratio) - np.log(fresh) + product + np.linalg.slogdet(inner)[1])
+        return gram, n * np.log(ratio) - np.log(fresh) + product + np.linalg.slogdet(inner)[1]
+
+    @functools.cached_property
+    def _products(self) -> np.ndarray | None:
+        """Products of two rows, shape (k (k + 1) / 2, n), with which many points are one product; None where they would be large."""
+        left, right = np.triu_indices(len(self.rows))
+        return self.rows[left] * self.rows[right] if left.size * self.curvature.size <= _NUMBERS else None
+
+    @functools.cached_property
+    def _with_ends(self) -> np.ndarray:
+        """Products of a row and an end, and of two ends, shape (2 k + 3, n)."""
+        first, last = self.ends
+        with_ends = (self.rows[:, None] * self.ends).reshape(-1, self.curvature.size)
+        return np.concatenate([with_ends, [first**2, first * last, last**2]])

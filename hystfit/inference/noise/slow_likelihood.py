@@ -24,6 +24,10 @@ _RATIOS = (1e-2, 1.0, 1e2)  # of white to slow variance, tried before the search
 _LEAST, _MOST = 1e-6, 1e6  # of that ratio
 _SHORTEST = 0.2  # correlation time, samples
 _VAGUE = 1.0  # prior standard deviation of the log variance of the shapes
+_STENCIL = 0.15 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
+_PARTS = (1.0, 0.4, 2.0)  # of a Newton step, of which the best is taken
+_NEWTONS, _NO_GAIN = 20, 1e-4  # steps, and decrease of -2 log likelihood below which they end
+_FLAT, _FARTHEST = 0.05, 2.0  # least curvature that limits a step, largest step
 _WIDEST = 1.0  # largest standard deviation of the logs of ratio and time in the average
 
 
@@ -179,34 +183,44 @@ class Contrasts:
         )
         return self.power * n / float(sum(squares))
 
-    def at(self, ratio: float, time: float) -> tuple[float, float, float]:
-        """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at a ratio of white to slow variance.
+    def at(
+        self, ratio: Float[np.ndarray, " m"], time: Float[np.ndarray, " m"]
+    ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at m ratios of white to slow variance, and times.
 
         Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior.
         """
         n, p = self.basis.shape
+        joint, log_det = self._joint(ratio, time)
+        inside = joint[:, :p, :p]
+        trace = np.trace(inside, axis1=1, axis2=2)
+        factor = np.linalg.cholesky(inside + 1e-12 * trace[:, None, None] * np.eye(p))
+        half = np.linalg.solve(factor, joint[:, :p, p:])
+        inner = joint[:, p:, p:] - half.swapaxes(1, 2) @ half
+        log_det = log_det + 2 * np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
+        if inner.shape[1] == 1:
+            square = np.maximum(inner[:, 0, 0], 1e-300) / (n - p)
+            return (n - p) * np.log(square) + log_det, square, np.zeros(len(square))
+        size, axes = np.linalg.eigh(inner[:, 1:, 1:])
+        size, score = np.maximum(size, 0.0)[:, None], (inner[:, None, 0, 1:] @ axes)
+        strength = np.geomspace(1e-3, 1e6, 91) / size[..., -1]  # variance of the weights over that of the slow part
+        shrunk = 1 + strength[..., None] * size
+        left = inner[:, 0, 0, None] - np.sum(strength[..., None] * score**2 / shrunk, axis=2)
+        square = np.maximum(left, 1e-300) / (n - p)
+        value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=2) + log_det[:, None]
+        value = value + (np.log(strength * square / self.expected) / _VAGUE) ** 2
+        least = value.min(axis=1)
+        share = np.exp(-0.5 * (value - least[:, None]))
+        share /= share.sum(axis=1, keepdims=True)
+        return least, np.sum(share * square, axis=1), np.sum(share * strength * square, axis=1)
+
+    def _joint(self, ratio: Float[np.ndarray, " m"], time: Float[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
+        """X' M^-1 X of basis, residual and shapes, shape (m, k, k), and log det M, shape (m,)."""
         if self._even is not None:
-            joint, log_det = self._even.at(ratio, time)
-        else:
-            solve, log_det = _solver(self.samples, ratio, time)
-            joint = gram([self.basis, self.residual, self.shapes], solve)
-        factor = np.linalg.cholesky(joint[:p, :p] + 1e-12 * np.trace(joint[:p, :p]) * np.eye(p))
-        half = scipy.linalg.solve_triangular(factor, joint[:p, p:], lower=True)
-        inner = joint[p:, p:] - half.T @ half
-        log_det += 2 * float(np.sum(np.log(np.diag(factor))))
-        if inner.shape[0] == 1:
-            square = max(float(inner[0, 0]), 1e-300) / (n - p)
-            return (n - p) * np.log(square) + log_det, square, 0.0
-        size, axes = np.linalg.eigh(inner[1:, 1:])
-        size, score = np.maximum(size, 0.0), axes.T @ inner[1:, 0]
-        strength = np.geomspace(1e-3, 1e6, 91)[:, None] / size[-1]  # variance of the weights over that of the slow part
-        shrunk = 1 + strength * size
-        square = np.maximum(inner[0, 0] - np.sum(strength * score**2 / shrunk, axis=1), 1e-300) / (n - p)
-        value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=1) + log_det
-        value = value + (np.log(strength[:, 0] * square / self.expected) / _VAGUE) ** 2
-        share = np.exp(-0.5 * (value - value.min()))
-        share /= share.sum()
-        return float(value.min()), float(share @ square), float(share @ (strength[:, 0] * square))
+            return self._even.at(ratio, time)
+        solvers = [_solver(self.samples, *point) for point in zip(ratio, time, strict=True)]
+        joint = [gram([self.basis, self.residual, self.shapes], solve) for solve, _ in solvers]
+        return np.stack(joint), np.array([log_det for _, log_det in solvers])
 
 
 def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
@@ -214,43 +228,69 @@ def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
     samples, n = contrasts.samples, contrasts.residual.size
     low, high = np.log([_LEAST, _SHORTEST]), np.log([_MOST, 4.0 * n])
     inside = lambda at: np.exp(np.clip(at, low, high))
-    value = lambda at: contrasts.at(*inside(at))[0]
+    likelihood = lambda at: contrasts.at(*inside(np.asarray(at)).T)
     times = np.log(np.geomspace(1.0, max(n / 4, 4.0), 5))
-    first = min((np.array([np.log(ratio), time]) for ratio in _RATIOS for time in times), key=value)
-    simplex = first + np.array([[0, 0], [1.0, 0], [0, 0.7]])
-    options = {"xatol": 0.02, "fatol": 0.01, "initial_simplex": simplex}
-    solution = scipy.optimize.minimize(value, first, method="Nelder-Mead", options=options)
-    center = np.clip(solution.x, low, high)
+    tried = np.stack(np.meshgrid(np.log(_RATIOS), times, indexing="ij"), -1).reshape(-1, 2)
+    center, least, axes = _minimum(lambda at: likelihood(at)[0], tried, low, high)
     nodes, ideal = _nodes()
-    about = center + nodes @ _spread(value, center).T
-    values = [contrasts.at(*inside(at)) for at in about]
-    above = np.array([v for v, _, _ in values]) - solution.fun
-    shares = ideal * np.exp(0.5 * (np.sum(nodes**2, axis=1) - above))
+    about = np.concatenate([center[None], center + nodes @ axes.T])
+    values, slow, loop = likelihood(about)
+    shares = ideal * np.exp(0.5 * (np.sum(nodes**2, axis=1) - (values[1:] - least)))
 
     def noise(at: np.ndarray, slow: float, loop: float) -> SlowNoise:
         ratio, time = inside(at)
         white = float(np.sqrt(ratio * slow))
         shapes, length = contrasts.shapes, contrasts.length
-        return SlowNoise(samples, white, float(np.sqrt(slow)), float(time), shapes, loop**0.5, length)
+        return SlowNoise(samples, white, float(np.sqrt(slow)), float(time), shapes, float(loop) ** 0.5, length)
 
-    others = tuple(noise(at, *v[1:]) for at, v in zip(about, values, strict=True))
-    return SlowNoiseFit(noise(center, *contrasts.at(*inside(center))[1:]), others, shares / shares.sum())
+    first, *others = (noise(*one) for one in zip(about, slow, loop, strict=True))
+    return SlowNoiseFit(first, tuple(others), shares / shares.sum())
+
+
+def _minimum(
+    value: Callable[[np.ndarray], np.ndarray], tried: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Minimum of a function of two variables by Newton steps, its value, and the axes of exp(-value / 2) about it.
+
+    Derivatives are differences on a stencil whose points, like all others, are computed together: that takes little longer than one.
+
+    Args:
+        value: at points (m, 2), shape (m,).
+        tried: where the search begins, at the best of them.
+        low, high: within which the center stays.
+    """
+    values = value(tried)
+    best = int(np.argmin(values))
+    center, least = tried[best], float(values[best])
+    for _ in range(_NEWTONS):
+        beside = value(center + _STENCIL)
+        slope, curvature = _derivatives(least, beside)
+        size, axes = np.linalg.eigh(curvature)
+        step = -axes @ ((axes.T @ slope) / np.maximum(np.abs(size), _FLAT))
+        step *= min(1.0, _FARTHEST / max(float(np.abs(step).max()), 1e-300))
+        points = np.clip(np.concatenate([center + np.outer(_PARTS, step), center + _STENCIL]), low, high)
+        values = np.concatenate([value(points[: len(_PARTS)]), beside])
+        best = int(np.argmin(values))
+        if least - values[best] < _NO_GAIN:
+            break
+        center, least = points[best], float(values[best])
+    else:
+        size, axes = np.linalg.eigh(_derivatives(least, value(center + _STENCIL))[1])
+    return center, least, axes * np.minimum(1 / np.sqrt(np.maximum(0.5 * size, 1e-12)), _WIDEST)
+
+
+def _derivatives(at: float, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and Hessian from the value at a point and at `_STENCIL` about it."""
+    h, (a, b, c, d, e, g) = _STENCIL[0, 0], beside
+    cross = (e + g - a - b - c - d + 2 * at) / (2 * h**2)
+    curvature = np.array([[(a + b - 2 * at) / h**2, cross], [cross, (c + d - 2 * at) / h**2]])
+    return np.array([a - b, c - d]) / (2 * h), curvature
 
 
 def _nodes() -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
     """Nodes and weights of a 3 x 3 Gauss-Hermite rule for a standard normal density."""
     at, weight = np.polynomial.hermite_e.hermegauss(3)
     return np.stack(np.meshgrid(at, at), -1).reshape(-1, 2), np.outer(weight, weight).ravel() / (2 * np.pi)
-
-
-def _spread(function: Callable[[np.ndarray], float], center: np.ndarray) -> Float[np.ndarray, "2 2"]:
-    """Axes of exp(-function / 2) about its maximum, as columns, each as long as its standard deviation."""
-    h = 0.15
-    steps = h * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
-    f0, (a, b, c, d, e, g) = function(center), [function(center + step) for step in steps]
-    cross = (e + g - a - b - c - d + 2 * f0) / (2 * h**2)
-    size, axes = np.linalg.eigh(0.5 * np.array([[(a + b - 2 * f0) / h**2, cross], [cross, (c + d - 2 * f0) / h**2]]))
-    return axes * np.minimum(1 / np.sqrt(np.maximum(size, 1e-12)), _WIDEST)
 
 
 def least_squares_root(

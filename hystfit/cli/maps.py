@@ -1,0 +1,114 @@
+"""`hystfit map`."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from hystfit.cli.batches import ENDINGS, PACKAGES, RUN, Format
+from hystfit.cli.interrupts import resumable
+from hystfit.cli.options import STDOUT, Device, Output, lists, named_values
+from hystfit.cli.write import finish, progress
+from hystfit.config import use_device
+from hystfit.errors import optional
+from hystfit.fitting.registry import ESTIMATORS
+from hystfit.inference.noise.registry import NOISES
+
+if TYPE_CHECKING:
+    from hystfit.batch.loop_map import LoopMap
+
+File = Annotated[Path, Parameter(help="HDF5 or netCDF-4 file with an array of loops over one input")]
+
+
+@lists(methods=ESTIMATORS, noises=NOISES)
+def fit_loops(
+    file: File,
+    *,
+    model: str,
+    input: str | None = None,
+    output_name: Annotated[str | None, Parameter(name="--output")] = None,
+    time: str | None = None,
+    units: str | None = None,
+    method: str = "auto",
+    fix: list[str] | None = None,
+    free: list[str] | None = None,
+    noise: str = "auto",
+    loss: str = "linear",
+    starts: int = 8,
+    seed: int = 0,
+    workers: int | None = None,
+    device: Device = "auto",
+    table: list[Format] | None = None,
+    output: Output = STDOUT,
+) -> int:
+    """Fit a model to every loop of an array, such as that of a scan over a sample, and draw the map of each parameter.
+
+    The file is read part by part. Exit status 1: some loop has no usable fit. With --out, the folder holds maps.nc (every parameter, its
+    standard error, the status and the notes, over the axes of the array) and a picture of each parameter. The same command resumes
+    after an interruption.
+
+    Args:
+        model: name (see hystfit models) or my_model.py:MyModel.
+        input: data set of the input; recognized by default, as the others are.
+        output_name: data set of the outputs; default: the one with the most axes.
+        time: data set of the time; "none" reads without it.
+        units: units of input and output, such as V,nm; others of the same quantity in the file are converted.
+        method: auto (suits the model), {methods}.
+        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model fixes by default; repeatable.
+        noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
+        loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
+        starts: number of starting points.
+        seed: random seed for the starting points.
+        workers: threads; default: one for each core.
+        table: form of the table besides netCDF: parquet.
+    """
+    from hystfit.batch.fit_map import fit_map
+    from hystfit.reading.cubes import open_cube
+
+    output.check()
+    use_device(device)
+    forms: list[Format] = ["netcdf", *(table or [])] if output.out is not None else []
+    for form in forms:  # before hours of fits
+        for package in PACKAGES[form]:
+            optional(package, "frames", f"--table {form}")
+    run = None if output.out is None else output.out / RUN
+    options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "starts": starts, "seed": seed}
+    options |= {"fix": named_values(fix or []), "free": free or []}
+    with (
+        open_cube(file, input=input, output=output_name, time=time, units=units) as cube,
+        progress(f"fitting {model}") as update,
+        resumable(run),
+    ):
+        found = fit_map(
+            model,
+            cube.u,
+            cube.y,
+            cube.t,
+            u_unit=cube.units["u"],
+            y_unit=cube.units["y"],
+            t_unit=cube.units["t"],
+            folder=run,
+            workers=workers,
+            progress=update,
+            **options,
+        )
+
+    def save(folder: Path) -> None:
+        for form in dict.fromkeys(forms):
+            found.save(folder / f"maps{ENDINGS[form]}")
+        _draw(found, folder)
+
+    return finish(str(found), found.to_dict(), output, save, status=found.status)
+
+
+def _draw(found: LoopMap, folder: Path) -> None:
+    """A picture of each parameter and quantity of a map of two axes."""
+    if len(found.shape) != 2:
+        return
+    for name in (*found.values, *found.quantities):
+        with suppress(OSError):
+            found.plot(name).savefig(folder / f"map_{name.replace('[', '_').strip(']')}.png", dpi=120)
