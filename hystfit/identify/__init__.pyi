@@ -24,3 +24,5 @@ from .smoother import smooth as smooth
 from .staged import Phase as Phase
 from .staged import identify_in_stages as identify_in_stages
 from .ukf import Ukf as Ukf
+from .vector_hysteresis import VectorHysteresis as VectorHysteresis
+from .vector_hysteresis import VectorRecord as VectorRecord

@@ -28,7 +28,9 @@ _STIFF = 0.3  # of the shared normal matrix: penalty of a change of coefficients
 _AGE = 200.0  # samples after which the known past counts 1/e
 _FADE = (0.02, 0.06, 0.2, 0.6)  # of the saturation: ranges of B after which a wrong initial state is forgotten
 _OWN = 0.1  # part of that penalty for the sequence's own B: 0.1 to 1 differ by 0.4 points, and without it one transient of 53 errs by 90 %
-_FADE_RIDGE = 0.1  # of the mean square of the field: penalty of the terms of the initial state; 0.01 to 1 differ by 0.15 points
+_FADE_RIDGE = (
+    0.1  # of the mean square of the field: penalty of the terms of the initial state; 0.01 to 1 differ by 0.15 points
+)
 _DEPTHS, _BACKS = (
     (0.02, 0.06, 0.15, 0.35, 0.75),
     (0.0, 0.02, 0.06, 0.2),

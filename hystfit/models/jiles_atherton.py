@@ -252,8 +252,8 @@ class JilesAthertonStep(AbstractStepInverse):
         return Root(root.x - ja.mean_field * total(root.x), root.rising)
 
 
-def langevin(x: Scalar) -> Scalar:
-    """coth x - 1 / x, by its series near zero."""
+def langevin(x: Array) -> Array:
+    """coth x - 1 / x of numbers of any shape, by its series near zero."""
     near = jnp.abs(x) < _SERIES
     far = jnp.where(near, 1.0, x)
     square = jnp.where(near, x, 0.0) ** 2
