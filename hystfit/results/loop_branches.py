@@ -121,10 +121,9 @@ def asymmetry(branches: list[Branch]) -> float | None:
     Args:
         branches: of the largest loops.
     """
-    sides = [next((b for b in branches if b.rises == rises), None) for rises in (False, True)]
-    if sides[0] is None or sides[1] is None:
+    falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
+    if falling is None or rising is None:
         return None
-    falling, rising = sides
     most = _WITHIN * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None

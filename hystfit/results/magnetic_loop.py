@@ -90,10 +90,8 @@ class MagneticLoop:
         """
         if unknown := set(correct) - set(ON_REQUEST):
             raise DataError(f"no correction {sorted(unknown)[0]!r}; there are {', '.join(ON_REQUEST)}")
-        field = parse_unit(record.u_unit)
-        per_field = (
-            {parse_unit("A/m").powers: 1.0, parse_unit("T").powers: 1 / MU0}.get(field.powers) if field else None
-        )  # type: ignore[union-attr]
+        powers, field = lambda text: getattr(parse_unit(text), "powers", None), parse_unit(record.u_unit)
+        per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
         if field is None or per_field is None:
             return None
         sample = sample.with_header(record.metadata)
