@@ -141,7 +141,8 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-SLOW = ("density", "cells", "cells of either sign", "everett table")  # their relays keep the laws in the quick form
+# The relays and `jiles-atherton` keep the laws in the quick form.
+SLOW = ("density", "cells", "cells of either sign", "everett table", "jiles-atherton driven by B")
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,8 @@ class JilesAthertonField(AbstractHysteresis):
         low, high = jnp.minimum(u1 / self.slope - width, state[0]), jnp.maximum(u1 / self.slope + width, state[0])
         search = lambda function, start: solve_rising(function, start, low, high).x
         divided = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), _STEEPEST)
-        return law.at_field(state, s, jax.lax.custom_root(miss, state[0], search, divided))
+        moved = law.at_field(state, s, jax.lax.custom_root(miss, state[0], search, divided))
+        return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 
     def derived(self) -> tuple[Derived, ...]:
         """The mean field parameter in the form of the literature."""
