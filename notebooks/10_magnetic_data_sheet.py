@@ -48,8 +48,8 @@ if not file.is_file():
     h = np.concatenate(
         [np.linspace(0, 140e3, 200), np.linspace(140e3, -140e3, 800), np.linspace(-140e3, 140e3, 800)]
     )  # Oe
-    side = np.concatenate([np.full(200, 1.0), np.full(800, 1.0), np.full(800, -1.0)])
-    moment = 5.9 * (1 - 4e3 / (4e3 + np.abs(h))) * np.tanh((h + side * 3e3) / 8e3)
+    side = np.concatenate([np.zeros(200), np.full(800, 1.0), np.full(800, -1.0)])
+    moment = 5.9 * (0.7 * np.tanh((h + 3.1e3 * side) / 3e3) + 0.3 * h / (np.abs(h) + 1.5e4))
     moment += np.random.default_rng(0).normal(0, 3e-4, h.size)
     rows = [f",{t},300,{field:.4f},{m:.8g},1e-4" for t, (field, m) in enumerate(zip(h, moment, strict=True))]
     head = [
